@@ -1,0 +1,39 @@
+# coflight: `make swarm` flies, `make test` tests; each does all of its own set-up.
+PYTHON ?= python3.11
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.set-up
+ARGS ?=
+
+.PHONY: help setup swarm test lint format clean
+help:
+	@echo "make swarm [ARGS='--duration 20 --seed 3']   fly scenarios/article.toml"
+	@echo "make test  [ARGS='-k radio']                 run the tests"
+	@echo "make lint | format | setup | clean"
+
+setup: $(STAMP)
+
+$(STAMP): pyproject.toml requirements.lock
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --requirement requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable '.[nec2]'
+	@touch $@
+
+swarm: $(STAMP)
+	$(BIN)/python scripts/launch_swarm.py scenarios/article.toml $(ARGS)
+
+test: $(STAMP)
+	$(BIN)/python -m pytest $(ARGS)
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: $(STAMP)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+clean:
+	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .import_linter_cache build *.egg-info

@@ -1,0 +1,23 @@
+"""Settings of the synthetic aperture: what a scenario's ``[antenna]`` table may say."""
+
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+Positive = Annotated[float, Meta(gt=0.0)]
+
+
+class AntennaConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Elements, their feeds and how patterns are computed."""
+
+    wavelength_m: Positive = 10.0
+    element_length_m: Positive = 0.05
+    """Vertical dipole on each vehicle: electrically small, as a size-limited antenna is."""
+    element_radius_m: Positive = 0.0002
+    segments: Annotated[int, Meta(ge=3, le=99)] = 9
+    """Thin-wire segments of a dipole; odd, so that the source sits in the middle."""
+    backend: Literal["nec2"] = "nec2"
+    snapshot_rate_hz: Positive = 2.0
+    """Instants of the flight, per simulated second, for which a pattern is computed."""
+    grid_deg: Annotated[float, Meta(gt=0.0, le=30.0)] = 5.0
+    """Step of the pattern in theta and phi; the maximum is refined beyond it."""

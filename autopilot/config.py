@@ -1,0 +1,80 @@
+"""Settings of one vehicle: what the launcher hands to ``python -m autopilot``, and what scenarios may say of it."""
+
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+Vector = tuple[float, float, float]
+NonNegative = Annotated[float, Meta(ge=0.0)]
+Positive = Annotated[float, Meta(gt=0.0)]
+Port = Annotated[int, Meta(ge=0, le=65_535)]
+
+
+class Site(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The place of the flight: the origin of the formation's NED frame, and its magnetic field."""
+
+    latitude_deg: Annotated[float, Meta(ge=-90.0, le=90.0)] = 47.397742
+    longitude_deg: Annotated[float, Meta(ge=-180.0, le=180.0)] = 8.545594
+    altitude_m: Annotated[float, Meta(ge=-500.0, le=9_000.0)] = 488.0
+    """Of the ground, above mean sea level."""
+    magnetic_field_ned_gauss: Vector = (0.21523, 0.00771, 0.42741)
+
+
+class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The scenario's ``[autopilot]`` table."""
+
+    kind: Literal["builtin"] = "builtin"
+    params: dict[str, float] = {}
+    """Parameters by PX4's names that differ from their defaults."""
+
+
+class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The scenario's ``[onboard]`` table: the application beside each autopilot."""
+
+    enabled: bool = True
+    """False leaves the autopilots to the ground station."""
+    localisation: Literal["gps", "ftm"] = "ftm"
+    """Correct the own position by everyone's GPS and the FTM distances, or trust the own GPS alone."""
+    beacon_period_ms: Annotated[int, Meta(ge=10, le=60_000)] = 100
+    ftm_period_s: Annotated[float, Meta(ge=0.02, le=3600.0)] = 1.0
+    """Each UAV ranges to every other once in this time."""
+    climb_speed_m_s: Annotated[float, Meta(gt=0.0, le=5.0)] = 1.5
+    on_station_tolerance_m: Positive = 0.7
+    """Own estimated distance from the own place that counts as being there."""
+    on_station_hold_s: NonNegative = 2.0
+    gps_bias_std_m: Positive = 1.5
+    """Horizontal, per axis: what the localisation filter assumes of GPS errors."""
+    gps_bias_time_constant_s: Positive = 60.0
+
+
+class VehiclePorts(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Where one vehicle listens and speaks, all on ``host``. Port 0: any free one (local) or none (remote)."""
+
+    host: str = "127.0.0.1"
+    simulator_tcp: Port = 4560
+    gcs_local_udp: Port = 18570
+    gcs_remote_udp: Port = 14550
+    companion_local_udp: Port = 14580
+    companion_remote_udp: Port = 14540
+    radio_endpoint: str | None = None
+    """Zenoh locator of the 802.11 emulator; None flies without a radio."""
+
+
+class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Everything that one UAV's process is told."""
+
+    run_id: str
+    instance: Annotated[int, Meta(ge=0, le=254)]
+    """MAVLink system id is this plus one; radio station number is this."""
+    seed: Annotated[int, Meta(ge=0)]
+    step_us: Annotated[int, Meta(ge=1_000, le=20_000)] = 4_000
+    site: Site = Site()
+    ports: VehiclePorts = VehiclePorts()
+    autopilot: AutopilotConfig = AutopilotConfig()
+    onboard: OnboardConfig = OnboardConfig()
+    places_ned_m: tuple[Vector, ...]
+    """The formation: each UAV's place from the site's origin."""
+    log_path: str | None = None
+    """Binary log of estimates; None writes none."""
+    record_period_us: Annotated[int, Meta(ge=1_000)] = 20_000
+    connect_timeout_s: Positive = 30.0

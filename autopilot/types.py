@@ -1,0 +1,101 @@
+"""Values that the parts of the autopilot hand to each other.
+
+Frames: NED (local, from the estimator's origin) and FRD (body). Quaternions are Hamilton, wxyz, and ``q_ned_frd`` maps
+FRD into NED. Arrays are float64 and belong to whoever made them: a receiver that keeps one copies it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImuSample:
+    """One inertial sample, mean over the interval that ends at ``time_us``."""
+
+    time_us: int
+    accel_frd_m_s2: Array
+    """(3,) specific force: (0, 0, -9.81) at rest and level."""
+    gyro_frd_rad_s: Array
+    """(3,)"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GpsFix:
+    """One GPS solution; it describes the moment ``time_us - delay``, the delay being a parameter."""
+
+    time_us: int
+    """When it arrived."""
+    fix_type: int
+    """GPS_FIX_TYPE; 3 or more is a 3-D fix."""
+    lat_deg: float
+    lon_deg: float
+    alt_m: float
+    """Above mean sea level."""
+    vel_ned_m_s: Array
+    """(3,)"""
+    eph_m: float
+    epv_m: float
+    satellites: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EstimatorState:
+    """What the estimator knows at ``time_us``. Positions are from ``origin``, the first good fix."""
+
+    time_us: int
+    q_ned_frd: Array
+    """(4,) wxyz"""
+    vel_ned_m_s: Array
+    pos_ned_m: Array
+    omega_frd_rad_s: Array
+    """(3,) body rates less the estimated gyro bias"""
+    acc_ned_m_s2: Array
+    """(3,) acceleration of the body over ground, gravity removed"""
+    gyro_bias_rad_s: Array
+    accel_bias_m_s2: Array
+    pos_std_m: Array
+    """(3,) one sigma, NED"""
+    vel_std_m_s: Array
+    attitude_std_rad: Array
+    """(3,) about NED axes"""
+    origin_lat_deg: float
+    origin_lon_deg: float
+    origin_alt_m: float
+    attitude_valid: bool
+    velocity_valid: bool
+    position_valid: bool
+    """Horizontal position and origin are known."""
+    height_valid: bool
+    reset_counter: int
+    """Rises by one whenever position or velocity jumped other than by fusion."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrajectorySetpoint:
+    """Where to go: for each axis a position, else a velocity, else an acceleration.
+
+    None means that the group is not controlled.
+    A position with a velocity uses the velocity as feed-forward, likewise acceleration.
+    """
+
+    pos_ned_m: Array | None = None
+    vel_ned_m_s: Array | None = None
+    acc_ned_m_s2: Array | None = None
+    yaw_rad: float | None = None
+    """None holds the present yaw setpoint."""
+    yaw_rate_rad_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AttitudeSetpoint:
+    """What the position controller asks of the attitude controller."""
+
+    q_ned_frd: Array
+    """(4,) wxyz"""
+    yaw_rate_rad_s: float
+    thrust: float
+    """Collective, 0..1 of full, along -z of the body"""

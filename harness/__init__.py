@@ -1,0 +1,1 @@
+"""The run: scenario, physics, sensors, lockstep, supervision, recording and analysis."""

@@ -1,0 +1,76 @@
+"""Settings of the emulated radio: what a scenario's ``[radio]`` table may say.
+
+Frozen, keyword-only and range-checked by msgspec when a scenario is decoded. Only data: the models that read it are
+in `netsim.phy`, `netsim.mac` and `netsim.ftm`.
+"""
+
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+NonNegative = Annotated[float, Meta(ge=0.0)]
+Positive = Annotated[float, Meta(gt=0.0)]
+BandwidthMhz = Literal[20, 40, 80]
+Mode = Literal[
+    "ofdm6", "ofdm9", "ofdm12", "ofdm18", "ofdm24", "ofdm36", "ofdm48", "ofdm54",
+    "vht_mcs0", "vht_mcs1", "vht_mcs2", "vht_mcs3", "vht_mcs4", "vht_mcs5", "vht_mcs6", "vht_mcs7", "vht_mcs8", "vht_mcs9",
+]  # fmt: skip
+AccessCategory = Literal["vo", "vi", "be", "bk"]
+
+
+class FtmConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Fine Time Measurement (IEEE 802.11-2016, 11.24.6) as every radio of the run performs it."""
+
+    ftms_per_burst: Annotated[int, Meta(ge=2, le=31)] = 8
+    """Measurement frames in a burst; N frames give N - 1 round trips."""
+    min_delta_us: Annotated[int, Meta(ge=100, le=25_500)] = 200
+    """Least time between two measurement frames of a burst (protocol unit 100 us)."""
+    burst_duration_us: Literal[250, 500, 1_000, 2_000, 4_000, 8_000, 16_000, 32_000, 64_000, 128_000] = 16_000
+    """Longest time a burst may take before its remaining frames are given up."""
+    mode: Mode = "vht_mcs0"
+    """Transmission mode of the measurement frames; their time stamps have the bandwidth of the channel."""
+    access_category: AccessCategory = "vo"
+    request_timeout_us: Annotated[int, Meta(ge=1_000, le=10_000_000)] = 100_000
+    """From the application's request to the time-out result, if nothing else ended the session."""
+    clock_ppm: Annotated[float, Meta(ge=0.0, le=100.0)] = 20.0
+    """Largest crystal error of a radio; each radio's is drawn uniformly in +- this."""
+    round_trip_std_ps: NonNegative | None = None
+    """Standard deviation of one round trip at high SNR; None takes the measured figure of the bandwidth."""
+    calibration_bias_std_m: NonNegative = 0.0
+    """Standard deviation over device pairs of the constant range offset that calibration left, metres."""
+
+
+class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The 802.11 channel and the radios on it, all alike."""
+
+    frequency_mhz: Annotated[float, Meta(gt=0.0, le=100_000.0)] = 5210.0
+    bandwidth_mhz: BandwidthMhz = 80
+    tx_power_dbm: Annotated[float, Meta(ge=-50.0, le=50.0)] = 16.0
+    antenna_gain_dbi: Annotated[float, Meta(ge=-50.0, le=50.0)] = 0.0
+    noise_figure_db: Annotated[float, Meta(ge=0.0, le=50.0)] = 7.0
+    path_loss_exponent: Annotated[float, Meta(ge=1.0, le=8.0)] = 2.0
+    """Log-distance exponent beyond 1 m, where the loss is Friis's."""
+    shadowing_std_db: NonNegative = 0.0
+    """Log-normal shadowing of a link, one draw per link and run."""
+    rician_k_db: Annotated[float, Meta(ge=-20.0, le=60.0)] | None = 12.0
+    """Rician K factor of the small-scale fading, drawn afresh per frame and link; None switches fading off."""
+    extra_attenuation_db: NonNegative = 0.0
+    """Attenuation added to every link: degrades the channel (20 dB), or cuts it (200 dB)."""
+    cca_energy_dbm: float = -62.0
+    cca_preamble_dbm: float = -82.0
+    control_mode: Mode = "ofdm24"
+    """Mode of RTS, CTS and ACK."""
+    broadcast_mode: Mode = "ofdm24"
+    broadcast_access_category: AccessCategory = "be"
+    broadcast_rts: bool = True
+    """Send RTS to a neighbour and wait for its CTS before a group-addressed frame, as the article does.
+    The standard does not; False sends the frame after contention alone."""
+    rts_retry_limit: Annotated[int, Meta(ge=0, le=255)] = 7
+    queue_frames: Annotated[int, Meta(ge=1, le=10_000)] = 64
+    """Frames that a radio holds for transmission; a further one is dropped and counted."""
+    queue_lifetime_us: Annotated[int, Meta(ge=1_000, le=60_000_000)] = 500_000
+    host_latency_us: Annotated[int, Meta(ge=0, le=100_000)] = 50
+    """Least time from the application's call to the radio's queue."""
+    host_jitter_us: Annotated[int, Meta(ge=0, le=100_000)] = 100
+    """Uniform extra of the same, drawn per frame."""
+    ftm: FtmConfig = FtmConfig()

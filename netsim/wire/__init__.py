@@ -1,0 +1,1 @@
+"""What crosses process borders between radios, emulator and time master."""

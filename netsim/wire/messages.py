@@ -1,0 +1,155 @@
+"""Messages between the radio's users, the emulator and the time master: versioned, typed, MessagePack on the wire.
+
+Decoding never raises: bytes that are no message of this version give None, and the caller counts them.
+Times are simulated: integer microseconds (``_us``) at the host's side, nanoseconds (``_ns``) on the air.
+"""
+
+from typing import Annotated, TypeVar
+
+import msgspec
+from msgspec import Meta, Struct
+
+VERSION = 1
+"""First field of every message; a change of any message's fields raises it."""
+MAX_PAYLOAD_BYTES = 1472
+"""Largest UDP payload that fits one 1500-byte IP packet."""
+
+Station = Annotated[int, Meta(ge=0, le=65_535)]
+TimeUs = Annotated[int, Meta(ge=0)]
+TimeNs = Annotated[int, Meta(ge=0)]
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+
+class Broadcast(Struct, frozen=True, kw_only=True, array_like=True, tag="b"):
+    """One UDP datagram to every station in range."""
+
+    seq: Annotated[int, Meta(ge=0)]
+    """Rises by one with each item that a station hands over, whatever its kind."""
+    at_us: TimeUs
+    """When the application hands it to its host stack; not before the batch's ``now_us``."""
+    payload: Annotated[bytes, Meta(max_length=MAX_PAYLOAD_BYTES)]
+
+
+class FtmRequest(Struct, frozen=True, kw_only=True, array_like=True, tag="f"):
+    """Ask the driver to range to a peer; exactly one `FtmResult` with this ``seq`` comes back."""
+
+    seq: Annotated[int, Meta(ge=0)]
+    at_us: TimeUs
+    peer: Station
+
+
+TxItem = Broadcast | FtmRequest
+
+
+class TxBatch(Struct, frozen=True, kw_only=True, array_like=True):
+    """All that one station hands to its radio in one step. Answered by `Ack`."""
+
+    version: int = VERSION
+    station: Station
+    now_us: TimeUs
+    items: tuple[TxItem, ...]
+
+
+class Delivery(Struct, frozen=True, kw_only=True, array_like=True, tag="d"):
+    """A datagram that reached this station."""
+
+    source: Station
+    seq: int
+    """The sender's sequence number."""
+    received_ns: TimeNs
+    """End of the frame at this antenna."""
+    rssi_dbm: float
+    payload: bytes
+
+
+class FtmResult(Struct, frozen=True, kw_only=True, array_like=True, tag="r"):
+    """What the driver reports of one ranging session, at the initiator."""
+
+    peer: Station
+    seq: int
+    """That of the `FtmRequest`."""
+    status: str
+    """``ok``, ``timeout``, ``no_response``, ``rejected`` or ``dropped`` (never left the queue)."""
+    measured_ns: TimeNs
+    """Mean time of the round trips that were used; when the session ended if there were none."""
+    distance_m: float
+    """c/2 times the mean round trip; 0.0 unless ``status`` is ``ok``."""
+    distance_std_m: float
+    """Sample standard deviation of a single round trip's distance; 0.0 with fewer than two."""
+    rssi_dbm: float
+    round_trips: int
+    """Round trips that were averaged."""
+
+
+RxItem = Delivery | FtmResult
+
+
+class RxBatch(Struct, frozen=True, kw_only=True, array_like=True):
+    """All that one station gets from one interval of the air. Answered by `Ack`.
+
+    Items are in order of (time, source, seq). The application may see them at ``release_us`` and not before.
+    """
+
+    version: int = VERSION
+    station: Station
+    release_us: TimeUs
+    items: tuple[RxItem, ...]
+
+
+class Ack(Struct, frozen=True, kw_only=True, array_like=True):
+    """The batch has been received whole."""
+
+    version: int = VERSION
+
+
+class Advance(Struct, frozen=True, kw_only=True, array_like=True):
+    """From the time master: simulate the air up to ``to_us`` with these poses. Answered by `Advanced`."""
+
+    version: int = VERSION
+    to_us: TimeUs
+    release_us: TimeUs
+    """When the hosts may see what arrives in this interval."""
+    pos_ned_m: tuple[Vector, ...]
+    """One per station."""
+    vel_ned_m_s: tuple[Vector, ...]
+    q_ned_frd: tuple[Quaternion, ...]
+    """Body to NED, wxyz."""
+    silent: tuple[Station, ...] = ()
+    """Stations that are gone: their radios send and answer nothing."""
+    extra_attenuation_db: float | None = None
+    """From now on, this attenuation on every link instead of the scenario's."""
+
+
+class Advanced(Struct, frozen=True, kw_only=True, array_like=True):
+    """The air has been simulated up to ``to_us`` and every delivery of it acknowledged."""
+
+    version: int = VERSION
+    to_us: TimeUs
+    quiet_until_us: TimeUs
+    """Unless a station hands over something new, nothing happens on the air before this time."""
+    busy_ns: TimeNs = 0
+    """Time since the start for which the medium carried at least one transmission."""
+    unresponsive: tuple[Station, ...] = ()
+    """Stations that did not acknowledge what they were delivered."""
+
+
+M = TypeVar("M", TxBatch, RxBatch, Ack, Advance, Advanced)
+_encoder = msgspec.msgpack.Encoder()
+_decoders = {kind: msgspec.msgpack.Decoder(kind) for kind in (TxBatch, RxBatch, Ack, Advance, Advanced)}
+
+
+def encode(message: TxBatch | RxBatch | Ack | Advance | Advanced) -> bytes:
+    """Bytes of a message."""
+    return _encoder.encode(message)
+
+
+def decode(kind: type[M], buffer: bytes) -> M | None:
+    """Message of that kind, or None if the bytes are not one of this version."""
+    try:
+        message = _decoders[kind].decode(buffer)
+    except (msgspec.DecodeError, ValueError, OverflowError, RecursionError):
+        return None
+    if message.version != VERSION:
+        return None
+    return message  # type: ignore[return-value]
