@@ -1,0 +1,108 @@
+"""What the launcher says to the physics server, and what that says back: JSON lines over its stdin and stdout.
+
+The physics server does nothing by itself: it simulates while a `RunUntil` lasts and waits otherwise, so whoever drives
+it can look at the truth, kill a vehicle or cut the channel at an exact simulated time, and get the same run again.
+"""
+
+from msgspec import Struct
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+
+class Command(Struct, frozen=True, kw_only=True, tag_field="command", tag=str.lower):
+    """From the launcher."""
+
+
+class RunUntil(Command):
+    """Simulate up to ``time_us``, or until the formation is reached if asked; answered by `Paused`."""
+
+    time_us: int
+    stop_when_formed: bool = False
+    speed: float = 0.0
+    """Against wall time; 0 runs as fast as it can."""
+
+
+class SetAttenuation(Command):
+    """From the next step on, attenuate every radio link by this; None is the scenario's own value."""
+
+    extra_attenuation_db: float | None
+
+
+class SetPid(Command):
+    """Process id of a vehicle, so that a starved vehicle can be told from a stopped one."""
+
+    instance: int
+    pid: int
+
+
+class Stop(Command):
+    """Write what is to be written and end, after `Finished`."""
+
+
+AnyCommand = RunUntil | SetAttenuation | SetPid | Stop
+
+
+class Event(Struct, frozen=True, kw_only=True, tag_field="event", tag=str.lower):
+    """From the physics server, besides the child's common `Ready` and `Finished`."""
+
+    time_us: int
+
+
+class VehicleTruth(Struct, frozen=True, kw_only=True):
+    """One vehicle as it really is."""
+
+    alive: bool
+    armed: bool
+    mode: str
+    phase: str
+    """Of the on-board application: see autopilot.onboard."""
+    pos_ned_m: Vector
+    vel_ned_m_s: Vector
+    q_ned_frd: Quaternion
+    error_m: float
+    """Horizontal distance from its place in the formation."""
+
+
+class Progress(Event):
+    """A few times per second of wall time while running."""
+
+    wall_s: float
+    channel_busy_fraction: float
+    vehicles: tuple[VehicleTruth, ...]
+
+
+class Paused(Event):
+    """`RunUntil` is done, or cannot go on (``reason``: ``time``, ``formed``, ``no_vehicles``)."""
+
+    reason: str
+    vehicles: tuple[VehicleTruth, ...]
+
+
+class Formed(Event):
+    """Every living vehicle's application says that it is on station, for the first time."""
+
+
+class VehicleLost(Event):
+    """A vehicle's rotors stop from here on."""
+
+    instance: int
+    reason: str
+
+
+class VehicleSilent(Event):
+    """A vehicle has not answered for a while of wall time; it is still waited for."""
+
+    instance: int
+    wall_silence_s: float
+
+
+class Collision(Event):
+    """Two vehicles touched; ``time_us`` is that of the first step in contact."""
+
+    first: int
+    second: int
+    pos_ned_m: Vector
+
+
+AnyEvent = Progress | Paused | Formed | VehicleLost | VehicleSilent | Collision
