@@ -1,1 +1,1 @@
-"""The swarm's synthetic-aperture antenna: geometry, NEC2 patterns, statistics and plots. A library of its own."""
+"""The swarm's synthetic-aperture antenna, a library of its own: geometry, patterns, statistics and plots."""

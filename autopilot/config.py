@@ -45,6 +45,14 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     gps_bias_std_m: Positive = 1.5
     """Horizontal, per axis: what the localisation filter assumes of GPS errors."""
     gps_bias_time_constant_s: Positive = 60.0
+    gps_delay_ms: Annotated[int, Meta(ge=0, le=1_000)] = 120
+    """How far in the past the moment lies that a GPS fix describes."""
+    odometry_drift_m_sqrt_s: Positive = 0.1
+    """Horizontal, per axis: error of the integrated velocity after one second; grows with the root of time."""
+    range_floor_std_m: Positive = 0.05
+    """What averaging within an FTM session does not reduce."""
+    safety_radius_m: NonNegative = 1.2
+    """A neighbour nearer than this, plus one sigma, is kept clear of; at most 0.6 of the spacing to the nearest place."""
 
 
 class VehiclePorts(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

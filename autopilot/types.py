@@ -71,20 +71,24 @@ class EstimatorState:
     """Horizontal position and origin are known."""
     height_valid: bool
     reset_counter: int
-    """Rises by one whenever position or velocity jumped other than by fusion."""
+    """Rises by one whenever position, velocity or heading jumped other than by fusion."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrajectorySetpoint:
     """Where to go: for each axis a position, else a velocity, else an acceleration.
 
-    None means that the group is not controlled.
-    A position with a velocity uses the velocity as feed-forward, likewise acceleration.
+    None means that the group is not controlled. A position with a velocity uses the velocity as feed-forward,
+    likewise acceleration. ``pos_axes``, ``vel_axes`` and ``acc_axes`` narrow a group to some of its axes
+    (north, east, down), as to hold a place and descend at a speed.
     """
 
     pos_ned_m: Array | None = None
     vel_ned_m_s: Array | None = None
     acc_ned_m_s2: Array | None = None
+    pos_axes: tuple[bool, bool, bool] = (True, True, True)
+    vel_axes: tuple[bool, bool, bool] = (True, True, True)
+    acc_axes: tuple[bool, bool, bool] = (True, True, True)
     yaw_rad: float | None = None
     """None holds the present yaw setpoint."""
     yaw_rate_rad_s: float = 0.0

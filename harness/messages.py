@@ -6,6 +6,8 @@ it can look at the truth, kill a vehicle or cut the channel at an exact simulate
 
 from msgspec import Struct
 
+from netsim.child import Stop
+
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
@@ -34,10 +36,6 @@ class SetPid(Command):
 
     instance: int
     pid: int
-
-
-class Stop(Command):
-    """Write what is to be written and end, after `Finished`."""
 
 
 AnyCommand = RunUntil | SetAttenuation | SetPid | Stop

@@ -8,7 +8,7 @@ import os
 import queue
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Iterator
 from typing import Any, TypeVar
 
 import msgspec
@@ -22,6 +22,10 @@ class Ready(Struct, frozen=True, kw_only=True, tag="ready", tag_field="event"):
     pid: int
     details: dict[str, Any] = {}
     """What it chose itself, such as ``endpoint`` or ``gcs_local_udp``."""
+
+
+class Stop(Struct, frozen=True, kw_only=True, tag="stop", tag_field="command"):
+    """To a child: write what is to be written and end, after `Finished`."""
 
 
 class Finished(Struct, frozen=True, kw_only=True, tag="finished", tag_field="event"):
@@ -44,16 +48,15 @@ def emit(event: Struct) -> None:
         pass
 
 
-def commands(kind: type[T]) -> "queue.SimpleQueue[T]":
-    """Queue that a thread fills with the commands from stdin; the process ends when stdin does.
+def commands(kind: type[T], inbox: "queue.SimpleQueue[T]") -> None:
+    """Have a thread fill the queue with the commands from stdin; the process ends when stdin does.
 
     A line that is no command is reported on stderr and skipped.
     """
-    inbox: queue.SimpleQueue[T] = queue.SimpleQueue()
     decoder = msgspec.json.Decoder(kind)
 
     def read() -> None:
-        for line in sys.stdin.buffer:
+        for line in _stdin_lines():
             try:
                 inbox.put(decoder.decode(line))
             except msgspec.DecodeError as error:
@@ -61,21 +64,27 @@ def commands(kind: type[T]) -> "queue.SimpleQueue[T]":
         _end()
 
     threading.Thread(target=read, name="parent", daemon=True).start()
-    return inbox
 
 
-def end_with_parent(before: Callable[[], None] | None = None) -> None:
-    """End this process when stdin does, after calling ``before`` (in a thread of its own)."""
+def end_with_parent() -> None:
+    """Have a thread end this process when stdin does, for a child that takes no commands."""
 
     def wait() -> None:
-        while sys.stdin.buffer.read(4096):
+        for _ in _stdin_lines():
             pass
-        if before is not None:
-            before()
         _end()
 
     threading.Thread(target=wait, name="parent", daemon=True).start()
 
 
+def _stdin_lines() -> Iterator[bytes]:
+    """Lines of stdin, read past Python's buffer, whose lock makes an interpreter abort that ends while a thread waits."""
+    rest = b""
+    while chunk := os.read(sys.stdin.fileno(), 65_536):
+        *lines, rest = (rest + chunk).split(b"\n")
+        yield from lines
+
+
 def _end() -> None:
+    # at once, whatever the main thread waits for: whoever would want a farewell is gone
     os._exit(0)

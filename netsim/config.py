@@ -36,6 +36,8 @@ class FtmConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Largest crystal error of a radio; each radio's is drawn uniformly in +- this."""
     round_trip_std_ps: NonNegative | None = None
     """Standard deviation of one round trip at high SNR; None takes the measured figure of the bandwidth."""
+    responder_sessions: Annotated[int, Meta(ge=1, le=64)] = 8
+    """Sessions that a radio answers at the same time; a further request is rejected."""
     calibration_bias_std_m: NonNegative = 0.0
     """Standard deviation over device pairs of the constant range offset that calibration left, metres."""
 
@@ -59,7 +61,7 @@ class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     cca_energy_dbm: float = -62.0
     cca_preamble_dbm: float = -82.0
     control_mode: Mode = "ofdm24"
-    """Mode of RTS, CTS and ACK."""
+    """Mode of RTS. A CTS or ACK has the highest of 6, 12, 24 Mbit/s not above the frame it answers."""
     broadcast_mode: Mode = "ofdm24"
     broadcast_access_category: AccessCategory = "be"
     broadcast_rts: bool = True
@@ -74,3 +76,16 @@ class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     host_jitter_us: Annotated[int, Meta(ge=0, le=100_000)] = 100
     """Uniform extra of the same, drawn per frame."""
     ftm: FtmConfig = FtmConfig()
+
+
+class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the launcher tells the emulator's process."""
+
+    run_id: str
+    host: str = "127.0.0.1"
+    port: Annotated[int, Meta(ge=0, le=65_535)] = 0
+    stations: Annotated[int, Meta(ge=1)]
+    seed: Annotated[int, Meta(ge=0)]
+    radio: RadioConfig = RadioConfig()
+    frame_log_path: str | None = None
+    session_log_path: str | None = None

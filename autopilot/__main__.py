@@ -1,0 +1,201 @@
+"""``python -m autopilot --instance 3``: one UAV's process, and the only part of it that touches sockets.
+
+It connects to the simulator as PX4 does (TCP, retrying until it is there), to the run's radio, and opens its MAVLink links;
+then each HIL_SENSOR makes one step of the vehicle and one answer. It ends when the simulator hangs up.
+"""
+
+import argparse
+import contextlib
+import os
+import socket
+import sys
+import time
+from pathlib import Path
+
+import msgspec
+
+from autopilot.config import VehicleConfig, VehiclePorts
+from autopilot.mavlink.codec import Encoder, Parser
+from autopilot.mavlink.links import UdpLink
+from autopilot.params import ParameterError
+from autopilot.recording import VEHICLE_RECORD, record
+from autopilot.vehicle import COMPANION, GROUND_STATION, Vehicle, is_clock
+from netsim.child import Finished, Ready, emit, end_with_parent
+from netsim.radio import RadioClient, RadioLost
+from netsim.record_log import RecordLog
+from netsim.transport import TransportError
+
+RETRY_S = 0.1
+_RECEIVE_BYTES = 65_536
+BATCH_HANDED_OVER = 1 << 32
+"""Bit of HIL_ACTUATOR_CONTROLS.flags: the radio was given something in this step."""
+
+
+class SimulatorUnreachable(ConnectionError):
+    """No simulator where there should be one; the text is one line."""
+
+
+def connect_simulator(host: str, port: int, wall_timeout_s: float) -> socket.socket:
+    """Connect to the simulator's TCP port, trying again until it is there. Raises SimulatorUnreachable."""
+    wall_deadline_s = time.monotonic() + wall_timeout_s
+    while True:
+        try:
+            connection = socket.create_connection((host, port), timeout=max(RETRY_S, wall_timeout_s))
+        except OSError as error:
+            if time.monotonic() >= wall_deadline_s:
+                raise SimulatorUnreachable(
+                    f"no simulator at {host}:{port} within {wall_timeout_s:g} s ({error.strerror or error})"
+                ) from None
+            time.sleep(RETRY_S)
+        else:
+            connection.settimeout(None)
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            return connection
+
+
+class Process:
+    """A vehicle and its edges."""
+
+    def __init__(self, config: VehicleConfig, stack: contextlib.ExitStack) -> None:
+        self._config = config
+        self._name = f"uav {config.instance}"
+        system, ports = config.instance + 1, config.ports
+        self._vehicle = Vehicle(config)
+        self._links = [
+            stack.enter_context(
+                contextlib.closing(
+                    UdpLink(
+                        host=ports.host,
+                        local_port=local,
+                        remote_port=remote,
+                        encoder=Encoder(system=system, component=1),
+                    )
+                )
+            )
+            for local, remote in (
+                (ports.gcs_local_udp, ports.gcs_remote_udp),
+                (ports.companion_local_udp, ports.companion_remote_udp),
+            )
+        ]
+        self._radio: RadioClient | None = None
+        if ports.radio_endpoint is not None:
+            self._radio = RadioClient(endpoint=ports.radio_endpoint, run_id=config.run_id, station=config.instance)
+            stack.enter_context(contextlib.closing(self._radio))
+        self._log: RecordLog | None = None
+        if config.log_path is not None:
+            self._log = stack.enter_context(contextlib.closing(RecordLog(config.log_path, VEHICLE_RECORD)))
+        self._parser = Parser()
+        self._encoder = Encoder(system=system, component=1)
+        self._link_messages = 0
+        self._simulator = stack.enter_context(
+            connect_simulator(ports.host, ports.simulator_tcp, config.connect_timeout_s)
+        )
+
+    def run(self) -> None:
+        """Fly until the simulator hangs up."""
+        emit(
+            Ready(
+                name=self._name,
+                pid=os.getpid(),
+                details={
+                    "gcs_local_udp": self._links[GROUND_STATION].local_port,
+                    "companion_local_udp": self._links[COMPANION].local_port,
+                },
+            )
+        )
+        waiting = []
+        with contextlib.suppress(ConnectionError):
+            while data := self._simulator.recv(_RECEIVE_BYTES):
+                for message in self._parser.push(data):
+                    waiting.append(message)
+                    if is_clock(message):
+                        self._simulator.sendall(self._step(waiting))
+                        waiting = []
+        emit(
+            Finished(
+                name=self._name,
+                details={
+                    "ground_messages": self._link_messages,
+                    "malformed_bytes": self._parser.bad_bytes + sum(link.bad_bytes for link in self._links),
+                    "malformed_deliveries": 0 if self._radio is None else self._radio.malformed,
+                },
+            )
+        )
+
+    def _step(self, simulator_messages: list[object]) -> bytes:
+        """One step of the vehicle; returns what goes back to the simulator."""
+        now_us = simulator_messages[-1].time_usec  # type: ignore[attr-defined]  # HIL_SENSOR is what ended the list
+        incoming = [(i, message) for i, link in enumerate(self._links) for message in link.receive()]
+        self._link_messages += len(incoming)
+        output = self._vehicle.step(
+            sim_messages=simulator_messages,
+            link_messages=incoming,
+            radio_items=self._radio.receive(now_us) if self._radio is not None else (),
+            link_active=tuple(link.active for link in self._links),
+        )
+        for i, link in enumerate(self._links):
+            link.send(message for to, message in output.links if to == i)
+        if output.radio and self._radio is not None:
+            self._transmit(now_us, output.radio)
+            output.actuators.flags |= BATCH_HANDED_OVER
+        if self._log is not None and now_us % self._config.record_period_us == 0:
+            self._log.append([record(self._vehicle)])
+        return b"".join(self._encoder.encode(message) for message in (*output.simulator, output.actuators))
+
+    def _transmit(self, now_us: int, items: tuple[object, ...]) -> None:
+        try:
+            self._radio.send(now_us, items)  # type: ignore[union-attr, arg-type]
+        except RadioLost as error:
+            print(f"{self._name}: {error}; flying on without", file=sys.stderr)
+            self._radio = None
+
+
+def main() -> int:
+    """Parse the command line and fly; a failure is one line on stderr and status 2."""
+    parser = argparse.ArgumentParser(prog="python -m autopilot", description="One UAV's autopilot and on-board application.")
+    parser.add_argument("--instance", type=int, default=0, help="vehicle number: MAVLink system id less one, PX4's port offsets")
+    parser.add_argument("--config", type=Path, help="JSON file with everything; without it a lone vehicle on PX4's ports")
+    parser.add_argument("--connect-timeout-s", type=float, default=30.0, help="how long to look for the simulator")
+    parser.add_argument("--supervised", action="store_true", help="end when stdin does")
+    arguments = parser.parse_args()
+    try:
+        if arguments.config is not None:
+            config = msgspec.json.decode(arguments.config.read_bytes(), type=VehicleConfig)
+        else:
+            config = lone_vehicle(arguments.instance, arguments.connect_timeout_s)
+        if arguments.supervised:
+            end_with_parent()
+        with contextlib.ExitStack() as stack:
+            Process(config, stack).run()
+    except (SimulatorUnreachable, TransportError, RadioLost, OSError, msgspec.DecodeError, ParameterError) as error:
+        print(f"uav: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+def lone_vehicle(instance: int, connect_timeout_s: float) -> VehicleConfig:
+    """A vehicle that was started by hand: PX4's ports, no radio, and nobody aboard but the ground station."""
+    base = VehiclePorts()
+    return msgspec.convert(
+        {
+            "run_id": "manual",
+            "instance": instance,
+            "seed": 0,
+            "ports": {
+                "simulator_tcp": base.simulator_tcp + instance,
+                "gcs_local_udp": base.gcs_local_udp + instance,
+                "companion_local_udp": base.companion_local_udp + instance,
+                "companion_remote_udp": base.companion_remote_udp + instance,
+            },
+            "onboard": {"enabled": False},
+            "places_ned_m": [[0.0, 0.0, 0.0]] * (instance + 1),
+            "connect_timeout_s": connect_timeout_s,
+        },
+        VehicleConfig,
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

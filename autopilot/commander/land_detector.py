@@ -1,0 +1,119 @@
+"""Whether the vehicle stands on the ground, from how it moves and what is asked of it.
+
+After PX4's MulticopterLandDetector: on the ground it moves neither up nor down although the controller asks
+for descent, and thrust has run down to little. Three stages in a row keep a gust or a stalled descent from
+being taken for a landing.
+"""
+
+from enum import IntEnum
+from math import radians
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+GROUND_CONTACT_US = 350_000
+MAYBE_LANDED_US = 250_000
+LANDED_US = 300_000
+"""How long each stage's conditions must hold, one after the other."""
+LOW_THRUST_OF_HOVER = 0.3
+"""Share of the hover thrust below which the vehicle cannot be flying."""
+DESCENT_DEMAND_M_S = 0.27
+"""Nine tenths of PX4's slowest landing speed (MPC_LAND_CRWL): from here on standing still means contact."""
+LEFT_GROUND_HEIGHT_M = 0.15
+LEFT_GROUND_CLIMB_M_S = 0.5
+
+
+class Stage(IntEnum):
+    """How sure it is that the vehicle is down."""
+
+    AIRBORNE = 0
+    GROUND_CONTACT = 1
+    MAYBE_LANDED = 2
+    LANDED = 3
+
+
+class LandDetectorParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Thresholds of motion."""
+
+    vertical_speed_max_m_s: Annotated[float, Meta(gt=0.0)] = 0.25
+    """LNDMC_Z_VEL_MAX"""
+    horizontal_speed_max_m_s: Annotated[float, Meta(gt=0.0)] = 1.5
+    """LNDMC_XY_VEL_MAX"""
+    rotation_max_rad_s: Annotated[float, Meta(gt=0.0)] = radians(20.0)
+    """LNDMC_ROT_MAX"""
+
+
+class LandDetector:
+    """One vehicle's stage between air and ground; `update` at every step."""
+
+    def __init__(self, params: LandDetectorParams) -> None:
+        self.params = params
+        self.stage = Stage.LANDED
+        self._since_us = 0
+        """Since when the conditions of the next stage hold."""
+        self._climb_from_down_m: float | None = None
+        """Down position where a climb was first asked for on the ground."""
+
+    @property
+    def landed(self) -> bool:
+        """On the ground for certain."""
+        return self.stage is Stage.LANDED
+
+    def update(
+        self,
+        now_us: int,
+        *,
+        armed: bool,
+        down_m: float,
+        vel_down_m_s: float,
+        horizontal_speed_m_s: float,
+        rotation_rad_s: float,
+        down_demand_m_s: float,
+        thrust_of_hover: float,
+    ) -> None:
+        """Take the estimate, the vertical speed asked for, and thrust as a share of the hover thrust."""
+        if not armed:
+            self.stage = Stage.LANDED
+            self._climb_from_down_m = None
+        elif self.stage is Stage.LANDED:
+            self._watch_for_take_off(now_us, down_m, vel_down_m_s, down_demand_m_s)
+        else:
+            still = (
+                abs(vel_down_m_s) < self.params.vertical_speed_max_m_s
+                and horizontal_speed_m_s < self.params.horizontal_speed_max_m_s
+            )
+            low_thrust = thrust_of_hover < LOW_THRUST_OF_HOVER
+            contact = still and (low_thrust or down_demand_m_s > DESCENT_DEMAND_M_S)
+            resting = contact and low_thrust and rotation_rad_s < self.params.rotation_max_rad_s
+            self._advance(now_us, contact=contact, resting=resting)
+
+    def _watch_for_take_off(
+        self, now_us: int, down_m: float, vel_down_m_s: float, down_demand_m_s: float
+    ) -> None:
+        if down_demand_m_s >= 0.0:
+            self._climb_from_down_m = None
+        elif self._climb_from_down_m is None:
+            self._climb_from_down_m = down_m
+        elif self._climb_from_down_m - down_m > LEFT_GROUND_HEIGHT_M or -vel_down_m_s > LEFT_GROUND_CLIMB_M_S:
+            self.stage = Stage.AIRBORNE
+            self._since_us = now_us
+            self._climb_from_down_m = None
+
+    def _advance(self, now_us: int, *, contact: bool, resting: bool) -> None:
+        if not contact:
+            self.stage = Stage.AIRBORNE
+            self._since_us = now_us
+        elif self.stage is Stage.AIRBORNE:
+            self._climb_stage(now_us, Stage.GROUND_CONTACT, GROUND_CONTACT_US)
+        elif not resting:
+            self.stage = Stage.GROUND_CONTACT
+            self._since_us = now_us
+        elif self.stage is Stage.GROUND_CONTACT:
+            self._climb_stage(now_us, Stage.MAYBE_LANDED, MAYBE_LANDED_US)
+        else:
+            self._climb_stage(now_us, Stage.LANDED, LANDED_US)
+
+    def _climb_stage(self, now_us: int, stage: Stage, after_us: int) -> None:
+        if now_us - self._since_us >= after_us:
+            self.stage = stage
+            self._since_us = now_us

@@ -1,0 +1,148 @@
+"""From thrust and torque to motor controls.
+
+Demands are normalised as PX4's: collective thrust 0..1 of full, roll and pitch torque such that a demand of 1
+moves the rotors by 0.71 of full thrust (root mean square), yaw such that the most used rotor moves by 1.
+Desaturation gives way in this order: yaw first, then collective thrust, roll and pitch last. The rotors form
+a quadrotor, so thrust and three torques determine four rotor thrusts; collective thrust alone makes no torque
+on a balanced frame.
+"""
+
+from math import sqrt
+
+import numpy as np
+from numba import njit
+
+from autopilot.control.params import AllocationParams
+from autopilot.types import Array
+
+
+@njit(cache=True)
+def _yaw_bounds(fixed: Array, yaw: Array, low: float, high: float) -> tuple[float, float]:
+    """Yaw demands y for which one collective c in [low, high] keeps all of ``fixed + c + y * yaw`` in 0..1.
+
+    Three conditions: the spread of the rotors is at most 1, none is over 1 at c = low, none under 0 at c =
+    high. Each is linear in y, so the set is an interval; it may be empty (lower > upper).
+    """
+    lower, upper = -np.inf, np.inf
+    for i in range(4):
+        for j in range(6):
+            if j < 4:
+                slope, room = yaw[i] - yaw[j], 1.0 - (fixed[i] - fixed[j])
+            elif j == 4:
+                slope, room = yaw[i], 1.0 - fixed[i] - low
+            else:
+                slope, room = -yaw[i], fixed[i] + high
+            if slope > 1e-9:
+                upper = min(upper, room / slope)
+            elif slope < -1e-9:
+                lower = max(lower, room / slope)
+            elif room < -1e-12:  # yaw cannot help
+                return np.inf, -np.inf
+    return lower, upper
+
+
+@njit(cache=True)
+def _allocate(
+    thrust: float,
+    torque: Array,
+    mix: Array,
+    yaw_margin: float,
+    highest: float,
+    factor: float,
+    controls: Array,
+) -> tuple[float, float, float]:
+    """Fill ``controls``; returns achieved collective, scale of roll and pitch, achieved yaw.
+
+    Torque may raise the collective up to ``highest``.
+    """
+    fixed = mix[:, 0] * torque[0] + mix[:, 1] * torque[1]
+    yaw = mix[:, 2]
+    thrust = min(max(thrust, 0.0), 1.0)
+    lowest, spread = fixed.min(), fixed.max() - fixed.min()
+
+    scale = 1.0
+    high = max(thrust, highest)
+    y_lower, y_upper = _yaw_bounds(fixed, yaw, 0.0, high)
+    if y_lower > y_upper:
+        if spread > 1.0:
+            scale = 1.0 / spread
+        if -lowest * scale > high:
+            scale = high / -lowest
+        fixed *= scale
+        y_lower, y_upper = _yaw_bounds(fixed, yaw, 0.0, high)
+        if y_lower > y_upper:  # the spread is exactly 1: rounding closed the interval
+            y_lower = y_upper = 0.0
+    y = min(max(0.0, y_lower), y_upper)
+    low, top = -(fixed + y * yaw).min(), 1.0 - (fixed + y * yaw).max()
+    collective = max(min(thrust, top), min(low, top))
+
+    # yaw gets what is left at this collective, or at one lower by at most the margin
+    y_lower, y_upper = _yaw_bounds(fixed, yaw, max(collective - yaw_margin, 0.0), collective)
+    if y_lower <= y_upper:
+        y = min(max(torque[2], y_lower), y_upper)
+        collective = max(min(collective, 1.0 - (fixed + y * yaw).max()), 0.0)
+
+    for i in range(4):
+        relative_thrust = min(max(fixed[i] + collective + y * yaw[i], 0.0), 1.0)
+        # positive root of factor u^2 + (1 - factor) u = relative thrust
+        linear = 1.0 - factor
+        if factor < 1e-6:
+            controls[i] = relative_thrust
+        else:
+            root = sqrt(linear * linear + 4.0 * factor * relative_thrust)
+            controls[i] = min((root - linear) / (2.0 * factor), 1.0)
+    return collective, scale, y
+
+
+def effectiveness(params: AllocationParams) -> Array:
+    """(4, 4) thrust along -z and torque about x, y, z (FRD), N and N m, per newton of each rotor."""
+    rows = []
+    for rotor in params.rotors:
+        x_m, y_m, _ = rotor.pos_frd_m
+        # r x (0, 0, -1) = (-y, x, 0); a counter-clockwise rotor turns the body clockwise, which is +z down
+        rows.append((1.0, -y_m, x_m, rotor.torque_ratio_m))
+    return np.array(rows).T
+
+
+def mixer(params: AllocationParams) -> Array:
+    """(4, 3) relative thrust of each rotor per normalised roll, pitch and yaw torque."""
+    matrix = effectiveness(params)
+    if np.linalg.matrix_rank(matrix) < 4:
+        raise ValueError("the rotors cannot make thrust, roll, pitch and yaw independently")
+    if np.abs(matrix[1:3].sum(axis=1)).max() > 1e-9:
+        raise ValueError("the rotors' thrust is not balanced about the centre of mass")
+    mix = np.asarray(np.linalg.inv(matrix)[:, 1:], dtype=np.float64)
+    mix[:, :2] /= np.sqrt((mix[:, :2] ** 2).sum(axis=0) / 2.0)
+    mix[:, 2] /= np.abs(mix[:, 2]).max()
+    return np.ascontiguousarray(mix)
+
+
+class Allocator:
+    """Motor controls for a demand, and what of the demand they meet."""
+
+    def __init__(self, params: AllocationParams) -> None:
+        self.params = params
+        self.thrust = 0.0
+        """Collective that was given last, 0..1"""
+        self.unallocated: Array = np.zeros(3)
+        """(3,) normalised roll, pitch and yaw torque that the last demand did not get"""
+        self._mix = mixer(params)
+
+    def reset(self) -> None:
+        """Nothing was asked and nothing given."""
+        self.thrust = 0.0
+        self.unallocated[:] = 0.0
+
+    def allocate(self, thrust: float, torque: Array, *, airmode: bool) -> Array:
+        """(4,) motor controls 0..1 for ``thrust`` 0..1 and normalised ``torque`` (3,) about FRD axes.
+
+        ``thrust`` is collective. ``airmode`` lets torque raise it, which must not happen on the ground.
+        """
+        controls = np.empty(4)
+        self.thrust, scale, yaw = _allocate(
+            thrust, torque, self._mix, self.params.yaw_thrust_margin, 1.0 if airmode else 0.0,
+            self.params.thrust_model_factor, controls,
+        )  # fmt: skip
+        self.unallocated[:2] = torque[:2] * (1.0 - scale)
+        self.unallocated[2] = torque[2] - yaw
+        return controls

@@ -1,0 +1,187 @@
+"""The cascade of one vehicle: position, attitude, rates and allocation at their rates."""
+
+import math
+
+import numpy as np
+
+from autopilot.control.allocation import Allocator
+from autopilot.control.attitude import AttitudeController
+from autopilot.control.disturbance import DisturbanceObserver
+from autopilot.control.hover_thrust import HoverThrustEstimator
+from autopilot.control.params import ControlParams
+from autopilot.control.position import PositionController, PositionOutput
+from autopilot.control.rates import RateController
+from autopilot.control.takeoff import Phase, TakeoffRamp, wants_climb
+from autopilot.estimation.rotation import quat_from_euler, quat_to_euler
+from autopilot.types import Array, AttitudeSetpoint, EstimatorState, TrajectorySetpoint
+
+_HOVER_LEARN_UP = 0.5
+"""Least cosine of the tilt at which the hover thrust is learned"""
+_ABOVE_LEAST = 1.001
+"""A thrust is the least one up to rounding"""
+
+
+class FlightController:
+    """Motor controls from an estimate and a setpoint."""
+
+    def __init__(self, params: ControlParams) -> None:
+        self.params = params
+        self.attitude_setpoint: AttitudeSetpoint | None = None
+        """What the attitude controller follows; None while the motors idle"""
+        self.rate_setpoint_frd_rad_s: Array = np.zeros(3)
+        self.torque: Array = np.zeros(3)
+        """(3,) normalised torque asked of the motors, FRD"""
+        self._position = PositionController(params.position)
+        self._disturbance = DisturbanceObserver(params.disturbance)
+        self._hover = HoverThrustEstimator(params.hover_thrust, start=params.position.thr_hover)
+        self._attitude = AttitudeController(params.attitude)
+        self._rates = RateController(params.rate)
+        self._allocator = Allocator(params.allocation)
+        self._takeoff = TakeoffRamp(params.position)
+        self._setpoint: TrajectorySetpoint | None = None
+        self._position_output: PositionOutput | None = None
+        self._yaw_rad: float | None = None
+        self._reset_counter = 0
+        self._updates = 0
+        self._since_position_s = 0.0
+
+    @property
+    def thrust(self) -> float:
+        """Collective thrust that the motors were told to give, 0..1 of full."""
+        return self._allocator.thrust
+
+    @property
+    def hover_thrust(self) -> float:
+        """Present estimate of the thrust that hovers, 0..1 of full."""
+        return self._hover.hover_thrust
+
+    @property
+    def disturbance_ned_m_s2(self) -> Array:
+        """(3,) estimated external acceleration, NED."""
+        return self._disturbance.acc_ned_m_s2.copy()
+
+    @property
+    def trajectory_setpoint(self) -> TrajectorySetpoint | None:
+        """The setpoint flown, velocity and acceleration as the position controller decided; None without."""
+        if self._setpoint is None or self._position_output is None:
+            return None
+        return TrajectorySetpoint(
+            pos_ned_m=self._setpoint.pos_ned_m,
+            pos_axes=self._setpoint.pos_axes,
+            vel_ned_m_s=self._position_output.vel_ned_m_s,
+            acc_ned_m_s2=self._position_output.acc_ned_m_s2,
+            yaw_rad=self._yaw_rad,
+            yaw_rate_rad_s=self._setpoint.yaw_rate_rad_s,
+        )
+
+    def idle(self) -> Array:
+        """(4,) zeros, for a disarmed vehicle; forgets everything that flight had taught."""
+        self._leave_position()
+        self._yaw_rad = None
+        self._disturbance.reset()
+        self._hover.reset()
+        self._rates.reset()
+        self._allocator.reset()
+        self._takeoff.reset()
+        self.attitude_setpoint = None
+        self.rate_setpoint_frd_rad_s = np.zeros(3)
+        self.torque = np.zeros(3)
+        return np.zeros(4)
+
+    def update(
+        self,
+        state: EstimatorState,
+        setpoint: TrajectorySetpoint | AttitudeSetpoint,
+        *,
+        dt_s: float,
+        landed: bool,
+    ) -> Array:
+        """(4,) motor controls 0..1, in the order of the airframe's rotors, for the next ``dt_s`` (> 0).
+
+        Call it at every inertial sample: rates and attitude act every time, position every
+        ``position_divider``-th. While ``landed`` nothing integrates, and a `TrajectorySetpoint` spins the
+        motors up only when it asks to climb.
+        """
+        climb = isinstance(setpoint, TrajectorySetpoint) and landed and wants_climb(state, setpoint)
+        phase = self._takeoff.update(landed=landed, wants_climb=climb, dt_s=dt_s)
+        if landed:
+            self._position.reset()
+            self._rates.reset_integral()
+            self._disturbance.reset()
+        self._disturbance.update(
+            state.acc_ned_m_s2, state.q_ned_frd, thrust=self._allocator.thrust,
+            hover_thrust=self.hover_thrust, dt_s=dt_s, observe=not landed and state.velocity_valid,
+        )  # fmt: skip
+        if isinstance(setpoint, TrajectorySetpoint):
+            attitude = self._follow(state, setpoint, dt_s=dt_s, phase=phase)
+        else:
+            self._leave_position()
+            self._yaw_rad = None
+            attitude = setpoint
+        self.attitude_setpoint = attitude
+
+        self.rate_setpoint_frd_rad_s = self._attitude.update(state.q_ned_frd, attitude)
+        self.torque = self._rates.update(
+            state.omega_frd_rad_s, self.rate_setpoint_frd_rad_s, self._allocator.unallocated, dt_s=dt_s,
+            integrate=not landed,
+        )  # fmt: skip
+        # at the least thrust it may be touching down: torque against the ground must not lift it again
+        airmode = not landed and attitude.thrust > self.params.position.thr_min * _ABOVE_LEAST
+        thrust = attitude.thrust
+        if isinstance(setpoint, TrajectorySetpoint):
+            # the share of the wanted thrust vector that lies along the present axis: none while upside down
+            thrust *= max(self._attitude.tilt_cosine, 0.0)
+        return self._allocator.allocate(thrust, self.torque, airmode=airmode)
+
+    def _follow(
+        self, state: EstimatorState, setpoint: TrajectorySetpoint, *, dt_s: float, phase: Phase
+    ) -> AttitudeSetpoint:
+        """Position loop at its divider, and the yaw setpoint at every call."""
+        if setpoint.yaw_rad is not None:
+            self._yaw_rad = setpoint.yaw_rad
+        elif self._yaw_rad is None or phase is Phase.GROUND or state.reset_counter != self._reset_counter:
+            self._yaw_rad = float(quat_to_euler(state.q_ned_frd)[2])
+        else:
+            self._yaw_rad = math.remainder(self._yaw_rad + setpoint.yaw_rate_rad_s * dt_s, math.tau)
+        self._reset_counter = state.reset_counter
+
+        self._since_position_s += dt_s
+        output = self._position_output
+        if output is None or self._updates % self.params.position_divider == 0:
+            if output is not None and phase is Phase.FLYING:
+                self._learn_hover_thrust(state, output, self._since_position_s)
+            output = self._position.update(
+                state, setpoint, yaw_rad=self._yaw_rad, hover_thrust=self.hover_thrust,
+                disturbance_ned_m_s2=self._disturbance.acc_ned_m_s2,
+                climb_max_m_s=self._takeoff.climb_max_m_s, dt_s=self._since_position_s,
+            )  # fmt: skip
+            self._position_output = output
+            self._since_position_s = 0.0
+        self._updates += 1
+        self._setpoint = setpoint
+        if phase is Phase.GROUND:
+            q_level = quat_from_euler(0.0, 0.0, self._yaw_rad)
+            return AttitudeSetpoint(q_ned_frd=q_level, yaw_rate_rad_s=0.0, thrust=0.0)
+        return output.attitude
+
+    def _learn_hover_thrust(self, state: EstimatorState, output: PositionOutput, dt_s: float) -> None:
+        """Vertical acceleration against the thrust given; the velocity integral makes up for the change."""
+        q = state.q_ned_frd
+        up = float(1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2]))
+        if up < _HOVER_LEARN_UP or not state.velocity_valid:
+            return
+        old = self.hover_thrust
+        new = self._hover.update(
+            acc_up_m_s2=-float(state.acc_ned_m_s2[2]), thrust_up=self._disturbance.thrust * up, dt_s=dt_s
+        )
+        acc_down = float(output.acc_ned_m_s2[2] - self._disturbance.acc_ned_m_s2[2])
+        self._position.hover_thrust_changed(old=old, new=new, acc_down_m_s2=acc_down)
+
+    def _leave_position(self) -> None:
+        """Forget the position loop: idle, or somebody else commands the attitude."""
+        if self._position_output is not None:
+            self._position.reset()
+            self._position_output = None
+            self._setpoint = None
+            self._updates = 0
+            self._since_position_s = 0.0

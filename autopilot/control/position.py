@@ -1,0 +1,228 @@
+"""Position and velocity control: from a trajectory setpoint to an attitude and a collective thrust.
+
+PX4's structure (mc_pos_control): P on position, PID on velocity with acceleration feed-forward, acceleration
+to thrust by the hover thrust, limits in which the vertical goes before the horizontal.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from autopilot.control.hover_thrust import GRAVITY_M_S2
+from autopilot.control.params import PositionParams
+from autopilot.estimation.rotation import quat_from_dcm
+from autopilot.types import Array, AttitudeSetpoint, EstimatorState, TrajectorySetpoint
+
+
+@njit(cache=True)
+def _velocity_setpoint(
+    wanted: Array,
+    mask: NDArray[np.bool_],
+    pos: Array,
+    gain: Array,
+    xy_max: float,
+    up_max: float,
+    down_max: float,
+) -> Array:
+    """(3,) NED: position error times gain, plus feed-forward as far as the limits leave room for it.
+
+    ``wanted`` and ``mask`` (3, 3): rows position, velocity, acceleration.
+    """
+    vel = np.zeros(3)
+    feed = np.zeros(3)
+    for i in range(3):
+        if mask[0, i]:
+            vel[i] = (wanted[0, i] - pos[i]) * gain[i]
+        if mask[1, i]:
+            feed[i] = wanted[1, i]
+    speed = math.hypot(vel[0], vel[1])
+    if speed >= xy_max:
+        vel[0] *= xy_max / speed
+        vel[1] *= xy_max / speed
+    else:
+        # the largest s <= 1 with |vel + s feed| <= xy_max
+        s = 1.0
+        if math.hypot(vel[0] + feed[0], vel[1] + feed[1]) > xy_max:
+            a = feed[0] ** 2 + feed[1] ** 2
+            b = vel[0] * feed[0] + vel[1] * feed[1]
+            s = (-b + math.sqrt(b * b + a * (xy_max * xy_max - speed * speed))) / a
+        vel[0] += s * feed[0]
+        vel[1] += s * feed[1]
+    vel[2] = max(min(vel[2] + feed[2], down_max), -up_max)
+    return vel
+
+
+@njit(cache=True)
+def _limited_thrust(
+    acc: Array, hover: float, tilt_max: float, thr_min: float, thr_max: float, xy_margin: float
+) -> Array:
+    """(3,) NED thrust vector for an acceleration over ground.
+
+    The tilt gives the horizontal acceleration as if the thrust's vertical part were the weight
+    (MPC_ACC_DECOUPLE), so a climb does not change it.
+    """
+    steepest = math.tan(tilt_max)
+    wanted_tan = math.hypot(acc[0], acc[1]) / GRAVITY_M_S2
+    tilt_tan = min(wanted_tan, steepest)
+    cosine = 1.0 / math.sqrt(1.0 + tilt_tan * tilt_tan)
+    up = max(hover * (1.0 - acc[2] / GRAVITY_M_S2), thr_min * cosine)
+    horizontal = up * tilt_tan
+    up = min(up, math.sqrt(thr_max * thr_max - min(horizontal, xy_margin, thr_max) ** 2))
+    horizontal = min(horizontal, math.sqrt(max(thr_max * thr_max - up * up, 0.0)), up * steepest)
+    north, east = 0.0, 0.0
+    if wanted_tan > 0.0:
+        north = horizontal * acc[0] / (GRAVITY_M_S2 * wanted_tan)
+        east = horizontal * acc[1] / (GRAVITY_M_S2 * wanted_tan)
+    return np.array([north, east, -up])
+
+
+@njit(cache=True)
+def _attitude(thrust_ned: Array, yaw_rad: float) -> Array:
+    """(4,) q_ned_frd with -z along the thrust and x over the heading."""
+    norm = math.sqrt(thrust_ned[0] ** 2 + thrust_ned[1] ** 2 + thrust_ned[2] ** 2)
+    z = -thrust_ned / norm
+    # x = (horizontal, right of the heading) x z: perpendicular to both; the tilt limit keeps z[2] > 0
+    x = np.array([math.cos(yaw_rad) * z[2], math.sin(yaw_rad) * z[2], 0.0])
+    x[2] = -math.sin(yaw_rad) * z[1] - math.cos(yaw_rad) * z[0]
+    x /= math.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
+    dcm = np.empty((3, 3))
+    dcm[:, 0] = x
+    dcm[0, 1] = z[1] * x[2] - z[2] * x[1]
+    dcm[1, 1] = z[2] * x[0] - z[0] * x[2]
+    dcm[2, 1] = z[0] * x[1] - z[1] * x[0]
+    dcm[:, 2] = z
+    return quat_from_dcm(dcm)
+
+
+@njit(cache=True)
+def _control(
+    wanted: Array, mask: NDArray[np.bool_], pos: Array, vel: Array, acc_filtered: Array, disturbance: Array,
+    dt_s: float, gains: Array, vel_max: Array, tilt_max: float, thr_limits: Array, hover: float,
+    yaw_rad: float, integral: Array,
+) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+    """Velocity, acceleration, thrust, attitude. ``gains`` (4, 3): position P, velocity P, I, D."""
+    vel_sp = _velocity_setpoint(wanted, mask, pos, gains[0], vel_max[0], vel_max[1], vel_max[2])
+    acc_sp = np.zeros(3)
+    error = np.zeros(3)
+    for i in range(3):
+        if mask[2, i]:
+            acc_sp[i] = wanted[2, i]
+        if mask[0, i] or mask[1, i]:
+            error[i] = vel_sp[i] - vel[i]
+            acc_sp[i] += gains[1, i] * error[i] + integral[i] + gains[3, i] * (acc_sp[i] - acc_filtered[i])
+    demand = acc_sp - disturbance
+    thr_min, thr_max = thr_limits[0], thr_limits[1]
+    thrust = _limited_thrust(demand, hover, tilt_max, thr_min, thr_max, thr_limits[2])
+
+    # vertical anti-windup: hold the integral while a limit is reached and the error asks for more
+    collective = math.sqrt(thrust[0] ** 2 + thrust[1] ** 2 + thrust[2] ** 2)
+    at_least = collective <= thr_min * (1.0 + 1e-9)
+    at_most = collective >= thr_max * (1.0 - 1e-9)
+    if (at_least and error[2] > 0.0) or (at_most and error[2] < 0.0):
+        error[2] = 0.0
+    # horizontal anti-windup: back-calculation from what the thrust limit left (PX4: the gain 2 / P)
+    scale = GRAVITY_M_S2 / hover
+    if demand[0] ** 2 + demand[1] ** 2 > (thrust[0] ** 2 + thrust[1] ** 2) * scale * scale:
+        for i in range(2):
+            error[i] -= 2.0 / gains[1, i] * (demand[i] - thrust[i] * scale)
+    for i in range(3):
+        if mask[0, i] or mask[1, i]:
+            integral[i] += error[i] * gains[2, i] * dt_s
+            integral[i] = min(max(integral[i], -GRAVITY_M_S2), GRAVITY_M_S2)
+    return vel_sp, acc_sp, thrust, _attitude(thrust, yaw_rad)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PositionOutput:
+    """What the position controller decided: each stage, for telemetry."""
+
+    attitude: AttitudeSetpoint
+    vel_ned_m_s: Array
+    """(3,) velocity setpoint; 0 on axes whose velocity is not controlled"""
+    acc_ned_m_s2: Array
+    """(3,) wanted acceleration over ground, before the disturbance is taken off"""
+    thrust_ned: Array
+    """(3,) of full thrust"""
+
+
+class PositionController:
+    """Position P and velocity PID with limits and anti-windup."""
+
+    def __init__(self, params: PositionParams) -> None:
+        p = params
+        self._params = p
+        self._gains: Array = np.array(
+            (
+                (p.xy_p, p.xy_p, p.z_p),
+                (p.xy_vel_p_acc, p.xy_vel_p_acc, p.z_vel_p_acc),
+                (p.xy_vel_i_acc, p.xy_vel_i_acc, p.z_vel_i_acc),
+                (p.xy_vel_d_acc, p.xy_vel_d_acc, p.z_vel_d_acc),
+            )
+        )
+        self._thr_limits: Array = np.array((p.thr_min, p.thr_max, p.thr_xy_margin))
+        self._integral: Array = np.zeros(3)
+        self._acc_filtered: Array = np.zeros(3)
+        self._wanted: Array = np.zeros((3, 3))
+        self._mask: NDArray[np.bool_] = np.zeros((3, 3), dtype=np.bool_)
+
+    @property
+    def integral(self) -> Array:
+        """(3,) acceleration held by the integrators, NED, m/s^2."""
+        return self._integral.copy()
+
+    def reset(self) -> None:
+        """Empty the integrators and the acceleration filter."""
+        self._integral[:] = 0.0
+        self._acc_filtered[:] = 0.0
+
+    def hover_thrust_changed(self, *, old: float, new: float, acc_down_m_s2: float) -> None:
+        """Shift the vertical integral so that a new hover thrust leaves the present thrust alone.
+
+        Thrust is hover (g - acc) / g; equal before and after with acc shifted by (g - acc)(1 - old / new).
+        """
+        self._integral[2] += (GRAVITY_M_S2 - acc_down_m_s2) * (1.0 - old / new)
+
+    def update(
+        self, state: EstimatorState, setpoint: TrajectorySetpoint, *, yaw_rad: float, hover_thrust: float,
+        disturbance_ned_m_s2: Array, climb_max_m_s: float, dt_s: float,
+    ) -> PositionOutput:  # fmt: skip
+        """Attitude and thrust towards ``setpoint``.
+
+        An axis without any group keeps its velocity (acceleration 0). Where the position is not known, its
+        axes follow the velocity setpoint, or stop; where velocity is not known either, the acceleration
+        alone counts. ``climb_max_m_s`` limits the climb further than the parameters; negative while a
+        take-off ramps up.
+        """
+        p = self._params
+        groups = (
+            (setpoint.pos_ned_m, setpoint.pos_axes),
+            (setpoint.vel_ned_m_s, setpoint.vel_axes),
+            (setpoint.acc_ned_m_s2, setpoint.acc_axes),
+        )
+        for row, (values, axes) in enumerate(groups):
+            self._mask[row] = False if values is None else axes
+            if values is not None:
+                self._wanted[row] = values
+        if not (state.position_valid and state.height_valid):
+            known = np.array((state.position_valid, state.position_valid, state.height_valid))
+            lost = self._mask[0] & ~known
+            self._wanted[1, lost & ~self._mask[1]] = 0.0
+            self._mask[1] |= lost
+            self._mask[0] &= known
+        if not state.velocity_valid:
+            self._mask[:2] = False
+        alpha = 1.0 - math.exp(-2.0 * math.pi * p.acc_cutoff_hz * dt_s)
+        self._acc_filtered += alpha * (state.acc_ned_m_s2 - self._acc_filtered)
+        vel_max = np.array((p.xy_vel_max_m_s, min(p.z_vel_max_up_m_s, climb_max_m_s), p.z_vel_max_dn_m_s))
+        vel, acc, thrust, q = _control(
+            self._wanted, self._mask, state.pos_ned_m, state.vel_ned_m_s, self._acc_filtered,
+            disturbance_ned_m_s2, dt_s, self._gains, vel_max, p.tilt_max_rad, self._thr_limits, hover_thrust,
+            yaw_rad, self._integral,
+        )  # fmt: skip
+        attitude = AttitudeSetpoint(
+            q_ned_frd=q, yaw_rate_rad_s=setpoint.yaw_rate_rad_s, thrust=float(math.sqrt(thrust @ thrust))
+        )
+        return PositionOutput(attitude=attitude, vel_ned_m_s=vel, acc_ned_m_s2=acc, thrust_ned=thrust)

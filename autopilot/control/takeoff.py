@@ -1,0 +1,71 @@
+"""Leaving the ground: when to, and a climb limit that brings the thrust up slowly (PX4's take-off ramp)."""
+
+from enum import Enum
+
+from autopilot.control.hover_thrust import GRAVITY_M_S2
+from autopilot.control.params import PositionParams
+from autopilot.types import EstimatorState, TrajectorySetpoint
+
+_CLIMB_HEIGHT_M = 0.3
+_CLIMB_SPEED_M_S = 0.3
+_CLIMB_ACC_M_S2 = 1.0
+"""What a setpoint must ask for beyond these to count as a wish to leave the ground"""
+
+
+class Phase(Enum):
+    """Where the vehicle is between standing and flying."""
+
+    GROUND = "ground"
+    RAMP = "ramp"
+    FLYING = "flying"
+
+
+def wants_climb(state: EstimatorState, setpoint: TrajectorySetpoint) -> bool:
+    """Whether the setpoint lies clearly above the vehicle or moves up."""
+    pos, vel, acc = setpoint.pos_ned_m, setpoint.vel_ned_m_s, setpoint.acc_ned_m_s2
+    return bool(
+        (pos is not None and setpoint.pos_axes[2] and pos[2] < state.pos_ned_m[2] - _CLIMB_HEIGHT_M)
+        or (vel is not None and setpoint.vel_axes[2] and vel[2] < -_CLIMB_SPEED_M_S)
+        or (acc is not None and setpoint.acc_axes[2] and acc[2] < -_CLIMB_ACC_M_S2)
+    )
+
+
+class TakeoffRamp:
+    """Phase of the flight and the climb limit that goes with it."""
+
+    def __init__(self, params: PositionParams) -> None:
+        self._params = params
+        # the vertical speed error at which the velocity P term takes all thrust away
+        self._start_m_s = -GRAVITY_M_S2 / params.z_vel_p_acc
+        self.phase = Phase.GROUND
+        self.climb_max_m_s = self._start_m_s
+        """Climb limit; negative early in the ramp, where the thrust does not carry yet"""
+        self._ramp_s = 0.0
+
+    def reset(self) -> None:
+        """On the ground, disarmed."""
+        self._enter(Phase.GROUND)
+
+    def update(self, *, landed: bool, wants_climb: bool, dt_s: float) -> Phase:
+        """Advance by ``dt_s``: a wish to climb starts the ramp, its end is flight."""
+        if self.phase is Phase.GROUND:
+            if landed and wants_climb:
+                self._enter(Phase.RAMP)
+            elif not landed:
+                self._enter(Phase.FLYING)
+        elif self.phase is Phase.RAMP:
+            self._ramp_s += dt_s
+            share = min(self._ramp_s / self._params.tko_ramp_s, 1.0)
+            self.climb_max_m_s = self._start_m_s + share * (self._params.tko_speed_m_s - self._start_m_s)
+            if landed and not wants_climb:
+                self._enter(Phase.GROUND)
+            elif share >= 1.0 and not landed:
+                self._enter(Phase.FLYING)
+        elif landed:
+            self._enter(Phase.GROUND)
+        return self.phase
+
+    def _enter(self, phase: Phase) -> None:
+        self.phase = phase
+        self._ramp_s = 0.0
+        self.climb_max_m_s = float("inf") if phase is Phase.FLYING else self._start_m_s

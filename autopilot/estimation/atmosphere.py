@@ -1,0 +1,44 @@
+"""The standard atmosphere below 11 km (ISO 2533): barometers are simulated with it and read with it.
+
+All functions are pure and take floats or float64 arrays. Altitudes are geopotential, above mean sea level.
+"""
+
+from typing import TypeVar
+
+from autopilot.types import Array
+
+FloatOrArray = TypeVar("FloatOrArray", float, Array)
+
+GRAVITY_M_S2 = 9.80665
+SEA_LEVEL_PRESSURE_PA = 101_325.0
+SEA_LEVEL_TEMPERATURE_K = 288.15
+LAPSE_RATE_K_M = 6.5e-3
+AIR_GAS_CONSTANT_J_KG_K = 287.05287
+_PRESSURE_EXPONENT = GRAVITY_M_S2 / (AIR_GAS_CONSTANT_J_KG_K * LAPSE_RATE_K_M)
+
+
+def temperature_k(altitude_m: FloatOrArray) -> FloatOrArray:
+    """Give the air temperature."""
+    return SEA_LEVEL_TEMPERATURE_K - LAPSE_RATE_K_M * altitude_m
+
+
+def pressure_pa(altitude_m: FloatOrArray) -> FloatOrArray:
+    """Give the static pressure, p0 (T / T0)^(g / (R L))."""
+    pressure: FloatOrArray = (
+        SEA_LEVEL_PRESSURE_PA * (temperature_k(altitude_m) / SEA_LEVEL_TEMPERATURE_K) ** _PRESSURE_EXPONENT
+    )
+    return pressure
+
+
+def density_kg_m3(altitude_m: FloatOrArray) -> FloatOrArray:
+    """Give the density of dry air, p / (R T)."""
+    return pressure_pa(altitude_m) / (AIR_GAS_CONSTANT_J_KG_K * temperature_k(altitude_m))
+
+
+def altitude_m(pressure_pa: FloatOrArray) -> FloatOrArray:
+    """Give the pressure altitude, the inverse of ``pressure_pa``; pressures must be positive."""
+    ratio = pressure_pa / SEA_LEVEL_PRESSURE_PA
+    altitude: FloatOrArray = (1.0 - ratio ** (1.0 / _PRESSURE_EXPONENT)) * (
+        SEA_LEVEL_TEMPERATURE_K / LAPSE_RATE_K_M
+    )
+    return altitude

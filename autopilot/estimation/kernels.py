@@ -1,0 +1,243 @@
+"""The filter's arithmetic, compiled: strapdown integration, covariance prediction, measurement updates.
+
+Nominal state ``x`` (16,): q_ned_frd wxyz, velocity NED, position NED, gyro bias FRD, accelerometer bias FRD.
+Error state (15,): rotation vector in NED, then the differences of velocity, position and the two biases,
+always true minus estimated, with q_true = exp(rotation) * q_estimated. With the attitude error in NED, the
+covariance's attitude block is the tilt and heading uncertainty itself, and no attitude is singular.
+Equations: J. Sola, arXiv 1711.02508, section 7 (global angular errors).
+
+Arrays are written in place where a docstring says so. Without numba's compiler (NUMBA_DISABLE_JIT=1) the same
+code runs as plain Python.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from autopilot.estimation.atmosphere import GRAVITY_M_S2
+from autopilot.estimation.rotation import (
+    quat_from_rotation_vector,
+    quat_multiply,
+    quat_normalise,
+    quat_rotate,
+    quat_to_dcm,
+)
+from autopilot.types import Array
+
+STATES = 16
+ERRORS = 15
+# slices of the nominal state; an additive error has the index of its state less one
+VEL = 4
+POS = 7
+GYRO_BIAS = 10
+ACCEL_BIAS = 13
+# process noise vector: power spectral densities
+GYRO_PSD, ACCEL_PSD, GYRO_BIAS_PSD, ACCEL_BIAS_PSD = range(4)
+
+
+@njit(cache=True)
+def all_finite(values: Array) -> bool:
+    """Whether no element of an (n,) array is infinite or not a number."""
+    for value in values:  # noqa: SIM110 - compiled, a loop is all it takes
+        if not math.isfinite(value):
+            return False
+    return True
+
+
+@njit(cache=True)
+def integrate(x: Array, gyro_frd_rad_s: Array, accel_frd_m_s2: Array, dt_s: float) -> Array:
+    """Advance ``x`` in place over one sample; return the mean acceleration over ground, (3,) NED, m/s^2.
+
+    The specific force is rotated by the attitude at mid-interval, which is right to second order in the
+    rotation of one interval (sculling included); coning within an interval is left to the sensor.
+    """
+    half_turn_rad = np.empty(3)
+    force_frd_m_s2 = np.empty(3)
+    for i in range(3):
+        half_turn_rad[i] = 0.5 * dt_s * (gyro_frd_rad_s[i] - x[GYRO_BIAS + i])
+        force_frd_m_s2[i] = accel_frd_m_s2[i] - x[ACCEL_BIAS + i]
+    half_turn = quat_from_rotation_vector(half_turn_rad)
+    q_mid = quat_multiply(x[:4], half_turn)
+    acc_ned_m_s2 = quat_rotate(q_mid, force_frd_m_s2)
+    acc_ned_m_s2[2] += GRAVITY_M_S2
+    x[:4] = quat_normalise(quat_multiply(q_mid, half_turn))
+    for i in range(3):
+        x[POS + i] += dt_s * (x[VEL + i] + 0.5 * dt_s * acc_ned_m_s2[i])
+        x[VEL + i] += dt_s * acc_ned_m_s2[i]
+    return acc_ned_m_s2
+
+
+@njit(cache=True)
+def error_transition(x: Array, accel_frd_m_s2: Array, dt_s: float) -> tuple[Array, Array]:
+    """Give the two blocks of the error's transition matrix F beside identity and position += dt velocity.
+
+    First (3, 3) minus dt times the rotation, which maps either bias into NED (attitude from gyro bias,
+    velocity from accelerometer bias), then (3, 3) minus dt times the cross matrix of the specific force in
+    NED (velocity from attitude). ``x`` is the state at the start of the interval.
+    """
+    dcm_ned_frd = quat_to_dcm(x[:4])
+    force_ned_m_s2 = quat_rotate(x[:4], accel_frd_m_s2 - x[ACCEL_BIAS:STATES])
+    from_bias = -dt_s * dcm_ned_frd
+    vel_from_attitude = np.zeros((3, 3))
+    vel_from_attitude[0, 1] = dt_s * force_ned_m_s2[2]
+    vel_from_attitude[0, 2] = -dt_s * force_ned_m_s2[1]
+    vel_from_attitude[1, 0] = -dt_s * force_ned_m_s2[2]
+    vel_from_attitude[1, 2] = dt_s * force_ned_m_s2[0]
+    vel_from_attitude[2, 0] = dt_s * force_ned_m_s2[1]
+    vel_from_attitude[2, 1] = -dt_s * force_ned_m_s2[0]
+    return from_bias, vel_from_attitude
+
+
+@njit(cache=True)
+def predict_covariance(
+    cov: Array, from_bias: Array, vel_from_attitude: Array, noise_psd: Array, dt_s: float
+) -> None:
+    """Replace ``cov`` (15, 15) by F cov F' + Q dt in place, keeping it symmetric.
+
+    F has 30 entries beside the identity: rows of F cov first, then columns times F', both in an order that
+    reads each block before it is overwritten.
+    """
+    for j in range(ERRORS):
+        for i in range(3):
+            cov[6 + i, j] += dt_s * cov[3 + i, j]
+        for i in range(3):
+            velocity = cov[3 + i, j]
+            for k in range(3):
+                velocity += vel_from_attitude[i, k] * cov[k, j] + from_bias[i, k] * cov[12 + k, j]
+            cov[3 + i, j] = velocity
+        for i in range(3):
+            attitude = cov[i, j]
+            for k in range(3):
+                attitude += from_bias[i, k] * cov[9 + k, j]
+            cov[i, j] = attitude
+    for j in range(ERRORS):
+        for i in range(3):
+            cov[j, 6 + i] += dt_s * cov[j, 3 + i]
+        for i in range(3):
+            velocity = cov[j, 3 + i]
+            for k in range(3):
+                velocity += vel_from_attitude[i, k] * cov[j, k] + from_bias[i, k] * cov[j, 12 + k]
+            cov[j, 3 + i] = velocity
+        for i in range(3):
+            attitude = cov[j, i]
+            for k in range(3):
+                attitude += from_bias[i, k] * cov[j, 9 + k]
+            cov[j, i] = attitude
+    for i in range(3):
+        cov[i, i] += noise_psd[GYRO_PSD] * dt_s
+        cov[3 + i, 3 + i] += noise_psd[ACCEL_PSD] * dt_s
+        cov[9 + i, 9 + i] += noise_psd[GYRO_BIAS_PSD] * dt_s
+        cov[12 + i, 12 + i] += noise_psd[ACCEL_BIAS_PSD] * dt_s
+    for i in range(ERRORS):
+        for j in range(i):
+            mean = 0.5 * (cov[i, j] + cov[j, i])
+            cov[i, j] = mean
+            cov[j, i] = mean
+
+
+@njit(cache=True)
+def inject_error(x: Array, error: Array, bias_limits: Array) -> None:
+    """Move ``x`` in place by an estimated error (15,), biases kept within +-(gyro, accelerometer) limits.
+
+    The covariance's change of tangent point is second order in the correction and left out, as in PX4.
+    """
+    x[:4] = quat_normalise(quat_multiply(quat_from_rotation_vector(error[:3]), x[:4]))
+    for i in range(VEL, STATES):
+        x[i] += error[i - 1]
+    for i in range(3):
+        x[GYRO_BIAS + i] = min(bias_limits[0], max(-bias_limits[0], x[GYRO_BIAS + i]))
+        x[ACCEL_BIAS + i] = min(bias_limits[1], max(-bias_limits[1], x[ACCEL_BIAS + i]))
+
+
+@njit(cache=True)
+def update(
+    x: Array, cov: Array, cross_cov: Array, innovation: float, innovation_var: float, bias_limits: Array
+) -> None:
+    """Kalman update by one scalar, in place; ``cross_cov`` (15,) is cov H'.
+
+    With the optimal gain, Joseph's form reduces to cov - (cov H')(cov H')' / s, symmetric to the bit.
+    """
+    gain = cross_cov / innovation_var
+    for i in range(ERRORS):
+        for j in range(i + 1):
+            value = cov[i, j] - gain[i] * cross_cov[j]
+            cov[i, j] = value
+            cov[j, i] = value
+    inject_error(x, gain * innovation, bias_limits)
+
+
+@njit(cache=True)
+def fuse_direct(
+    x: Array,
+    cov: Array,
+    first: int,
+    measured: Array,
+    variance: Array,
+    gate: float,
+    bias_limits: Array,
+    innovation: Array,
+) -> float:
+    """Fuse a measurement (n,) of the states ``x[first : first + n]``, all or nothing; return the test ratio.
+
+    The ratio is the greatest |innovation| / (gate x its standard deviation). At 1 or more nothing is written
+    but ``innovation`` (n,), measured minus estimated.
+    """
+    ratio = 0.0
+    for i in range(measured.size):
+        innovation[i] = measured[i] - x[first + i]
+        innovation_var = cov[first - 1 + i, first - 1 + i] + variance[i]
+        ratio = max(ratio, abs(innovation[i]) / (gate * math.sqrt(innovation_var)))
+    if ratio < 1.0:
+        for i in range(measured.size):
+            cross_cov = cov[:, first - 1 + i].copy()
+            # against the state as the axes before have left it: one after the other equals all at once
+            residual = measured[i] - x[first + i]
+            update(x, cov, cross_cov, residual, cross_cov[first - 1 + i] + variance[i], bias_limits)
+    return ratio
+
+
+@njit(cache=True)
+def heading_jacobian(field_ned: Array) -> Array:
+    """Give the derivative (3,) of the heading innovation by the attitude error (field in any unit).
+
+    A tilt error tips the field's vertical part into the horizontal and so looks like a heading error.
+    """
+    horizontal_squared = field_ned[0] ** 2 + field_ned[1] ** 2
+    jacobian = np.empty(3)
+    jacobian[0] = -field_ned[0] * field_ned[2] / horizontal_squared
+    jacobian[1] = -field_ned[1] * field_ned[2] / horizontal_squared
+    jacobian[2] = 1.0
+    return jacobian
+
+
+@njit(cache=True)
+def heading_innovation(x: Array, field_frd: Array, field_ned: Array) -> float:
+    """Angle about down, in [-pi, pi], that turns the measured field's horizontal part onto the site's."""
+    seen_ned = quat_rotate(x[:4], field_frd)
+    return math.atan2(
+        seen_ned[0] * field_ned[1] - seen_ned[1] * field_ned[0],
+        seen_ned[0] * field_ned[0] + seen_ned[1] * field_ned[1],
+    )
+
+
+@njit(cache=True)
+def fuse_heading(
+    x: Array,
+    cov: Array,
+    innovation: float,
+    field_ned: Array,
+    variance: float,
+    gate: float,
+    bias_limits: Array,
+) -> float:
+    """Fuse an angle of ``heading_innovation``, refused at a test ratio of 1 or more; return the ratio."""
+    jacobian = heading_jacobian(field_ned)
+    cross_cov = jacobian[0] * cov[:, 0] + jacobian[1] * cov[:, 1] + jacobian[2] * cov[:, 2]
+    innovation_var = variance
+    for i in range(3):
+        innovation_var += jacobian[i] * cross_cov[i]
+    ratio: float = abs(innovation) / (gate * math.sqrt(innovation_var))
+    if ratio < 1.0:
+        update(x, cov, cross_cov, innovation, innovation_var, bias_limits)
+    return ratio

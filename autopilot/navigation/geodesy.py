@@ -1,0 +1,94 @@
+"""Latitude, longitude and altitude against a local north-east-down frame, on the WGS 84 ellipsoid.
+
+The NED frame is the tangent plane at its origin (no map projection): distances in it are distances in
+space, and the two directions are exact inverses. Altitude is taken as height above the ellipsoid, for the
+geoid's undulation is constant over a flight and cancels. Pure functions; points may be arrays of any common
+shape.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+SEMI_MAJOR_AXIS_M = 6_378_137.0
+FLATTENING = 1.0 / 298.257_223_563
+_ECCENTRICITY_SQUARED = FLATTENING * (2.0 - FLATTENING)
+_SEMI_MINOR_AXIS_M = SEMI_MAJOR_AXIS_M * (1.0 - FLATTENING)
+_SECOND_ECCENTRICITY_SQUARED = _ECCENTRICITY_SQUARED / (1.0 - _ECCENTRICITY_SQUARED)
+
+
+def geodetic_to_ned(
+    lat_deg: ArrayLike,
+    lon_deg: ArrayLike,
+    alt_m: ArrayLike,
+    *,
+    origin_lat_deg: float,
+    origin_lon_deg: float,
+    origin_alt_m: float,
+) -> Array:
+    """Position (..., 3) in metres, NED from the origin, of geodetic points of common shape (...)."""
+    origin_ecef_m = _geodetic_to_ecef(
+        np.radians(origin_lat_deg), np.radians(origin_lon_deg), np.float64(origin_alt_m)
+    )
+    offset_ecef_m = (
+        _geodetic_to_ecef(np.radians(lat_deg), np.radians(lon_deg), np.asarray(alt_m, float)) - origin_ecef_m
+    )
+    return offset_ecef_m @ _dcm_ned_ecef(origin_lat_deg, origin_lon_deg).T
+
+
+def ned_to_geodetic(
+    pos_ned_m: ArrayLike,
+    *,
+    origin_lat_deg: float,
+    origin_lon_deg: float,
+    origin_alt_m: float,
+) -> tuple[Array, Array, Array]:
+    """Latitude, longitude (degrees) and altitude (metres), each (...), of positions (..., 3) from the origin.
+
+    One step of Bowring's formula ("Transformation from spatial to geographical coordinates", 1976) is below a
+    nanometre at flying altitudes.
+    """
+    origin_ecef_m = _geodetic_to_ecef(
+        np.radians(origin_lat_deg), np.radians(origin_lon_deg), np.float64(origin_alt_m)
+    )
+    ecef_m = np.asarray(pos_ned_m, float) @ _dcm_ned_ecef(origin_lat_deg, origin_lon_deg) + origin_ecef_m
+    x_m, y_m, z_m = ecef_m[..., 0], ecef_m[..., 1], ecef_m[..., 2]
+    from_axis_m = np.hypot(x_m, y_m)
+    parametric_rad = np.arctan2(z_m * SEMI_MAJOR_AXIS_M, from_axis_m * _SEMI_MINOR_AXIS_M)
+    lat_rad = np.arctan2(
+        z_m + _SECOND_ECCENTRICITY_SQUARED * _SEMI_MINOR_AXIS_M * np.sin(parametric_rad) ** 3,
+        from_axis_m - _ECCENTRICITY_SQUARED * SEMI_MAJOR_AXIS_M * np.cos(parametric_rad) ** 3,
+    )
+    sin_lat, cos_lat = np.sin(lat_rad), np.cos(lat_rad)
+    # the projection on the local vertical: unlike p / cos(lat) - N, it is well-conditioned at the poles too
+    alt_m = (
+        from_axis_m * cos_lat
+        + z_m * sin_lat
+        - SEMI_MAJOR_AXIS_M * np.sqrt(1.0 - _ECCENTRICITY_SQUARED * sin_lat**2)
+    )
+    return np.degrees(lat_rad), np.degrees(np.arctan2(y_m, x_m)), alt_m
+
+
+def _geodetic_to_ecef(
+    lat_rad: Array | np.float64, lon_rad: Array | np.float64, alt_m: Array | np.float64
+) -> Array:
+    sin_lat, cos_lat = np.sin(lat_rad), np.cos(lat_rad)
+    prime_vertical_m = SEMI_MAJOR_AXIS_M / np.sqrt(1.0 - _ECCENTRICITY_SQUARED * sin_lat**2)
+    from_axis_m = (prime_vertical_m + alt_m) * cos_lat
+    z_m = (prime_vertical_m * (1.0 - _ECCENTRICITY_SQUARED) + alt_m) * sin_lat
+    x_m, y_m, z_m = np.broadcast_arrays(from_axis_m * np.cos(lon_rad), from_axis_m * np.sin(lon_rad), z_m)
+    return np.stack((x_m, y_m, z_m), axis=-1)
+
+
+def _dcm_ned_ecef(lat_deg: float, lon_deg: float) -> Array:
+    """(3, 3): rows are north, east and down at the place, in earth-centred earth-fixed axes."""
+    sin_lat, cos_lat = np.sin(np.radians(lat_deg)), np.cos(np.radians(lat_deg))
+    sin_lon, cos_lon = np.sin(np.radians(lon_deg)), np.cos(np.radians(lon_deg))
+    return np.array(
+        [
+            [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat],
+            [-sin_lon, cos_lon, 0.0],
+            [-cos_lat * cos_lon, -cos_lat * sin_lon, -sin_lat],
+        ]
+    )

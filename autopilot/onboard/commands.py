@@ -1,0 +1,86 @@
+"""One MAVLink command at a time to the own autopilot, repeated until it is acknowledged, and again later if refused."""
+
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import common
+
+SILENCE_US = 500_000
+"""No COMMAND_ACK within this: sent again, with the confirmation counter raised as MAVLink's command protocol asks."""
+REFUSAL_US = 1_000_000
+"""A refused command is tried anew after this: reasons such as a missing GPS fix pass."""
+
+NAN = float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A COMMAND_LONG: its MAV_CMD and seven parameters."""
+
+    number: int
+    params: tuple[float, float, float, float, float, float, float]
+
+
+ARM = Command(common.MAV_CMD_COMPONENT_ARM_DISARM, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+OFFBOARD = Command(
+    common.MAV_CMD_DO_SET_MODE,
+    (float(common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED), 6.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+)
+LAND = Command(common.MAV_CMD_NAV_LAND, (0.0, 0.0, 0.0, NAN, NAN, NAN, 0.0))
+
+
+def take_off(altitude_m: float) -> Command:
+    """Take off here to an altitude above mean sea level."""
+    return Command(common.MAV_CMD_NAV_TAKEOFF, (0.0, 0.0, 0.0, NAN, NAN, NAN, altitude_m))
+
+
+class CommandSender:
+    """Sends what is wanted until it is accepted.
+
+    Attributes:
+        accepted: the wanted command has been acknowledged as accepted or in progress.
+        refusals: acknowledgements that said no, over all commands.
+
+    """
+
+    def __init__(self, *, target_system: int) -> None:
+        self.accepted = False
+        self.refusals = 0
+        self._target_system = target_system
+        self._wanted: Command | None = None
+        self._send_us = 0
+        self._confirmation = 0
+
+    def want(self, command: Command | None, now_us: int) -> None:
+        """Make this the command to get accepted; None wants nothing. Wanting the same again changes nothing."""
+        if command == self._wanted:
+            return
+        self._wanted = command
+        self.accepted = False
+        self._send_us = now_us
+        self._confirmation = 0
+
+    def wants(self, command: Command) -> bool:
+        """Whether this is the command that was wanted last."""
+        return command == self._wanted
+
+    def on_ack(self, ack: common.MAVLink_command_ack_message, now_us: int) -> None:
+        """Take a COMMAND_ACK; those of other commands are not ours."""
+        if self._wanted is None or ack.command != self._wanted.number or self.accepted:
+            return
+        if ack.result in {common.MAV_RESULT_ACCEPTED, common.MAV_RESULT_IN_PROGRESS}:
+            self.accepted = True
+        else:
+            self.refusals += 1
+            self._confirmation = 0
+            self._send_us = now_us + REFUSAL_US
+
+    def on_timer(self, now_us: int) -> list[common.MAVLink_message]:
+        """COMMAND_LONG if one is due."""
+        if self._wanted is None or self.accepted or now_us < self._send_us:
+            return []
+        message = common.MAVLink_command_long_message(
+            self._target_system, 1, self._wanted.number, self._confirmation, *self._wanted.params
+        )
+        self._confirmation = min(self._confirmation + 1, 255)
+        self._send_us = now_us + SILENCE_US
+        return [message]

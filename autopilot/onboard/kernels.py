@@ -1,0 +1,279 @@
+"""Numerics of the cooperative localisation: a Kalman filter over the offsets and GPS biases of a whole formation.
+
+State of UAV j, at `STATES` * j: offset (north, east, down), GPS bias (north, east). The true position at time t is
+``odometry_j(t) + offset_j``, odometry being known, so that a delayed measurement is compared with the odometry of its own
+time stamp and nothing has to be propagated back. Horizontal offsets walk randomly (the error of the autopilot's velocity), the
+vertical offset (the barometer's error) and the GPS biases are first-order Gauss-Markov.
+
+Every measurement is scalar with a row h of few entries: with g = P h', s = h P h' + r, the update P - g g'/s is symmetric to the
+bit, because both triangles are the same products. Outliers: a measurement whose normalised innovation squared is d2 is
+taken with variance r / w, w = (nu + 1) / (nu + d2) at most 1, the weight of a Student-t likelihood (Lange, Little and Taylor, "Robust
+statistical modeling using the t distribution", 1989). Its pull falls with its size, so that a wrong one has bounded effect.
+
+Arrays are changed in place. Nothing here allocates on the per-measurement path but one row.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+STATES = 5
+BIAS = 3
+"""Place of the GPS bias within a UAV's states."""
+STUDENT_NU = 4.0
+"""Degrees of freedom of the likelihood: near Gaussian below two sigma, indifferent beyond six."""
+BACK_LIMIT_US = 500_000
+"""How far before the first known odometry it may be extrapolated, by its velocity."""
+
+NEAR_COSINE = 0.87
+"""Of 30 degrees: how far the line between two UAVs may turn from the reference's and still be taken for it."""
+
+KNOWN, NOT_YET, TOO_OLD = 0, 1, 2
+
+
+@njit(cache=True)
+def odometry_at(times_us: Times, samples: Array, pushed: int, time_us: int, out_ned_m: Array) -> int:
+    """Odometry of one UAV at a time, by cubic Hermite interpolation of a ring of samples.
+
+    times_us (L,), samples (L, 6) position and velocity NED, ``pushed`` samples so far; fills out_ned_m (3,). Returns KNOWN,
+    NOT_YET when the newest sample is older, TOO_OLD when the ring does not reach back far enough.
+    """
+    length = times_us.shape[0]
+    held = min(pushed, length)
+    if held == 0 or time_us > times_us[(pushed - 1) % length]:
+        return NOT_YET
+    for back in range(1, held + 1):
+        k = (pushed - back) % length
+        if times_us[k] <= time_us:
+            if times_us[k] == time_us:
+                out_ned_m[:] = samples[k, :3]
+                return KNOWN
+            after = (k + 1) % length
+            span_s = (times_us[after] - times_us[k]) * 1e-6
+            u = (time_us - times_us[k]) * 1e-6 / span_s
+            for a in range(3):
+                step = samples[after, a] - samples[k, a]
+                start = samples[k, 3 + a] * span_s
+                end = samples[after, 3 + a] * span_s
+                out_ned_m[a] = samples[k, a] + u * (
+                    start + u * (3.0 * step - 2.0 * start - end + u * (start + end - 2.0 * step))
+                )
+            return KNOWN
+    oldest = (pushed - held) % length
+    if pushed > length or times_us[oldest] - time_us > BACK_LIMIT_US:
+        return TOO_OLD
+    back_s = (times_us[oldest] - time_us) * 1e-6
+    for a in range(3):
+        out_ned_m[a] = samples[oldest, a] - samples[oldest, 3 + a] * back_s
+    return KNOWN
+
+
+@njit(cache=True)
+def predict(
+    state: Array, cov: Array, active: NDArray[np.bool_], dt_s: float, drift_m2_s: float,
+    height_var_m2: float, height_tau_s: float, bias_var_m2: float, bias_tau_s: float,
+) -> None:  # fmt: skip
+    """Propagate state (5N,) and cov (5N, 5N) by dt_s >= 0: random walk and exactly discretised Gauss-Markov."""
+    size = state.shape[0]
+    height_decay = np.exp(-dt_s / height_tau_s)
+    bias_decay = np.exp(-dt_s / bias_tau_s)
+    factor = np.ones(size)
+    for j in range(active.shape[0]):
+        factor[STATES * j + 2] = height_decay
+        factor[STATES * j + BIAS] = bias_decay
+        factor[STATES * j + BIAS + 1] = bias_decay
+    for i in range(size):
+        state[i] *= factor[i]
+        for k in range(size):
+            cov[i, k] *= factor[i] * factor[k]
+    for j in range(active.shape[0]):
+        if active[j]:
+            base = STATES * j
+            for a in range(2):
+                cov[base + a, base + a] += drift_m2_s * dt_s
+                cov[base + BIAS + a, base + BIAS + a] += bias_var_m2 * (1.0 - bias_decay * bias_decay)
+            cov[base + 2, base + 2] += height_var_m2 * (1.0 - height_decay * height_decay)
+
+
+@njit(cache=True)
+def student_weight(normalised_squared: float) -> float:
+    """Weight 0..1 of a measurement with this normalised innovation squared."""
+    return min(1.0, (STUDENT_NU + 1.0) / (STUDENT_NU + normalised_squared))
+
+
+@njit(cache=True)
+def _scalar_update(state: Array, cov: Array, gain_row: Array, variance: float, innovation: float) -> None:
+    scale = 1.0 / variance
+    for i in range(state.shape[0]):
+        state[i] += gain_row[i] * scale * innovation
+        for k in range(state.shape[0]):
+            # The product first: (g_i g_k) / s rounds alike in both triangles, (g_i / s) g_k does not.
+            cov[i, k] -= (gain_row[i] * gain_row[k]) * scale
+
+
+@njit(cache=True)
+def fuse_fix(state: Array, cov: Array, j: int, fix_less_odometry_m: Array, variance_m2: float) -> None:
+    """GPS position of UAV j: z_a = odometry_a + offset_a + bias_a + noise for a = north, east; the first two are used.
+
+    fix_less_odometry_m (2,) is the fix minus the odometry of the fix's own time; variance_m2 is that of its white part.
+    """
+    for a in range(2):
+        off = STATES * j + a
+        bias = off + BIAS
+        row = cov[:, off] + cov[:, bias]
+        prior = row[off] + row[bias]
+        innovation = fix_less_odometry_m[a] - state[off] - state[bias]
+        weight = student_weight(innovation * innovation / (prior + variance_m2))
+        _scalar_update(state, cov, row, prior + variance_m2 / weight, innovation)
+
+
+@njit(cache=True)
+def fuse_range(
+    state: Array,
+    cov: Array,
+    linearised_at: Array,
+    reference_ne_m: Array,
+    i: int,
+    j: int,
+    odometry_between_m: Array,
+    distance_m: float,
+    variance_m2: float,
+    weight_width_m2: float,
+) -> float:
+    """Distance between UAVs i and j: z = |odometry_i - odometry_j + offset_i - offset_j| + noise.
+
+    Distances say nothing of the heading of the formation as a whole. A filter that takes each derivative at its newest
+    estimate believes otherwise, because the unobservable direction turns with the estimate: it becomes sure of a
+    heading that wanders, and each UAV's wanders differently. Derivatives at a fixed geometry avoid that (Huang,
+    Mourikis and Roumeliotis, "Observability-based rules for designing consistent EKF SLAM estimators", IJRR 2010). So
+    the horizontal direction of the derivative is that between the reference positions, as long as it is near the
+    estimated one; its elevation and the expected distance are the estimate's.
+
+    Args:
+        state: (5N,) and ``cov`` (5N, 5N), changed in place.
+        linearised_at: (5N,) where the distance is expanded: the state itself in running use, another in the passes
+            of a Gauss-Newton iteration.
+        reference_ne_m: (N, 2) the fixed geometry; all zero for none.
+        i: one end, and ``j`` the other.
+        odometry_between_m: (3,) odometry of i less that of j at the measurement's time.
+        distance_m: measured.
+        variance_m2: of the measurement.
+        weight_width_m2: below 0, outliers are judged by the innovation; otherwise by the residual at
+            ``linearised_at``, with this variance added to the measurement's.
+
+    Returns:
+        The weight that it got, 0..1; 0 when the two are nearer than 0.1 m and the direction means nothing.
+
+    """
+    bi, bj = STATES * i, STATES * j
+    direction = np.empty(3)
+    for a in range(3):
+        direction[a] = odometry_between_m[a] + linearised_at[bi + a] - linearised_at[bj + a]
+    level_m = np.hypot(direction[0], direction[1])
+    expected_m = np.hypot(level_m, direction[2])
+    if expected_m < 0.1:
+        return 0.0
+    north_m = reference_ne_m[i, 0] - reference_ne_m[j, 0]
+    east_m = reference_ne_m[i, 1] - reference_ne_m[j, 1]
+    between_m = np.hypot(north_m, east_m)
+    if direction[0] * north_m + direction[1] * east_m > NEAR_COSINE * level_m * between_m:
+        direction[0] = level_m * north_m / between_m
+        direction[1] = level_m * east_m / between_m
+    residual_m = distance_m - expected_m
+    innovation_m = residual_m
+    row = np.zeros(state.shape[0])
+    for a in range(3):
+        direction[a] /= expected_m
+        innovation_m -= direction[a] * (state[bi + a] - linearised_at[bi + a])
+        innovation_m += direction[a] * (state[bj + a] - linearised_at[bj + a])
+        for k in range(state.shape[0]):
+            row[k] += direction[a] * (cov[bi + a, k] - cov[bj + a, k])
+    prior_m2 = 0.0
+    for a in range(3):
+        prior_m2 += direction[a] * (row[bi + a] - row[bj + a])
+    if weight_width_m2 < 0.0:
+        weight = student_weight(innovation_m * innovation_m / (prior_m2 + variance_m2))
+    else:
+        weight = student_weight(residual_m * residual_m / (weight_width_m2 + variance_m2))
+    _scalar_update(state, cov, row, prior_m2 + variance_m2 / weight, innovation_m)
+    return weight
+
+
+@njit(cache=True)
+def shape_variance(pos_ned_m: Array, cov: Array, members: Times) -> float:
+    """Expected squared horizontal error of the shape, m^2 per UAV, after the best rigid alignment.
+
+    The trace of the covariance of all horizontal positions less its parts along the two translations and the rotation about the
+    vertical, which are what an alignment to first order removes. pos_ned_m (N, 3); members (m,) indices of the UAVs that count.
+    """
+    m = members.shape[0]
+    centre_n, centre_e = 0.0, 0.0
+    for j in members:
+        centre_n += pos_ned_m[j, 0] / m
+        centre_e += pos_ned_m[j, 1] / m
+    spread = 0.0
+    for j in members:
+        spread += (pos_ned_m[j, 0] - centre_n) ** 2 + (pos_ned_m[j, 1] - centre_e) ** 2
+    total = 0.0
+    shift_n, shift_e, turn = 0.0, 0.0, 0.0
+    for i in members:
+        bi = STATES * i
+        total += cov[bi, bi] + cov[bi + 1, bi + 1]
+        turn_n, turn_e = -(pos_ned_m[i, 1] - centre_e), pos_ned_m[i, 0] - centre_n
+        for j in members:
+            bj = STATES * j
+            shift_n += cov[bi, bj] / m
+            shift_e += cov[bi + 1, bj + 1] / m
+            other_n, other_e = -(pos_ned_m[j, 1] - centre_e), pos_ned_m[j, 0] - centre_n
+            turn += turn_n * (cov[bi, bj] * other_n + cov[bi, bj + 1] * other_e)
+            turn += turn_e * (cov[bi + 1, bj] * other_n + cov[bi + 1, bj + 1] * other_e)
+    if spread > 0.0:
+        total -= turn / spread
+    return max(total - shift_n - shift_e, 0.0) / m
+
+
+@njit(cache=True)
+def separation_push(
+    own: int,
+    pos_ned_m: Array,
+    cov: Array,
+    fresh: NDArray[np.bool_],
+    radius_m: float,
+    radius_limit_m: float,
+    out_ne_m: Array,
+) -> None:
+    """Horizontal way, metres, to shift the own setpoint off neighbours that are too near; fills out_ne_m (2,).
+
+    A neighbour counts as too near within ``radius_m`` plus one standard deviation of the relative position along the line between the two,
+    at most ``radius_limit_m``, in three dimensions. Each pushes by what is missing, away from itself.
+    """
+    out_ne_m[:] = 0.0
+    bo = STATES * own
+    for j in range(pos_ned_m.shape[0]):
+        if j == own or not fresh[j]:
+            continue
+        bj = STATES * j
+        north, east = pos_ned_m[own, 0] - pos_ned_m[j, 0], pos_ned_m[own, 1] - pos_ned_m[j, 1]
+        down = pos_ned_m[own, 2] - pos_ned_m[j, 2]
+        level_m = np.hypot(north, east)
+        apart_m = np.hypot(level_m, down)
+        if level_m < 1e-3:
+            # One above the other: which way does not matter, as long as the two choose opposite ones.
+            north, east, level_m = (1.0, 0.0, 1.0) if own < j else (-1.0, 0.0, 1.0)
+        n, e = north / level_m, east / level_m
+        variance = 0.0
+        for a, ua in ((0, n), (1, e)):
+            for b, ub in ((0, n), (1, e)):
+                variance += (
+                    ua
+                    * ub
+                    * (cov[bo + a, bo + b] + cov[bj + a, bj + b] - cov[bo + a, bj + b] - cov[bj + a, bo + b])
+                )
+        reach_m = min(radius_m + np.sqrt(max(variance, 0.0)), radius_limit_m)
+        missing_m = reach_m - apart_m
+        if missing_m > 0.0:
+            out_ne_m[0] += missing_m * n
+            out_ne_m[1] += missing_m * e

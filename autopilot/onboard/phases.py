@@ -1,0 +1,24 @@
+"""The phases of a flight as the on-board application sees it."""
+
+from enum import IntEnum
+
+
+class Phase(IntEnum):
+    """What the application is about; its value is the custom_mode of the application's HEARTBEAT."""
+
+    WAITING = 0
+    """For the autopilot's position, origin and GPS."""
+    LOCALISING = 1
+    """On the ground, until the formation's shape is known."""
+    ARMING = 2
+    TAKE_OFF = 3
+    """Under the autopilot's own take-off, up to the height of the hand-over."""
+    JOINING = 4
+    """On the way to the own place, in offboard."""
+    ON_STATION = 5
+    """Has been at the own place for long enough; kept from then on."""
+    LANDING = 6
+    YIELDED = 7
+    """Somebody else chose another mode. The application goes on with beacons and ranging, and takes over again if that somebody
+    sets the mode to offboard."""
+    LANDED = 8

@@ -1,0 +1,199 @@
+"""The vehicle's parameters: PX4's names, units and ranges, and where each one goes in the settings.
+
+The settings structs of estimation, control, navigation and commander hold the values in SI; this table is
+the one place that knows PX4's names and units. Defaults are those of the structs, so that nothing is
+written down twice.
+"""
+
+import math
+from collections.abc import Mapping
+from operator import attrgetter
+from typing import NamedTuple, TypeVar
+
+from msgspec import Struct, structs
+
+from autopilot.commander.commander import CommanderParams
+from autopilot.commander.land_detector import LandDetectorParams
+from autopilot.control.params import ControlParams
+from autopilot.estimation.params import EstimatorParams
+from autopilot.navigation.setpoints import NavigationParams
+
+
+class ParameterError(ValueError):
+    """A parameter that does not exist or is out of its range; the text is one line."""
+
+
+class Settings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """All settings of one vehicle, in SI."""
+
+    commander: CommanderParams = CommanderParams()
+    control: ControlParams = ControlParams()
+    estimation: EstimatorParams = EstimatorParams()
+    land_detector: LandDetectorParams = LandDetectorParams()
+    navigation: NavigationParams = NavigationParams()
+
+
+class Parameter(NamedTuple):
+    """One row of the table."""
+
+    name: str
+    path: str
+    """Where the value goes in `Settings`."""
+    unit: str
+    """PX4's, in which value, range and default are stated."""
+    minimum: float
+    maximum: float
+    setting_per_unit: float = 1.0
+    """Factor from PX4's unit to the setting's."""
+    is_integer: bool = False
+
+    @property
+    def group(self) -> str:
+        """The settings' part that the value belongs to."""
+        return self.path.partition(".")[0]
+
+
+_DEG = math.pi / 180.0
+
+TABLE = (
+    Parameter("COM_DISARM_LAND", "commander.disarm_landed_s", "s", -1.0, 20.0),
+    Parameter("COM_DISARM_PRFLT", "commander.disarm_preflight_s", "s", -1.0, 60.0),
+    Parameter("COM_OF_LOSS_T", "commander.offboard_loss_s", "s", 0.0, 60.0),
+    Parameter("COM_SPOOLUP_TIME", "commander.spool_up_s", "s", 0.0, 30.0),
+    Parameter("EKF2_ABIAS_INIT", "estimation.accel_bias_init_m_s2", "m/s^2", 0.001, 0.5),
+    Parameter("EKF2_ABL_LIM", "estimation.accel_bias_limit_m_s2", "m/s^2", 0.001, 0.8),
+    Parameter("EKF2_ACC_B_NOISE", "estimation.accel_bias_noise_m_s3", "m/s^3", 1e-6, 0.01),
+    Parameter("EKF2_ACC_NOISE", "estimation.accel_noise_m_s2", "m/s^2", 0.01, 1.0),
+    Parameter("EKF2_BARO_GATE", "estimation.baro_gate", "SD", 1.0, 100.0),
+    Parameter("EKF2_BARO_NOISE", "estimation.baro_noise_m", "m", 0.01, 10.0),
+    Parameter("EKF2_GPS_DELAY", "estimation.gps_delay_us", "ms", 0.0, 300.0, 1000.0),
+    Parameter("EKF2_GPS_P_GATE", "estimation.gps_pos_gate", "SD", 1.0, 100.0),
+    Parameter("EKF2_GPS_P_NOISE", "estimation.gps_pos_noise_m", "m", 0.01, 10.0),
+    Parameter("EKF2_GPS_V_GATE", "estimation.gps_vel_gate", "SD", 1.0, 100.0),
+    Parameter("EKF2_GPS_V_NOISE", "estimation.gps_vel_noise_m_s", "m/s", 0.01, 5.0),
+    Parameter("EKF2_GYR_B_LIM", "estimation.gyro_bias_limit_rad_s", "rad/s", 0.001, 0.4),
+    Parameter("EKF2_GYR_B_NOISE", "estimation.gyro_bias_noise_rad_s2", "rad/s^2", 1e-6, 0.01),
+    Parameter("EKF2_GYR_NOISE", "estimation.gyro_noise_rad_s", "rad/s", 0.0001, 0.1),
+    Parameter("EKF2_HDG_GATE", "estimation.heading_gate", "SD", 1.0, 100.0),
+    Parameter("EKF2_MAG_NOISE", "estimation.mag_noise_gauss", "gauss", 0.001, 1.0),
+    Parameter("EKF2_NOAID_NOISE", "estimation.no_aid_noise_m", "m", 0.5, 50.0),
+    Parameter("EKF2_NOAID_TOUT", "estimation.no_aid_timeout_us", "us", 500_000, 10_000_000, is_integer=True),
+    Parameter("EKF2_REQ_EPH", "estimation.gps_required_eph_m", "m", 2.0, 10.0),
+    Parameter("EKF2_REQ_NSATS", "estimation.gps_required_satellites", "", 4, 12, is_integer=True),
+    Parameter("HTE_ACC_GATE", "control.hover_thrust.gate_sigma", "SD", 1.0, 10.0),
+    Parameter("HTE_HT_ERR_INIT", "control.hover_thrust.initial_std", "norm", 0.01, 1.0),
+    Parameter("HTE_HT_NOISE", "control.hover_thrust.process_noise_1_s", "1/s", 0.0001, 1.0),
+    Parameter("HTE_THR_RANGE", "control.hover_thrust.range", "norm", 0.05, 0.4),
+    Parameter("IMU_DGYRO_CUTOFF", "control.rate.derivative_cutoff_hz", "Hz", 1.0, 100.0),
+    Parameter("LNDMC_ROT_MAX", "land_detector.rotation_max_rad_s", "deg/s", 1.0, 90.0, _DEG),
+    Parameter("LNDMC_XY_VEL_MAX", "land_detector.horizontal_speed_max_m_s", "m/s", 0.1, 10.0),
+    Parameter("LNDMC_Z_VEL_MAX", "land_detector.vertical_speed_max_m_s", "m/s", 0.05, 1.0),
+    Parameter("MC_PITCHRATE_D", "control.rate.pitch_d", "", 0.0, 0.5),
+    Parameter("MC_PITCHRATE_FF", "control.rate.pitch_ff", "", 0.0, 1.0),
+    Parameter("MC_PITCHRATE_I", "control.rate.pitch_i", "", 0.0, 3.0),
+    Parameter("MC_PITCHRATE_K", "control.rate.pitch_k", "", 0.01, 5.0),
+    Parameter("MC_PITCHRATE_MAX", "control.attitude.pitch_rate_max_rad_s", "deg/s", 1.0, 1800.0, _DEG),
+    Parameter("MC_PITCHRATE_P", "control.rate.pitch_p", "", 0.0, 0.6),
+    Parameter("MC_PITCH_P", "control.attitude.pitch_p", "1/s", 0.0, 12.0),
+    Parameter("MC_ROLLRATE_D", "control.rate.roll_d", "", 0.0, 0.5),
+    Parameter("MC_ROLLRATE_FF", "control.rate.roll_ff", "", 0.0, 1.0),
+    Parameter("MC_ROLLRATE_I", "control.rate.roll_i", "", 0.0, 3.0),
+    Parameter("MC_ROLLRATE_K", "control.rate.roll_k", "", 0.01, 5.0),
+    Parameter("MC_ROLLRATE_MAX", "control.attitude.roll_rate_max_rad_s", "deg/s", 1.0, 1800.0, _DEG),
+    Parameter("MC_ROLLRATE_P", "control.rate.roll_p", "", 0.0, 0.6),
+    Parameter("MC_ROLL_P", "control.attitude.roll_p", "1/s", 0.0, 12.0),
+    Parameter("MC_YAWRATE_D", "control.rate.yaw_d", "", 0.0, 0.5),
+    Parameter("MC_YAWRATE_FF", "control.rate.yaw_ff", "", 0.0, 1.0),
+    Parameter("MC_YAWRATE_I", "control.rate.yaw_i", "", 0.0, 3.0),
+    Parameter("MC_YAWRATE_K", "control.rate.yaw_k", "", 0.01, 5.0),
+    Parameter("MC_YAWRATE_MAX", "control.attitude.yaw_rate_max_rad_s", "deg/s", 1.0, 1800.0, _DEG),
+    Parameter("MC_YAWRATE_P", "control.rate.yaw_p", "", 0.0, 0.6),
+    Parameter("MC_YAW_P", "control.attitude.yaw_p", "1/s", 0.0, 5.0),
+    Parameter("MC_YAW_WEIGHT", "control.attitude.yaw_weight", "", 0.0, 1.0),
+    Parameter("MIS_TAKEOFF_ALT", "navigation.takeoff_height_m", "m", 0.5, 80.0),
+    Parameter("MPC_ACC_DOWN_MAX", "control.trajectory.acc_dn_m_s2", "m/s^2", 2.0, 15.0),
+    Parameter("MPC_ACC_HOR", "control.trajectory.acc_xy_m_s2", "m/s^2", 2.0, 15.0),
+    Parameter("MPC_ACC_UP_MAX", "control.trajectory.acc_up_m_s2", "m/s^2", 2.0, 15.0),
+    Parameter("MPC_JERK_AUTO", "control.trajectory.jerk_m_s3", "m/s^3", 1.0, 80.0),
+    Parameter("MPC_LAND_ALT1", "navigation.land_fast_height_m", "m", 0.1, 122.0),
+    Parameter("MPC_LAND_ALT2", "navigation.land_slow_height_m", "m", 0.1, 122.0),
+    Parameter("MPC_LAND_SPEED", "navigation.land_speed_m_s", "m/s", 0.6, 3.0),
+    Parameter("MPC_THR_HOVER", "control.position.thr_hover", "norm", 0.1, 0.8),
+    Parameter("MPC_THR_MAX", "control.position.thr_max", "norm", 0.1, 1.0),
+    Parameter("MPC_THR_MIN", "control.position.thr_min", "norm", 0.05, 0.5),
+    Parameter("MPC_THR_XY_MARG", "control.position.thr_xy_margin", "norm", 0.0, 0.5),
+    Parameter("MPC_TILTMAX_AIR", "control.position.tilt_max_rad", "deg", 20.0, 89.0, _DEG),
+    Parameter("MPC_TKO_RAMP_T", "control.position.tko_ramp_s", "s", 0.1, 5.0),
+    Parameter("MPC_TKO_SPEED", "control.position.tko_speed_m_s", "m/s", 0.5, 5.0),
+    Parameter("MPC_VELD_LP", "control.position.acc_cutoff_hz", "Hz", 0.5, 50.0),
+    Parameter("MPC_XY_CRUISE", "control.trajectory.xy_cruise_m_s", "m/s", 3.0, 20.0),
+    Parameter("MPC_XY_ERR_MAX", "control.trajectory.xy_error_max_m", "m", 0.1, 10.0),
+    Parameter("MPC_XY_P", "control.position.xy_p", "1/s", 0.0, 2.0),
+    Parameter("MPC_XY_VEL_D_ACC", "control.position.xy_vel_d_acc", "", 0.0, 2.0),
+    Parameter("MPC_XY_VEL_I_ACC", "control.position.xy_vel_i_acc", "1/s^2", 0.0, 60.0),
+    Parameter("MPC_XY_VEL_MAX", "control.position.xy_vel_max_m_s", "m/s", 0.1, 20.0),
+    Parameter("MPC_XY_VEL_P_ACC", "control.position.xy_vel_p_acc", "1/s", 1.2, 5.0),
+    Parameter("MPC_YAWRAUTO_ACC", "control.trajectory.yaw_acc_max_rad_s2", "deg/s^2", 5.0, 360.0, _DEG),
+    Parameter("MPC_YAWRAUTO_MAX", "control.trajectory.yaw_rate_max_rad_s", "deg/s", 5.0, 360.0, _DEG),
+    Parameter("MPC_Z_P", "control.position.z_p", "1/s", 0.1, 1.5),
+    Parameter("MPC_Z_VEL_D_ACC", "control.position.z_vel_d_acc", "", 0.0, 2.0),
+    Parameter("MPC_Z_VEL_I_ACC", "control.position.z_vel_i_acc", "1/s^2", 0.2, 3.0),
+    Parameter("MPC_Z_VEL_MAX_DN", "control.position.z_vel_max_dn_m_s", "m/s", 0.5, 4.0),
+    Parameter("MPC_Z_VEL_MAX_UP", "control.position.z_vel_max_up_m_s", "m/s", 0.5, 8.0),
+    Parameter("MPC_Z_VEL_P_ACC", "control.position.z_vel_p_acc", "1/s", 2.0, 15.0),
+    Parameter("MPC_Z_V_AUTO_DN", "control.trajectory.z_vel_dn_m_s", "m/s", 0.5, 4.0),
+    Parameter("MPC_Z_V_AUTO_UP", "control.trajectory.z_vel_up_m_s", "m/s", 0.5, 8.0),
+    Parameter("NAV_MC_ALT_RAD", "navigation.altitude_acceptance_m", "m", 0.05, 200.0),
+    Parameter("THR_MDL_FAC", "control.allocation.thrust_model_factor", "", 0.0, 1.0),
+)
+"""In order of the names, which is the order of the indices that ground stations see."""
+
+INDEX_OF = {parameter.name: index for index, parameter in enumerate(TABLE)}
+
+
+class ParameterSet:
+    """The parameters' present values and the settings that they make."""
+
+    def __init__(self, settings: Settings, overrides: Mapping[str, float] | None = None) -> None:
+        """Start from ``settings`` and change what ``overrides`` names. Raises ParameterError."""
+        self.settings = settings
+        for name, value in (overrides or {}).items():
+            self.set(name, value)
+
+    def get(self, name: str) -> float:
+        """Value in PX4's unit. Raises ParameterError for a name that does not exist."""
+        parameter = _find(name)
+        return self._setting(parameter) / parameter.setting_per_unit
+
+    def set(self, name: str, value: float) -> None:
+        """Change a value, given in PX4's unit. Raises ParameterError."""
+        parameter = _find(name)
+        if not parameter.minimum <= value <= parameter.maximum:  # also refuses NaN
+            limits = f"{parameter.minimum:g} .. {parameter.maximum:g} {parameter.unit}".rstrip()
+            raise ParameterError(f"parameter {name} = {value:g} is outside {limits}")
+        if parameter.is_integer and value != round(value):
+            raise ParameterError(f"parameter {name} = {value:g} is not a whole number")
+        setting = value * parameter.setting_per_unit
+        if isinstance(self._setting(parameter), int):
+            setting = round(setting)
+        self.settings = _with(self.settings, parameter.path.split("."), setting)
+
+    def _setting(self, parameter: Parameter) -> float:
+        setting: float = attrgetter(parameter.path)(self.settings)
+        return setting
+
+
+def _find(name: str) -> Parameter:
+    index = INDEX_OF.get(name)
+    if index is None:
+        raise ParameterError(f"there is no parameter {name!r}")
+    return TABLE[index]
+
+
+S = TypeVar("S", bound=Struct)
+
+
+def _with(struct: S, path: list[str], value: float) -> S:
+    """Copy of a struct with the value at a path of nested structs changed."""
+    head, *rest = path
+    return structs.replace(struct, **{head: _with(getattr(struct, head), rest, value) if rest else value})

@@ -1,0 +1,53 @@
+"""What telemetry can speak of: the vehicle's present values, written by `autopilot.vehicle`."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autopilot.commander.commander import Commander
+from autopilot.estimation.estimator import Estimator
+from autopilot.mavlink.codec import Message
+from autopilot.types import AttitudeSetpoint, EstimatorState, TrajectorySetpoint
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Home:
+    """Where the vehicle was armed."""
+
+    lat_deg: float
+    lon_deg: float
+    alt_m: float
+    """Above mean sea level."""
+    pos_ned_m: tuple[float, float, float]
+    """From the estimator's origin."""
+    q_ned_frd: tuple[float, float, float, float]
+
+
+@dataclass(slots=True, kw_only=True)
+class FlightData:
+    """One vehicle at the present step: one object for its life, since nothing is copied per step."""
+
+    estimator: Estimator
+    commander: Commander
+    state: EstimatorState
+    """The estimator's at this step."""
+    now_us: int = 0
+    conditions: int = 0
+    """`autopilot.commander.conditions.Condition` bits."""
+    sensor: Message | None = None
+    """The last HIL_SENSOR."""
+    baro: Message | None = None
+    """The last HIL_SENSOR with a pressure."""
+    gps: Message | None = None
+    """The last HIL_GPS."""
+    gps_us: int = 0
+    """When it came."""
+    origin_known: bool = False
+    """The local frame's place on the globe is known, since the position was valid once."""
+    home: Home | None = None
+    setpoint: TrajectorySetpoint | None = None
+    """What the controller follows; None when idle."""
+    attitude_setpoint: AttitudeSetpoint | None = None
+    motors: NDArray[np.float64] = field(default_factory=lambda: np.zeros(4))
+    """(4,) controls in 0..1."""

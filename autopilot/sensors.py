@@ -1,0 +1,106 @@
+"""A simulator's HIL messages turned into what the estimator takes, and how fresh each sensor is.
+
+A group of HIL_SENSOR counts only when all its bits of ``fields_updated`` are set, as in PX4.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from pymavlink.dialects.v20 import common
+
+from autopilot.commander.conditions import Condition
+from autopilot.estimation.estimator import Estimator
+from autopilot.mavlink.codec import Message
+from autopilot.types import GpsFix, ImuSample
+
+IMU_FIELDS = 0b11_1111
+MAG_FIELDS = 0b1_1100_0000
+BARO_FIELDS = 0x1A00
+"""Absolute pressure, pressure altitude and temperature."""
+
+# plain integers: as keys, members of an enumeration cost a call each
+_IMU, _BARO, _MAG, _GPS = map(int, (Condition.IMU, Condition.BARO, Condition.MAG, Condition.GPS))
+TIMEOUTS_US = {_IMU: 100_000, _BARO: 1_000_000, _MAG: 1_000_000, _GPS: 2_000_000}
+"""Age from which a sensor counts as gone: several periods of the slowest rate that PX4 accepts of it."""
+
+_LONG_AGO_US = -(1 << 40)
+_UNKNOWN = 65_535
+
+
+class SensorInput:
+    """Feeds the estimator and keeps the last messages for telemetry."""
+
+    def __init__(self, estimator: Estimator) -> None:
+        self.sensor: Message | None = None
+        """The last HIL_SENSOR of the first set."""
+        self.baro: Message | None = None
+        """The last one that held a pressure."""
+        self.gps: Message | None = None
+        self.gps_us = 0
+        self._estimator = estimator
+        self._seen_us = dict.fromkeys(TIMEOUTS_US, _LONG_AGO_US)
+
+    def take(self, messages: Sequence[Message], now_us: int) -> bool:
+        """Hand one step's messages to the estimator, in order; tells whether a GPS fix was among them."""
+        new_fix = False
+        for message in messages:
+            kind = message.get_msgId()
+            if kind == common.MAVLINK_MSG_ID_HIL_SENSOR:
+                if message.id == 0:
+                    self._take_sensor(message, now_us)
+            elif kind == common.MAVLINK_MSG_ID_HIL_GPS:
+                self._take_gps(message, now_us)
+                new_fix = True
+        return new_fix
+
+    def conditions(self, now_us: int) -> int:
+        """`Condition` bits of the sensors that are fresh."""
+        bits = 0
+        for condition, seen_us in self._seen_us.items():
+            if now_us - seen_us <= TIMEOUTS_US[condition]:
+                bits |= condition
+        return bits
+
+    def _take_sensor(self, message: Message, now_us: int) -> None:
+        self.sensor = message
+        fields = message.fields_updated
+        # aiding first: the inertial sample ends the estimator's step
+        if fields & MAG_FIELDS == MAG_FIELDS:
+            self._seen_us[_MAG] = now_us
+            self._estimator.on_mag(now_us, np.array((message.xmag, message.ymag, message.zmag)))
+        if fields & BARO_FIELDS == BARO_FIELDS:
+            self.baro = message
+            self._seen_us[_BARO] = now_us
+            self._estimator.on_baro(now_us, message.abs_pressure, message.temperature)
+        if fields & IMU_FIELDS == IMU_FIELDS:
+            self._seen_us[_IMU] = now_us
+            self._estimator.on_imu(
+                ImuSample(
+                    time_us=now_us,
+                    accel_frd_m_s2=np.array((message.xacc, message.yacc, message.zacc)),
+                    gyro_frd_rad_s=np.array((message.xgyro, message.ygyro, message.zgyro)),
+                )
+            )
+
+    def _take_gps(self, message: Message, now_us: int) -> None:
+        self.gps, self.gps_us = message, now_us
+        if message.fix_type >= common.GPS_FIX_TYPE_3D_FIX:
+            self._seen_us[_GPS] = now_us
+        self._estimator.on_gps(
+            GpsFix(
+                time_us=now_us,
+                fix_type=message.fix_type,
+                lat_deg=message.lat * 1e-7,
+                lon_deg=message.lon * 1e-7,
+                alt_m=message.alt * 1e-3,
+                vel_ned_m_s=np.array((message.vn, message.ve, message.vd)) * 1e-2,
+                eph_m=_metres(message.eph),
+                epv_m=_metres(message.epv),
+                satellites=message.satellites_visible,
+            )
+        )
+
+
+def _metres(accuracy_cm: int) -> float:
+    return math.inf if accuracy_cm == _UNKNOWN else accuracy_cm * 1e-2

@@ -1,0 +1,185 @@
+"""The command line: fly a scenario, show it, and report it.
+
+Exit status: 0 fine, 1 the run failed, 2 bad input, 130 broken off by Ctrl-C. An error is one line on stderr.
+"""
+
+import signal
+import sys
+import traceback
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import typer
+from rich.console import Console
+
+from harness.processes import SetupError, SwarmError
+from harness.progress import Display, display_for, summary_table
+from harness.scenario import ScenarioError, load
+from harness.swarm import Swarm, SwarmTimeoutError
+
+FINE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+class Failure(Exception):  # noqa: N818  not all of them are errors: Ctrl-C is a user's right
+    """The run ends with this status and line."""
+
+    def __init__(self, status: int, line: str) -> None:
+        super().__init__(line)
+        self.status = status
+
+
+def _speed(text: str) -> float | Literal["max"]:
+    if text == "max":
+        return "max"
+    try:
+        factor = float(text)
+    except ValueError:
+        factor = 0.0
+    if not 0.0 < factor < float("inf"):
+        raise typer.BadParameter(f"{text!r}: expected a factor above 0, or 'max'")
+    return factor
+
+
+@app.command()
+def fly(
+    scenario: Annotated[Path, typer.Argument(help="TOML file that says what is flown.", metavar="SCENARIO")],
+    speed: Annotated[
+        str,
+        typer.Option(help="Simulated against wall time; 'max' is as fast as it goes.", metavar="max|FACTOR"),
+    ] = "max",
+    duration: Annotated[float | None, typer.Option(help="Simulated seconds in formation.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
+    agents: Annotated[
+        int | None, typer.Option(help="Number of UAVs: the first places of the formation.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for what comes out; default runs/NAME-DATE-TIME.")
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="Override a field of the scenario.", metavar="PATH=VALUE"),
+    ] = None,
+    port_offset: Annotated[
+        int, typer.Option(help="Added to every port, for a second swarm on one machine.")
+    ] = 0,
+    json: Annotated[bool, typer.Option("--json", help="The summary alone on stdout.")] = False,  # noqa: FBT002
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,  # noqa: FBT002
+) -> None:
+    """Fly a swarm, with its radio, and report what came out."""
+    messages = Console(stderr=True, highlight=False)
+    named = {"run.duration_s": duration, "run.seed": seed, "agents": agents}
+    overrides = [f"{path}={value}" for path, value in named.items() if value is not None]
+    display: Display | None = None
+    try:
+        plan = load(scenario, [*(settings or []), *overrides])
+        out = out or _default_folder(plan.name)
+        factor = _speed(speed)
+        display = display_for(messages)
+        swarm = Swarm(
+            plan,
+            speed=factor,
+            out=out,
+            ports="scenario",
+            port_offset=port_offset,
+            on_message=display.on_message,
+        )
+        broken_off = _fly(swarm, display)
+        display.close()
+        _report(swarm, broken_off, messages, as_json=json)
+    except BaseException as error:  # noqa: BLE001  every end has its status
+        if display is not None:
+            display.close()
+        if debug:
+            traceback.print_exc()
+        raise _failure(error) from None
+
+
+def _fly(swarm: Swarm, display: Display) -> SwarmError | KeyboardInterrupt | None:
+    """Start, form, hold and stop. Returns what broke it off, if there are records all the same."""
+    run = swarm.scenario.run
+    display.note(f"{swarm.scenario.name}: {swarm.scenario.agents} UAVs, seed {run.seed}, into {swarm.path}")
+    swarm.start()
+    display.note(f"{len(swarm.pids)} processes are ready")
+    try:
+        swarm.run_until_formed(timeout_s=run.reach_timeout_s)
+        swarm.run_for(run.duration_s)
+    except (SwarmError, KeyboardInterrupt) as error:
+        return error
+    finally:
+        swarm.stop()
+        for line in swarm.forced:
+            display.note(line)
+    return None
+
+
+def _report(
+    swarm: Swarm, broken_off: SwarmError | KeyboardInterrupt | None, messages: Console, *, as_json: bool
+) -> None:
+    """Turn the records into results and show them; raises ``broken_off`` in the end."""
+    interrupted = isinstance(broken_off, KeyboardInterrupt)
+    messages.print("writing down what was flown" if interrupted else "computing patterns and figures")
+    try:
+        summary = swarm.summary(draw=not interrupted, interrupted=interrupted)
+    except Exception as error:  # what broke the run off is what its user has to hear
+        if broken_off is None:
+            raise
+        messages.print(f"no summary: {error}")
+    else:
+        if as_json:
+            sys.stdout.write(msgspec.json.format(msgspec.json.encode(summary), indent=2).decode() + "\n")
+        else:
+            Console(highlight=False).print(summary_table(summary))
+    _list_files(messages, swarm.path)
+    if broken_off is not None:
+        raise broken_off
+
+
+def _failure(error: BaseException) -> Failure:
+    """Tell the exit status and line of whatever went wrong."""
+    match error:
+        case Failure():
+            return error
+        case ScenarioError() | SetupError():
+            return Failure(BAD_INPUT, str(error))
+        case typer.TyperException():
+            return Failure(BAD_INPUT, error.format_message())
+        case SwarmTimeoutError() | SwarmError():
+            return Failure(FAILED, str(error))
+        case KeyboardInterrupt():
+            return Failure(INTERRUPTED, "broken off: every process is stopped, the records are kept")
+        case _:
+            return Failure(FAILED, f"{type(error).__name__}: {error}".rstrip(": "))
+
+
+def _default_folder(name: str) -> Path:
+    return Path("runs") / f"{name}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+
+
+def _list_files(messages: Console, folder: Path) -> None:
+    files = sorted(path.relative_to(folder).as_posix() for path in folder.glob("*") if path.is_file())
+    figures = sorted(path.relative_to(folder).as_posix() for path in folder.glob("figures/*"))
+    messages.print(f"written to {folder}: {', '.join([*files, *figures])}", soft_wrap=True)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    # a shell starts what runs in its background with SIGINT ignored, and `kill -INT` shall stop that as well
+    handlers = {
+        number: signal.signal(number, signal.default_int_handler)
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        status = app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
+    except BaseException as error:  # noqa: BLE001  every end has its status and its line
+        failure = _failure(error)
+        print(f"coflight: {failure}", file=sys.stderr)  # noqa: T201
+        return failure.status
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    return status if isinstance(status, int) else FINE

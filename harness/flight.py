@@ -1,0 +1,64 @@
+"""What was flown, as arrays: the input of the analysis and of its figures."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Flight:
+    """The truth about N vehicles at T instants, and where they should have been. Frame: the site's NED.
+
+    Raises ValueError when the shapes do not belong together. What it says of a dead vehicle is not read.
+    """
+
+    time_us: NDArray[np.int64]
+    """(T,) rising."""
+    pos_ned_m: Array
+    """(T, N, 3)"""
+    q_ned_frd: Array
+    """(T, N, 4) Hamilton, wxyz; maps FRD into NED."""
+    desired_pos_ned_m: Array
+    """(T, N, 3); `numpy.broadcast_to` makes it of a formation that stands still."""
+    alive: NDArray[np.bool_]
+    """(T, N)"""
+
+    def __post_init__(self) -> None:
+        """Check the shapes."""
+        instants, vehicles = self.alive.shape
+        expected = {
+            "time_us": (instants,),
+            "pos_ned_m": (instants, vehicles, 3),
+            "q_ned_frd": (instants, vehicles, 4),
+            "desired_pos_ned_m": (instants, vehicles, 3),
+        }
+        for name, shape in expected.items():
+            if getattr(self, name).shape != shape:
+                raise ValueError(f"{name} is {getattr(self, name).shape}, and not {shape} as alive says")
+        if self.alive.dtype != np.bool_ or np.any(np.diff(self.time_us) <= 0):
+            raise ValueError("alive is boolean and time_us rises")
+
+    def __len__(self) -> int:
+        return len(self.time_us)
+
+    def at(self, rows: NDArray[np.intp] | slice) -> "Flight":
+        """Take some of the instants."""
+        return Flight(
+            time_us=self.time_us[rows],
+            pos_ned_m=self.pos_ned_m[rows],
+            q_ned_frd=self.q_ned_frd[rows],
+            desired_pos_ned_m=self.desired_pos_ned_m[rows],
+            alive=self.alive[rows],
+        )
+
+    def sampled(self, rate_hz: float) -> "Flight":
+        """Take the instants at or next after whole periods of ``rate_hz`` from the first, each once."""
+        if len(self) == 0:
+            return self
+        periods = np.arange(int((self.time_us[-1] - self.time_us[0]) * rate_hz / 1e6) + 1)
+        wanted_us = self.time_us[0] + np.round(periods * 1e6 / rate_hz).astype(np.int64)
+        rows = np.unique(np.searchsorted(self.time_us, wanted_us))
+        return self.at(rows[rows < len(self)])

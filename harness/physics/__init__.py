@@ -1,0 +1,1 @@
+"""Rigid bodies, rotors and contacts: what really happens to the vehicles. No sensors, no wind."""

@@ -1,0 +1,210 @@
+"""The world in which the vehicles move: PyBullet's rigid bodies and contacts under our rotor model.
+
+The only import of pybullet. Bullet integrates and collides; forces come from `harness.physics.rotors`.
+"""
+
+import math
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+import pybullet
+from numpy.typing import ArrayLike, NDArray
+
+from autopilot.types import Array
+from harness.physics.bodies import Bodies, integrable_torques, observe
+from harness.physics.frames import wxyz_from_xyzw
+from harness.physics.model import VehicleModel
+from harness.physics.rotors import kernel_model, rotor_speeds, wrenches
+from harness.physics.truth import Contact, Truth
+
+GRAVITY_M_S2 = 9.8066
+"""As Gazebo-classic's worlds have it."""
+GROUND_HALF_WIDTH_M = 10_000.0
+SOLVER_RESIDUAL = 1e-16
+"""Squared change of the contact impulses at which Bullet stops iterating. At its default of 1e-7 a standing
+vehicle creeps by 30 um/s; at this it stays within 1 nm/s, and still stops before its 50 iterations."""
+
+_CONTACT_BODY_A, _CONTACT_BODY_B, _CONTACT_POS_ON_A, _CONTACT_DISTANCE, _CONTACT_FORCE = 1, 2, 5, 8, 9
+
+
+class World:
+    """Vehicles of one model over flat ground (down = 0), advanced in fixed steps.
+
+    ``spawn_pos_ned_m`` (n, 3) are the centres of mass, which stand ``model.standing_height_m`` above the
+    ground; ``spawn_yaw_rad`` is everyone's heading, clockwise from north. Raises ValueError for a spawn below
+    the ground. Instances are independent of each other and use no randomness: equal arguments give equal
+    bytes.
+    """
+
+    def __init__(
+        self, *, model: VehicleModel, spawn_pos_ned_m: ArrayLike, spawn_yaw_rad: float, step_us: int
+    ) -> None:
+        spawn = np.array(spawn_pos_ned_m, dtype=np.float64).reshape(-1, 3)
+        below = np.flatnonzero(spawn[:, 2] > -model.standing_height_m + 1e-9)
+        if below.size:
+            raise ValueError(
+                f"vehicle {below[0]} spawns with its centre {spawn[below[0], 2]:g} m down, "
+                f"but it stands at {-model.standing_height_m:g} m"
+            )
+        self._step_s = step_us * 1e-6
+        self._inertia_kg_m2 = np.array(model.inertia_diagonal_kg_m2)
+        self._kernel_model = kernel_model(model, step_s=self._step_s)
+        self._client: int | None = pybullet.connect(pybullet.DIRECT)
+        self._vehicle_of_body: dict[int, int] = {}
+        self._fill_world(model, spawn, spawn_yaw_rad)
+
+        vehicles = len(spawn)
+        self._rotor_speed_rad_s = np.zeros((vehicles, 4))
+        self._bodies = self._read_bodies()
+        self._truth = self._observe(self._bodies, self._bodies)
+        self._vehicle_contacts: tuple[Contact, ...] = ()
+        self._on_ground = np.zeros(vehicles, dtype=np.bool_)
+
+    def _fill_world(self, model: VehicleModel, spawn_pos_ned_m: Array, spawn_yaw_rad: float) -> None:
+        client = self._client
+        pybullet.setTimeStep(self._step_s, client)
+        pybullet.setGravity(0.0, 0.0, GRAVITY_M_S2, client)
+        pybullet.setPhysicsEngineParameter(
+            deterministicOverlappingPairs=1, solverResidualThreshold=SOLVER_RESIDUAL, physicsClientId=client
+        )
+        # not a plane: box on box gives all four points of contact at once, so that a landing stays level
+        half_extents_m = (GROUND_HALF_WIDTH_M, GROUND_HALF_WIDTH_M, 10.0)
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_BOX, halfExtents=half_extents_m, physicsClientId=client
+        )
+        self._ground = pybullet.createMultiBody(
+            0.0, shape, basePosition=(0.0, 0.0, 10.0), physicsClientId=client
+        )
+        pybullet.changeDynamics(
+            self._ground, -1, lateralFriction=1.0, restitution=0.0, physicsClientId=client
+        )
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_BOX, halfExtents=[side_m / 2.0 for side_m in model.box_m], physicsClientId=client
+        )
+        q_xyzw = (0.0, 0.0, math.sin(spawn_yaw_rad / 2.0), math.cos(spawn_yaw_rad / 2.0))
+        for vehicle, pos_ned_m in enumerate(spawn_pos_ned_m.tolist()):
+            body = pybullet.createMultiBody(
+                model.mass_kg, shape, basePosition=pos_ned_m, baseOrientation=q_xyzw, physicsClientId=client
+            )
+            pybullet.changeDynamics(
+                body,
+                -1,
+                linearDamping=0.0,
+                angularDamping=0.0,
+                localInertiaDiagonal=model.inertia_diagonal_kg_m2,
+                lateralFriction=model.friction,
+                restitution=0.0,
+                activationState=pybullet.ACTIVATION_STATE_DISABLE_SLEEPING,
+                physicsClientId=client,
+            )
+            self._vehicle_of_body[body] = vehicle
+
+    def step(
+        self,
+        controls: Array,
+        armed: NDArray[np.bool_],
+        wind_force_ned_n: Array,
+        *,
+        rotors_stopped: NDArray[np.bool_],
+    ) -> None:
+        """Advance by one step with everything held over it.
+
+        ``controls`` (n, 4): motors, 0..1 in PX4's order; ``armed`` (n,); ``wind_force_ned_n`` (n, 3) at the
+        centres of mass; ``rotors_stopped`` (n,): vehicles whose rotors run down whatever their controls say.
+        """
+        client = self._client
+        before = self._bodies
+        self._rotor_speed_rad_s = rotor_speeds(
+            self._kernel_model, self._rotor_speed_rad_s, controls, armed & ~rotors_stopped
+        )
+        force_ned_n, torque_ned_n_m = wrenches(
+            self._kernel_model,
+            before.q_ned_frd,
+            before.vel_ned_m_s,
+            before.omega_ned_rad_s,
+            self._rotor_speed_rad_s,
+        )
+        force_ned_n += wind_force_ned_n
+        torque_ned_n_m = integrable_torques(self._inertia_kg_m2, before, torque_ned_n_m, self._step_s)
+        loads = zip(
+            self._vehicle_of_body,
+            force_ned_n.tolist(),
+            before.pos_ned_m.tolist(),
+            torque_ned_n_m.tolist(),
+            strict=True,
+        )
+        for body, force_n, pos_m, torque_n_m in loads:
+            pybullet.applyExternalForce(body, -1, force_n, pos_m, pybullet.WORLD_FRAME, client)
+            pybullet.applyExternalTorque(body, -1, torque_n_m, pybullet.WORLD_FRAME, client)
+        pybullet.stepSimulation(client)
+        self._bodies = self._read_bodies()
+        self._truth = self._observe(before, self._bodies)
+        self._read_contacts()
+
+    @property
+    def truth(self) -> Truth:
+        """State of all vehicles at the end of the last step."""
+        return self._truth
+
+    @property
+    def vehicle_contacts(self) -> tuple[Contact, ...]:
+        """Pairs of vehicles that touched in the last step, in order of their numbers, each pair once."""
+        return self._vehicle_contacts
+
+    @property
+    def on_ground(self) -> NDArray[np.bool_]:
+        """(n,) whether each vehicle touched the ground in the last step."""
+        return self._on_ground
+
+    def close(self) -> None:
+        """Free Bullet's world. May be called again."""
+        if self._client is not None:
+            pybullet.disconnect(self._client)
+            self._client = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _read_bodies(self) -> Bodies:
+        client = self._client
+        rows = []
+        for body in self._vehicle_of_body:
+            pos_ned_m, q_xyzw = pybullet.getBasePositionAndOrientation(body, client)
+            vel_ned_m_s, omega_ned_rad_s = pybullet.getBaseVelocity(body, client)
+            rows.append(pos_ned_m + q_xyzw + vel_ned_m_s + omega_ned_rad_s)
+        state = np.array(rows)
+        return Bodies(  # contiguous, so that every kernel is compiled for one layout only
+            state[:, :3].copy(), wxyz_from_xyzw(state[:, 3:7]), state[:, 7:10].copy(), state[:, 10:].copy()
+        )
+
+    def _observe(self, before: Bodies, after: Bodies) -> Truth:
+        observation = observe(before, after, GRAVITY_M_S2, self._step_s)
+        return Truth(
+            vel_ned_m_s=after.vel_ned_m_s,
+            rotor_speed_rad_s=self._rotor_speed_rad_s,
+            **observation._asdict(),
+        )
+
+    def _read_contacts(self) -> None:
+        on_ground = np.zeros(len(self._vehicle_of_body), dtype=np.bool_)
+        touching: dict[tuple[int, int], tuple[float, float, float]] = {}
+        for point in pybullet.getContactPoints(physicsClientId=self._client):
+            if point[_CONTACT_DISTANCE] > 0.0 and point[_CONTACT_FORCE] <= 0.0:
+                continue  # near enough for Bullet to keep an eye on it, but apart
+            bodies = point[_CONTACT_BODY_A], point[_CONTACT_BODY_B]
+            pair = sorted(self._vehicle_of_body[body] for body in bodies if body != self._ground)
+            if len(pair) == 1:
+                on_ground[pair[0]] = True
+            else:
+                touching.setdefault((pair[0], pair[1]), point[_CONTACT_POS_ON_A])
+        self._on_ground = on_ground
+        self._vehicle_contacts = tuple(
+            Contact(first=first, second=second, pos_ned_m=pos_ned_m)
+            for (first, second), pos_ned_m in sorted(touching.items())
+        )

@@ -1,0 +1,279 @@
+"""The processes of one run: which there are, in what order they start and end, and what they have said.
+
+Composes `harness.supervisor` with the commands that coflight's own processes take. What simulated time is
+spent on is decided in `harness.swarm`.
+"""
+
+import contextlib
+import socket
+import sys
+import time
+import uuid
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from harness.messages import AnyCommand, AnyEvent, Formed, Paused, Progress, SetPid
+from harness.run_folder import RunFolder
+from harness.scenario import Scenario
+from harness.supervisor import (
+    ChildMessage,
+    Exited,
+    PortError,
+    Supervisor,
+    SupervisorError,
+    bind,
+    interrupts_deferred,
+)
+from netsim.child import Finished, Ready
+
+PHYSICS, RADIO = "physics", "radio"
+START_LIMIT_S = 120.0
+"""Wall time within which every process must be ready to work."""
+STOP_LIMIT_S = 10.0
+"""Wall time that processes have to write what they have and end."""
+_ENVIRONMENT = {
+    # each process is one thread of the swarm's work: a BLAS with threads of its own would fight the others
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "PYTHONFAULTHANDLER": "1",
+}
+
+Message = ChildMessage | Exited
+Happening = AnyEvent | Exited
+
+
+class SwarmError(Exception):
+    """The swarm cannot fly, or not go on; the text is one line for the user."""
+
+
+class SetupError(SwarmError):
+    """It could not be started as asked: a port or a folder cannot be had."""
+
+
+class SwarmTimeoutError(SwarmError):
+    """What was waited for did not happen in time."""
+
+
+def uav(instance: int) -> str:
+    """Name of a vehicle's process."""
+    return f"uav {instance}"
+
+
+def python_module(module: str, config: Path) -> list[str]:
+    """Command that runs one of coflight's processes."""
+    # -P: nothing in the working folder may stand in for a module
+    return [sys.executable, "-P", "-m", module, "--config", str(config), "--supervised"]
+
+
+class Processes:
+    """Physics server, 802.11 emulator and one process per vehicle.
+
+    ``wall_limit_s`` bounds the run's wall time from `start` on; ``on_message`` is given all that is taken
+    from the processes, on the taker's thread.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        folder: RunFolder,
+        *,
+        wall_limit_s: float | None,
+        on_message: Callable[[Message], None] | None,
+    ) -> None:
+        self._scenario = scenario
+        self._folder = folder
+        self._wall_limit_s = wall_limit_s
+        self._wall_start_s = time.monotonic()
+        self._on_message = on_message
+        self._supervisor = Supervisor(folder.logs, environment=_ENVIRONMENT)
+        self._ports: set[int] = set()
+        self._running = False
+        self.ready: dict[str, Ready] = {}
+        self.finished: dict[str, dict[str, Any]] = {}
+        """What each process said in its last event."""
+        self.exited: dict[str, Exited] = {}
+        self.happenings: list[Happening] = []
+        """What the processes said and how they ended, less progress and answers."""
+        self.simulated_us = 0
+        self.formed_us: int | None = None
+        self.failure: str | None = None
+        """Why no command can be carried out any more."""
+        self.forced: tuple[str, ...] = ()
+        """After the stop: a line for each process that had to be made to end."""
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """Process ids by name."""
+        return self._supervisor.pids
+
+    @property
+    def running(self) -> bool:
+        """Started, and not stopped."""
+        return self._running
+
+    def start(self) -> None:
+        """Start every process and wait until all are ready. The caller stops them if this fails.
+
+        Raises SetupError for a port or folder that cannot be had, and SwarmError for a process that fails.
+        """
+        self._wall_start_s = time.monotonic()
+        try:
+            self._running = True
+            self._start()
+        except (PortError, OSError) as error:
+            raise SetupError(str(error)) from None
+        except SupervisorError as error:
+            raise SwarmError(str(error)) from None
+
+    def _start(self) -> None:
+        scenario, host, run_id = self._scenario, self._scenario.ports.host, uuid.uuid4().hex[:16]
+        vehicles = range(scenario.agents)
+        self._check_ports()
+        with contextlib.ExitStack() as sockets:
+            base = scenario.ports.simulator_tcp
+            listeners = [
+                sockets.enter_context(bind(socket.SOCK_STREAM, host, base + i if base else 0))
+                for i in vehicles
+            ]
+            simulator_ports = [listener.getsockname()[1] for listener in listeners]
+            self._ports.update(simulator_ports)
+            RunFolder.create(self._folder.path)
+            config = self._folder.write_radio_config(scenario, run_id=run_id)
+            self._supervisor.start(RADIO, python_module("netsim", config))
+            self._await_ready([RADIO])
+            endpoint: str = self.ready[RADIO].details["endpoint"]
+            self._ports.add(int(endpoint.rpartition(":")[2]))
+            fds = [listener.fileno() for listener in listeners]
+            config = self._folder.write_physics_config(scenario, run_id=run_id)
+            command = python_module("harness.physics_server", config)
+            command += ["--listen-fds", ",".join(map(str, fds)), "--radio-endpoint", endpoint]
+            self._supervisor.start(PHYSICS, command, pass_fds=fds)
+        for i in vehicles:
+            config = self._folder.write_vehicle_config(
+                scenario, i, run_id=run_id, simulator_port=simulator_ports[i], radio_endpoint=endpoint
+            )
+            self._supervisor.start(uav(i), python_module("autopilot", config))
+        self._await_ready([PHYSICS, *map(uav, vehicles)])
+        for i in vehicles:
+            details = self.ready[uav(i)].details
+            self._ports |= {details["gcs_local_udp"], details["companion_local_udp"]}
+            self.send(SetPid(instance=i, pid=self.pids[uav(i)]))
+
+    def _check_ports(self) -> None:
+        """Find a port in use before anything starts; a process that loses one afterwards says so itself."""
+        ports = self._scenario.ports
+        for base in (ports.gcs_local_udp, ports.companion_local_udp):
+            for i in range(self._scenario.agents if base else 0):
+                bind(socket.SOCK_DGRAM, ports.host, base + i).close()
+        if ports.radio_tcp:
+            bind(socket.SOCK_STREAM, ports.host, ports.radio_tcp).close()
+
+    def _await_ready(self, names: Sequence[str]) -> None:
+        deadline_s = time.monotonic() + START_LIMIT_S
+        while missing := [name for name in names if name not in self.ready]:
+            late = f"not ready within {START_LIMIT_S:g} s: {', '.join(missing)}"
+            message = self.next(deadline_s - time.monotonic(), late)
+            if isinstance(message, Exited):
+                raise SwarmError(self._obituary(message))
+
+    def stop(self) -> None:
+        """End every process; harmless when repeated.
+
+        Ctrl-C in the meantime takes effect afterwards. If nobody obeys, it takes about a minute of wall time.
+        """
+        if not self._running:
+            return
+        with interrupts_deferred():
+            self._running = False
+            forced: list[str] = []
+            # a vehicle ends when its simulator hangs up, and the radio outlives those who use it
+            for names in ([PHYSICS], [*map(uav, range(self._scenario.agents))], [RADIO]):
+                forced += self._supervisor.end(names, grace_s=STOP_LIMIT_S)
+            self.forced = (*forced, *self._supervisor.stop())
+            self.drain()
+
+    def kill(self, instance: int) -> None:
+        """SIGKILL a vehicle's process; returns when it is gone."""
+        self._supervisor.kill(uav(instance))
+        self.drain()
+
+    def send(self, command: AnyCommand) -> None:
+        """Give the physics server a command. Raises SwarmError if it cannot take one."""
+        if not self._running:
+            raise SwarmError("the swarm is not running")
+        try:
+            self._supervisor.send(PHYSICS, command)
+        except SupervisorError as error:
+            raise self.fatal(SwarmError(str(error))) from None
+
+    def next(self, wall_limit_s: float, complaint: str) -> Message:
+        """Next message of any process, which must come in time.
+
+        Raises SwarmTimeoutError with the complaint, or SwarmError if a process that every run needs ended.
+        """
+        if self._wall_limit_s is not None:
+            left_s = self._wall_start_s + self._wall_limit_s - time.monotonic()
+            if left_s < wall_limit_s:
+                wall_limit_s, complaint = left_s, f"the wall time of {self._wall_limit_s:g} s is over"
+        message = self._take(wall_limit_s)
+        if message is None:
+            raise self.fatal(SwarmTimeoutError(complaint))
+        if self.failure is not None:
+            raise SwarmError(self.failure)
+        return message
+
+    def drain(self) -> None:
+        """File what has come in."""
+        while self._take(0.0) is not None:
+            pass
+
+    def fatal(self, error: SwarmError) -> SwarmError:
+        """Remember why the run cannot go on; returns the error, to be raised."""
+        self.failure = str(error)
+        return error
+
+    def _take(self, wall_limit_s: float) -> Message | None:
+        heard = self._supervisor.hear(wall_limit_s)
+        if heard is None:
+            return None
+        name, message = heard
+        match message:
+            case Ready():
+                self.ready[name] = message
+            case Finished():
+                self.finished[name] = message.details
+            case Progress() | Paused():
+                self.simulated_us = message.time_us
+            case _:
+                self.happenings.append(message)
+        if isinstance(message, Formed):
+            self.formed_us = message.time_us
+        elif isinstance(message, Exited):
+            self.exited[name] = message
+            if name in (PHYSICS, RADIO) and self._running and self.failure is None:
+                self.failure = self._obituary(message)
+        if self._on_message is not None:
+            self._on_message(message)
+        return message
+
+    def _obituary(self, exited: Exited) -> str:
+        last_words = exited.log_tail.rpartition("\n")[2]
+        if not last_words:
+            return exited.describe()
+        return f"{exited.describe()}: {last_words} (log: {self._supervisor.log_path(exited.name)})"
+
+    def log_tails(self, lines: int) -> dict[str, str]:
+        """Last lines of each process's log, by name."""
+        return {name: self._supervisor.log_tail(name, lines) for name in self.pids}
+
+    def leftovers(self) -> list[str]:
+        """After the stop: a line for each process that still lives, and for each port that is still held."""
+        left = [
+            f"{process.name()} (pid {process.pid}) of {name}" for process, name in self._supervisor.strays()
+        ]
+        # when they are gone, only this process can still hold a port of theirs
+        held = {c.laddr.port for c in psutil.Process().net_connections("inet") if c.laddr}
+        return left + [f"port {port}" for port in sorted(held & self._ports)]

@@ -1,0 +1,95 @@
+"""The folder of one run: which file is where, and the settings files that its processes read.
+
+    manifest.json summary.json events.jsonl      what ran, what came out, what happened
+    flight.parquet radio.parquet ftm.parquet      truth and estimates, every frame, every ranging session
+    air.parquet                                   channel occupancy over time
+    figures/*.png  logs/*.log  config/*.json       pictures, the processes' messages, their settings
+    raw/                                          binary logs while the run lasts
+"""
+
+from pathlib import Path
+
+import msgspec
+from msgspec import Struct
+
+from harness.scenario import Scenario
+from netsim.config import ServerConfig
+
+
+class PhysicsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the launcher tells the physics server."""
+
+    run_id: str
+    scenario: Scenario
+    truth_log_path: str
+    air_log_path: str
+    event_log_path: str
+    connect_timeout_s: float = 120.0
+
+
+class RunFolder:
+    """Paths of a run, below ``path``; made with its subfolders by `create`."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.raw, self.config, self.logs, self.figures = (path / name for name in ("raw", "config", "logs", "figures"))
+        self.manifest, self.summary = path / "manifest.json", path / "summary.json"
+        self.events = path / "events.jsonl"
+        self.flight, self.radio = path / "flight.parquet", path / "radio.parquet"
+        self.ftm, self.air = path / "ftm.parquet", path / "air.parquet"
+        self.raw_truth, self.raw_air = self.raw / "truth.bin", self.raw / "air.bin"
+        self.raw_frames, self.raw_sessions = self.raw / "frames.bin", self.raw / "sessions.bin"
+
+    @classmethod
+    def create(cls, path: Path) -> "RunFolder":
+        """Make the folder; raises FileExistsError if it holds a run already, or another OSError."""
+        folder = cls(path)
+        if folder.config.exists():
+            raise FileExistsError(f"{path} holds a run already")
+        for part in (folder.raw, folder.config, folder.logs, folder.figures):
+            part.mkdir(parents=True, exist_ok=True)
+        return folder
+
+    def raw_vehicle(self, instance: int) -> Path:
+        """Binary log of one vehicle's estimates."""
+        return self.raw / f"uav-{instance}.bin"
+
+    def write_radio_config(self, scenario: Scenario, *, run_id: str) -> Path:
+        """Settings of the 802.11 emulator's process."""
+        config = ServerConfig(
+            run_id=run_id,
+            host=scenario.ports.host,
+            port=scenario.ports.radio_tcp,
+            stations=scenario.agents,
+            seed=scenario.run.seed,
+            radio=scenario.radio,
+            frame_log_path=str(self.raw_frames),
+            session_log_path=str(self.raw_sessions),
+        )
+        return self._write("radio", config)
+
+    def write_physics_config(self, scenario: Scenario, *, run_id: str) -> Path:
+        """Settings of the physics server's process."""
+        config = PhysicsConfig(
+            run_id=run_id,
+            scenario=scenario,
+            truth_log_path=str(self.raw_truth),
+            air_log_path=str(self.raw_air),
+            event_log_path=str(self.events),
+        )
+        return self._write("physics", config)
+
+    def write_vehicle_config(
+        self, scenario: Scenario, instance: int, *, run_id: str, simulator_port: int, radio_endpoint: str | None
+    ) -> Path:
+        """Settings of one UAV's process, with the port that the simulator really listens on."""
+        config = scenario.vehicle(
+            instance, run_id=run_id, radio_endpoint=radio_endpoint, log_path=str(self.raw_vehicle(instance))
+        )
+        ports = msgspec.structs.replace(config.ports, simulator_tcp=simulator_port)
+        return self._write(f"uav-{instance}", msgspec.structs.replace(config, ports=ports))
+
+    def _write(self, name: str, config: msgspec.Struct) -> Path:
+        path = self.config / f"{name}.json"
+        path.write_bytes(msgspec.json.format(msgspec.json.encode(config), indent=2))
+        return path

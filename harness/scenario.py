@@ -1,0 +1,206 @@
+"""Scenario files: TOML in, one frozen and checked object out.
+
+Each package owns the settings of its part; this module composes them, applies ``--set`` overrides, and turns what is
+wrong into one line that names the file, the field's path and the reason. The same object, written as JSON into the run
+folder, is what every process of the run reads.
+"""
+
+import math
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta, Struct
+from numpy.typing import NDArray
+from scipy.spatial.distance import pdist
+
+from antenna.config import AntennaConfig
+from antenna.geometry import grid
+from autopilot.config import AutopilotConfig, OnboardConfig, Port, Site, VehicleConfig, VehiclePorts
+from harness.sensors.config import SensorsConfig
+from harness.wind import WindConfig
+from netsim.config import RadioConfig
+
+NonNegative = Annotated[float, Meta(ge=0.0)]
+Positive = Annotated[float, Meta(gt=0.0)]
+
+
+class ScenarioError(ValueError):
+    """A scenario that cannot be used; the text is one line for the user."""
+
+
+class RunConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The ``[run]`` table: how long, from which seed, and what a loss does."""
+
+    seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 1
+    duration_s: NonNegative = 60.0
+    """Simulated time in formation."""
+    reach_timeout_s: Positive = 120.0
+    """Simulated time from the start within which the formation must be reached."""
+    step_us: Annotated[int, Meta(ge=4_000, le=4_000)] = 4_000
+    """Step of physics and lockstep: the 250 Hz at which PX4's simulator interface runs."""
+    on_vehicle_loss: Literal["continue", "end"] = "continue"
+    silence_limit_s: Annotated[float, Meta(gt=0.0, le=600.0)] = 5.0
+    """Wall time after which a vehicle that lives but does not answer is given up."""
+    record_rate_hz: Annotated[float, Meta(gt=0.0, le=250.0)] = 50.0
+    """Rows per simulated second and vehicle in the flight log."""
+
+
+class FormationConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The ``[formation]`` table: the antenna's grid, hung in the air over the site."""
+
+    columns: Annotated[int, Meta(ge=1, le=254)] = 4
+    """Elements along the broadside axis."""
+    rows: Annotated[int, Meta(ge=1, le=254)] = 2
+    """Elements along the end-fire axis."""
+    broadside_spacing_lambda: Positive = 0.85
+    endfire_spacing_lambda: Positive = 0.25
+    height_m: Annotated[float, Meta(ge=2.0, le=500.0)] = 10.0
+    heading_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
+    """Compass direction of the end-fire axis, which is where the main lobe points."""
+
+
+class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The ``[ports]`` table: vehicle i uses each base plus i; PX4's numbers."""
+
+    host: str = "127.0.0.1"
+    simulator_tcp: Port = 4560
+    gcs_local_udp: Port = 18570
+    gcs_remote_udp: Port = 14550
+    """The ground station's; all vehicles share it. 0: nobody is called, who calls is answered."""
+    companion_local_udp: Port = 14580
+    companion_remote_udp: Port = 14540
+    radio_tcp: Port = 7447
+    """The 802.11 emulator's Zenoh router."""
+
+
+class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Everything that decides a run; two runs with equal scenarios give equal logs."""
+
+    name: Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+    agents: Annotated[int, Meta(ge=1, le=254)] = 8
+    run: RunConfig = RunConfig()
+    formation: FormationConfig = FormationConfig()
+    site: Site = Site()
+    wind: WindConfig = WindConfig()
+    sensors: SensorsConfig = SensorsConfig()
+    autopilot: AutopilotConfig = AutopilotConfig()
+    onboard: OnboardConfig = OnboardConfig()
+    radio: RadioConfig = RadioConfig()
+    antenna: AntennaConfig = AntennaConfig()
+    ports: PortsConfig = PortsConfig()
+
+    def __post_init__(self) -> None:
+        """Check what no single field can."""
+        nearest_m = min(pdist(self.places_ned_m()), default=math.inf)
+        if nearest_m < MIN_SPACING_M:
+            raise ValueError(
+                f"formation: places {nearest_m:.2f} m apart; vehicles this size need {MIN_SPACING_M} m"
+            )
+        last = self.agents - 1
+        for field in ("simulator_tcp", "gcs_local_udp", "companion_local_udp", "companion_remote_udp"):
+            base = getattr(self.ports, field)
+            if base and base + last > 65_535:
+                raise ValueError(f"ports.{field}: {base} + {last} vehicles is over 65535")
+
+    def places_ned_m(self) -> NDArray[np.float64]:
+        """(agents, 3) places of the formation in the site's NED frame: the first of the grid, or a longer grid."""
+        f, wavelength_m = self.formation, self.antenna.wavelength_m
+        xyz_m = grid(
+            max(self.agents, f.columns * f.rows),
+            f.columns,
+            f.broadside_spacing_lambda * wavelength_m,
+            f.endfire_spacing_lambda * wavelength_m,
+        )[: self.agents]
+        c, s = math.cos(math.radians(f.heading_deg)), math.sin(math.radians(f.heading_deg))
+        x_m, y_m = xyz_m[:, 0], xyz_m[:, 1]
+        return np.stack([y_m * c - x_m * s, y_m * s + x_m * c, np.full(len(x_m), -f.height_m)], axis=1)
+
+    def vehicle(self, instance: int, *, run_id: str, radio_endpoint: str | None, log_path: str | None) -> VehicleConfig:
+        """What vehicle ``instance`` is told."""
+        p = self.ports
+        return VehicleConfig(
+            run_id=run_id,
+            instance=instance,
+            seed=self.run.seed,
+            step_us=self.run.step_us,
+            site=self.site,
+            ports=VehiclePorts(
+                host=p.host,
+                simulator_tcp=p.simulator_tcp + instance if p.simulator_tcp else 0,
+                gcs_local_udp=p.gcs_local_udp + instance if p.gcs_local_udp else 0,
+                gcs_remote_udp=p.gcs_remote_udp,
+                companion_local_udp=p.companion_local_udp + instance if p.companion_local_udp else 0,
+                companion_remote_udp=p.companion_remote_udp + instance if p.companion_remote_udp else 0,
+                radio_endpoint=radio_endpoint,
+            ),
+            autopilot=self.autopilot,
+            onboard=self.onboard,
+            places_ned_m=tuple((float(n), float(e), float(d)) for n, e, d in self.places_ned_m()),
+            log_path=log_path,
+            record_period_us=self.record_period_us,
+        )
+
+    @property
+    def record_period_us(self) -> int:
+        """Period of the flight log, a whole number of steps."""
+        steps = max(1, round(1e6 / self.run.record_rate_hz / self.run.step_us))
+        return steps * self.run.step_us
+
+
+MIN_SPACING_M = 0.8
+"""Least distance between two places: an Iris is 0.55 m across its rotors."""
+
+
+def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
+    """Read a scenario file and apply ``path=value`` overrides, values in TOML's notation (bare words are strings).
+
+    Raises ScenarioError with one line that names the file or override, the field's path and what is wrong.
+    """
+    path = Path(path)
+    try:
+        table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ScenarioError(f"{path}: no such scenario file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{path}: cannot be read: {error}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ScenarioError(f"{path}: not TOML: {error}") from None
+    table.setdefault("name", path.stem)
+    for override in overrides:
+        _override(table, override)
+    try:
+        return msgspec.convert(table, Scenario)
+    except msgspec.ValidationError as error:
+        raise ScenarioError(f"{path}: {_explain(error)}") from None
+
+
+def _override(table: dict[str, Any], override: str) -> None:
+    """Set one field in the nested table, making tables on the way."""
+    path, equals, text = override.partition("=")
+    keys = [key.strip() for key in path.split(".")]
+    if not equals or not all(keys):
+        raise ScenarioError(f"--set {override}: expected PATH=VALUE, such as wind.mean_n=2")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()
+    for key in keys[:-1]:
+        inner = table.setdefault(key, {})
+        if not isinstance(inner, dict):
+            raise ScenarioError(f"--set {override}: {key} is a value, not a table")
+        table = inner
+    table[keys[-1]] = value
+
+
+def _explain(error: msgspec.ValidationError) -> str:
+    """``Expected `float` >= 0.0 - at `$.wind.mean_n``` becomes ``wind.mean_n: expected `float` >= 0.0``."""
+    reason, at, where = str(error).rpartition(" - at `$")
+    if not at:
+        reason, where = str(error), ""
+    where = where.rstrip("`").lstrip(".")
+    reason = reason.replace("Object contains unknown field", "unknown key").replace("Expected", "expected")
+    return f"{where}: {reason}" if where else reason

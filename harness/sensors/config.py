@@ -1,0 +1,157 @@
+"""Settings of the sensors: what a scenario's ``[sensors]`` table may say, and the profiles behind it.
+
+- ``ideal``: no error at all, at the same rates and delays.
+- ``gazebo``: what PX4's Gazebo-classic plugins really yield, near-perfect GPS included.
+- ``consumer``: the same short-term noise, with the biases of low-cost parts after calibration and metre-level
+  GPS.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct, structs
+
+NonNegative = Annotated[float, Meta(ge=0.0)]
+Positive = Annotated[float, Meta(gt=0.0)]
+
+
+class GpsOverrides(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The scenario's ``[sensors.gps]`` table; None is the profile's own value."""
+
+    horizontal_bias_std_m: NonNegative | None = None
+    """Stationary standard deviation, per axis, of the slow error (first-order Gauss-Markov)."""
+    vertical_bias_std_m: NonNegative | None = None
+    bias_time_constant_s: Positive | None = None
+    white_std_m: NonNegative | None = None
+    """Per axis and fix, beside the slow error."""
+    velocity_std_m_s: NonNegative | None = None
+    """White, per axis and fix."""
+    rate_hz: Annotated[float, Meta(gt=0.0, le=50.0)] | None = None
+    delay_s: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
+    """Age of what a fix describes, when it arrives."""
+
+
+class SensorsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The scenario's ``[sensors]`` table."""
+
+    profile: Literal["consumer", "gazebo", "ideal"] = "consumer"
+    gps: GpsOverrides = GpsOverrides()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ErrorModel:
+    """Error of one sensor, for each axis alike: a constant, a slow and a white part, all independent."""
+
+    white_std: float = 0.0
+    """Per sample"""
+    turn_on_std: float = 0.0
+    """Drawn once"""
+    drift_std: float | tuple[float, float, float] = 0.0
+    """Stationary, of a first-order Gauss-Markov process; per axis if they differ"""
+    drift_time_constant_s: float = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InertialErrorModel:
+    """As `ErrorModel`, in the units of data sheets: independent of the sampling rate."""
+
+    noise_density: float = 0.0
+    """White noise, unit/sqrt(Hz)"""
+    turn_on_std: float = 0.0
+    random_walk: float = 0.0
+    """Drive of the drift, unit sqrt(Hz)"""
+    correlation_s: float = 1.0
+    """Time constant of the drift"""
+
+    def at_interval(self, interval_s: float) -> ErrorModel:
+        """Give the error of one sample of a series ``interval_s`` apart.
+
+        A Gauss-Markov process of time constant τ driven by white noise of density d has variance d² τ / 2.
+        """
+        return ErrorModel(
+            white_std=self.noise_density / interval_s**0.5,
+            turn_on_std=self.turn_on_std,
+            drift_std=self.random_walk * (self.correlation_s / 2.0) ** 0.5,
+            drift_time_constant_s=self.correlation_s,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GpsModel:
+    """The fields of `GpsOverrides`, all of them set."""
+
+    horizontal_bias_std_m: float = 0.0
+    vertical_bias_std_m: float = 0.0
+    bias_time_constant_s: float = 60.0
+    white_std_m: float = 0.0
+    velocity_std_m_s: float = 0.0
+    rate_hz: float = 5.0
+    delay_s: float = 0.12
+
+    def overridden(self, overrides: GpsOverrides) -> "GpsModel":
+        """Replace what the scenario says otherwise."""
+        said = {name: value for name, value in structs.asdict(overrides).items() if value is not None}
+        return replace(self, **said)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorProfile:
+    """One vehicle's sensors."""
+
+    accel_m_s2: InertialErrorModel = InertialErrorModel()
+    gyro_rad_s: InertialErrorModel = InertialErrorModel()
+    mag_gauss: InertialErrorModel = InertialErrorModel()
+    baro_pa: ErrorModel = ErrorModel()
+    gps: GpsModel = GpsModel()
+    mag_rate_hz: float = 50.0
+    baro_rate_hz: float = 50.0
+
+
+_GAZEBO_ACCEL_DENSITY = 6.37e-3
+_GAZEBO_GYRO_DENSITY = 8.726646e-4
+_GAZEBO_MAG = InertialErrorModel(noise_density=4e-4, random_walk=6.4e-6, correlation_s=600.0)
+
+PROFILES: dict[str, SensorProfile] = {
+    "ideal": SensorProfile(),
+    "gazebo": SensorProfile(
+        accel_m_s2=InertialErrorModel(noise_density=_GAZEBO_ACCEL_DENSITY),
+        gyro_rad_s=InertialErrorModel(noise_density=_GAZEBO_GYRO_DENSITY),
+        mag_gauss=_GAZEBO_MAG,
+        baro_pa=ErrorModel(white_std=1.0),
+        # The GPS plugin runs every dt = 4 ms: its bias moves by 2.0 sqrt(dt) dt (vertical 4.0) and loses 1/60
+        # of itself each time, so that its rms is 5.06e-4 m x sqrt(60/2) and its time constant 60 dt; its
+        # white noises are 2e-4 sqrt(dt) m and 0.2 sqrt(dt) m/s.
+        gps=GpsModel(
+            horizontal_bias_std_m=2.8e-3,
+            vertical_bias_std_m=5.5e-3,
+            bias_time_constant_s=0.24,
+            white_std_m=1.3e-5,
+            velocity_std_m_s=1.26e-2,
+        ),
+    ),
+    "consumer": SensorProfile(
+        # Gazebo's densities stand for the part and the airframe's vibration together. Drift of the ADIS16448
+        # that Gazebo modelled before. Turn-on: the gyro's from the same; of the accelerometer what a
+        # six-sided calibration leaves at 0.5 mg/K over 10 K. Drift and turn-on together: 0.09 m/s^2.
+        accel_m_s2=InertialErrorModel(
+            noise_density=_GAZEBO_ACCEL_DENSITY, turn_on_std=0.05, random_walk=6e-3, correlation_s=300.0
+        ),
+        gyro_rad_s=InertialErrorModel(
+            noise_density=_GAZEBO_GYRO_DENSITY,
+            turn_on_std=8.73e-3,
+            random_walk=3.879e-5,
+            correlation_s=1000.0,
+        ),
+        # 2 mgauss of hard iron after calibration: half a degree of heading where 0.215 gauss are horizontal
+        mag_gauss=replace(_GAZEBO_MAG, turn_on_std=2e-3),
+        # absolute accuracy of a phone-grade part +-50 Pa, taken as 2 sigma; 2 Pa (17 cm) of slow drift
+        baro_pa=ErrorModel(white_std=1.0, turn_on_std=25.0, drift_std=2.0, drift_time_constant_s=300.0),
+        gps=GpsModel(
+            horizontal_bias_std_m=1.5,
+            vertical_bias_std_m=2.5,
+            bias_time_constant_s=60.0,
+            white_std_m=0.1,
+            velocity_std_m_s=0.1,
+        ),
+    ),
+}

@@ -1,0 +1,167 @@
+"""All sensors of all vehicles: from the truth after a step to what each vehicle's autopilot is sent of it."""
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from autopilot.config import Site
+from autopilot.estimation import atmosphere
+from autopilot.estimation.rotation import quat_rotate_inverse
+from autopilot.navigation.geodesy import ned_to_geodetic
+from autopilot.types import Array
+from harness.physics.truth import Truth
+from harness.sensors.config import PROFILES, ErrorModel, GpsModel, SensorsConfig
+from harness.sensors.errors import SensorError
+
+HPA_PER_PA = 0.01
+LEAST_EPH_M = 0.01
+"""A receiver never claims less; also the resolution of HIL_GPS."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GpsFixes:
+    """One fix of each of n receivers; it describes the moment ``delay_s`` before its arrival."""
+
+    lat_deg: Array
+    """(n,)"""
+    lon_deg: Array
+    alt_m: Array
+    """(n,) above mean sea level"""
+    vel_ned_m_s: Array
+    """(n, 3)"""
+    eph_m: float
+    """One sigma of each horizontal axis, slow and white error together"""
+    epv_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BaroSamples:
+    """One sample of each of n barometers."""
+
+    pressure_hpa: Array
+    """(n,)"""
+    temperature_degc: Array
+    """(n,)"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorFrame:
+    """What is sent to n vehicles at ``time_us``; None where a sensor has nothing new."""
+
+    time_us: int
+    accel_frd_m_s2: Array
+    """(n, 3) specific force, mean of the step"""
+    gyro_frd_rad_s: Array
+    """(n, 3) mean of the step"""
+    mag_frd_gauss: Array | None
+    """(n, 3)"""
+    baro: BaroSamples | None
+    gps: GpsFixes | None
+
+
+class SensorSuite:
+    """Sensors of one profile in every vehicle, sampled once per physics step.
+
+    Every kind of sensor draws from a stream of its own, for all vehicles at once and when the clock says so:
+    what becomes of one vehicle changes nothing for the others. A sensor whose period is no multiple of the
+    step reports at the first step after it is due. The GPS delay is rounded to whole steps; there is no fix
+    before that much has passed.
+    """
+
+    def __init__(
+        self, *, config: SensorsConfig, site: Site, vehicles: int, step_us: int, seed: np.random.SeedSequence
+    ) -> None:
+        profile = PROFILES[config.profile]
+        self._gps_model: GpsModel = profile.gps.overridden(config.gps)
+        self._site = site
+        self._step_us = step_us
+        self._mag_period_us = round(1e6 / profile.mag_rate_hz)
+        self._baro_period_us = round(1e6 / profile.baro_rate_hz)
+        self._gps_period_us = round(1e6 / self._gps_model.rate_hz)
+        self._field_ned_gauss = np.array(site.magnetic_field_ned_gauss)
+
+        accel, gyro, mag, baro, gps_position, gps_velocity = map(np.random.default_rng, seed.spawn(6))
+        step_s = step_us * 1e-6
+        mag_interval_s = self._mag_period_us * 1e-6
+        gps_interval_s = self._gps_period_us * 1e-6
+        axes = (vehicles, 3)
+        self._accel_error = SensorError(
+            profile.accel_m_s2.at_interval(step_s), shape=axes, interval_s=step_s, rng=accel
+        )
+        self._gyro_error = SensorError(
+            profile.gyro_rad_s.at_interval(step_s), shape=axes, interval_s=step_s, rng=gyro
+        )
+        self._mag_error = SensorError(
+            profile.mag_gauss.at_interval(mag_interval_s), shape=axes, interval_s=mag_interval_s, rng=mag
+        )
+        self._baro_error_pa = SensorError(
+            profile.baro_pa, shape=(vehicles,), interval_s=self._baro_period_us * 1e-6, rng=baro
+        )
+        horizontal_std_m = self._gps_model.horizontal_bias_std_m
+        vertical_std_m = self._gps_model.vertical_bias_std_m
+        position_error = ErrorModel(
+            white_std=self._gps_model.white_std_m,
+            drift_std=(horizontal_std_m, horizontal_std_m, vertical_std_m),
+            drift_time_constant_s=self._gps_model.bias_time_constant_s,
+        )
+        velocity_error = ErrorModel(white_std=self._gps_model.velocity_std_m_s)
+        self._gps_position_error_m = SensorError(
+            position_error, shape=axes, interval_s=gps_interval_s, rng=gps_position
+        )
+        self._gps_velocity_error_m_s = SensorError(
+            velocity_error, shape=axes, interval_s=gps_interval_s, rng=gps_velocity
+        )
+        self._eph_m = max(float(np.hypot(horizontal_std_m, self._gps_model.white_std_m)), LEAST_EPH_M)
+        self._epv_m = max(float(np.hypot(vertical_std_m, self._gps_model.white_std_m)), LEAST_EPH_M)
+        delay_steps = round(self._gps_model.delay_s * 1e6 / step_us)
+        self._recent: deque[Truth] = deque(maxlen=delay_steps + 1)
+
+    def sample(self, time_us: int, truth: Truth) -> SensorFrame:
+        """Read all sensors at the end of the step that brought the vehicles to ``truth`` at ``time_us``."""
+        self._recent.append(truth)
+        return SensorFrame(
+            time_us=time_us,
+            accel_frd_m_s2=truth.specific_force_frd_m_s2 + self._accel_error.next(),
+            gyro_frd_rad_s=truth.mean_omega_frd_rad_s + self._gyro_error.next(),
+            mag_frd_gauss=self._magnetometers(truth) if self._is_due(time_us, self._mag_period_us) else None,
+            baro=self._barometers(truth) if self._is_due(time_us, self._baro_period_us) else None,
+            gps=self._receivers() if self._is_due(time_us, self._gps_period_us) else None,
+        )
+
+    def _is_due(self, time_us: int, period_us: int) -> bool:
+        """Whether a multiple of the period lies in the step that ends now."""
+        return time_us // period_us != (time_us - self._step_us) // period_us
+
+    def _magnetometers(self, truth: Truth) -> Array:
+        field_frd_gauss = np.array([quat_rotate_inverse(q, self._field_ned_gauss) for q in truth.q_ned_frd])
+        return field_frd_gauss + self._mag_error.next()
+
+    def _barometers(self, truth: Truth) -> BaroSamples:
+        altitude_m = self._site.altitude_m - truth.pos_ned_m[:, 2]
+        pressure_pa = atmosphere.pressure_pa(altitude_m) + self._baro_error_pa.next()
+        return BaroSamples(
+            pressure_hpa=HPA_PER_PA * pressure_pa,
+            temperature_degc=atmosphere.temperature_k(altitude_m) - 273.15,
+        )
+
+    def _receivers(self) -> GpsFixes | None:
+        position_error_ned_m = self._gps_position_error_m.next()
+        velocity_error_ned_m_s = self._gps_velocity_error_m_s.next()
+        if len(self._recent) != self._recent.maxlen:
+            return None
+        then = self._recent[0]
+        lat_deg, lon_deg, alt_m = ned_to_geodetic(
+            then.pos_ned_m + position_error_ned_m,
+            origin_lat_deg=self._site.latitude_deg,
+            origin_lon_deg=self._site.longitude_deg,
+            origin_alt_m=self._site.altitude_m,
+        )
+        return GpsFixes(
+            lat_deg=lat_deg,
+            lon_deg=lon_deg,
+            alt_m=alt_m,
+            vel_ned_m_s=then.vel_ned_m_s + velocity_error_ned_m_s,
+            eph_m=self._eph_m,
+            epv_m=self._epv_m,
+        )

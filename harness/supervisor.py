@@ -1,0 +1,364 @@
+"""Child processes: started, heard, watched, and stopped so that nothing is left behind.
+
+Knows nothing of swarms. A child is a command with a name; it speaks the protocol of `netsim.child`: JSON
+events on its stdout, commands on its stdin, and an end when stdin ends. All that the children say, and how
+they end, comes out of one queue.
+
+Ctrl-C cannot fall between a process's start and its being known, nor cut a stop short: `interrupts_deferred`.
+"""
+
+import collections
+import contextlib
+import os
+import queue
+import signal
+import socket
+import subprocess
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import IO
+
+import msgspec
+import psutil
+from msgspec import Struct
+
+from harness.messages import AnyCommand, AnyEvent
+from netsim.child import Finished, Ready, Stop
+
+MARK = "COFLIGHT_CHILD"
+"""Environment variable of every child and whatever it starts: ``<supervisor's token>/<child's name>``."""
+INPUT_GRACE_S = 1.0
+"""Wall time that a child has to end once its stdin has."""
+TERM_GRACE_S = 2.0
+"""Wall time between SIGTERM and SIGKILL."""
+KILL_GRACE_S = 5.0
+"""Wall time within which the kernel must have ended a process after SIGKILL."""
+LAST_WORDS_S = 0.2
+"""Wall time for which a dead child's stdout is still read, if something that it started holds it open."""
+TAIL_LINES = 8
+TAIL_BYTES = 64 * 1024
+
+
+class Exited(Struct, frozen=True, kw_only=True):
+    """A child has ended; nothing more comes from it."""
+
+    name: str
+    pid: int
+    returncode: int
+    """Exit status, or minus the signal that killed it."""
+    log_tail: str
+    """Last lines of its log, for one that failed."""
+
+    def describe(self) -> str:
+        """One line: who, and how it ended."""
+        return f"{self.name} (pid {self.pid}) {ending(self.returncode)}"
+
+
+ChildMessage = Ready | Finished | AnyEvent
+Heard = tuple[str, ChildMessage | Exited]
+"""Child's name, and what it said or how it ended."""
+_decoder = msgspec.json.Decoder(ChildMessage)
+_encoder = msgspec.json.Encoder()
+
+
+class SupervisorError(Exception):
+    """A child could not be started, or not be ended; one line."""
+
+
+class PortError(SupervisorError):
+    """A port cannot be had; the text names it."""
+
+
+def ending(returncode: int) -> str:
+    """How a process ended, in words."""
+    if returncode >= 0:
+        return f"ended with status {returncode}"
+    try:
+        return f"was killed by {signal.Signals(-returncode).name}"
+    except ValueError:
+        return f"was killed by signal {-returncode}"
+
+
+def bind(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
+    """Socket bound to the address, 0 for a free port; a TCP socket listens.
+
+    Raises PortError with the address.
+    """
+    sock = socket.socket(socket.AF_INET, kind)
+    try:
+        if kind == socket.SOCK_STREAM:
+            # ports of connections that ended a minute ago are free; a listener's is refused all the same
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.bind((host, port))
+        if kind == socket.SOCK_STREAM:
+            sock.listen()
+    except OSError as error:
+        sock.close()
+        protocol = "TCP" if kind == socket.SOCK_STREAM else "UDP"
+        raise PortError(f"{protocol} port {port} on {host}: {os.strerror(error.errno or 0)}") from None
+    return sock
+
+
+@contextlib.contextmanager
+def interrupts_deferred() -> Iterator[None]:
+    """Hold back Ctrl-C, and a SIGTERM that has a handler, until the block is left. It must take bounded time.
+
+    Python runs signal handlers in the main thread alone, so in any other there is nothing to hold back.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handlers: dict[int, Callable[[int, FrameType | None], object]] = {}
+    for number in map(int, (signal.SIGINT, signal.SIGTERM)):
+        handler = signal.getsignal(number)
+        if callable(handler):
+            handlers[number] = handler
+    pending: list[tuple[int, FrameType | None]] = []
+    for number in handlers:
+        signal.signal(number, lambda *arrived: pending.append(arrived))
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for number, frame in pending[:1]:
+            handlers[number](number, frame)
+
+
+class _Child:
+    """One process with its pipes and threads."""
+
+    def __init__(self, name: str, popen: "subprocess.Popen[bytes]", log: IO[bytes]) -> None:
+        assert popen.stdin is not None and popen.stdout is not None  # noqa: PT018, S101  started with pipes
+        self.name = name
+        self.popen = popen
+        self.process = psutil.Process(
+            popen.pid
+        )  # knows the start time too, so it never signals a successor of the pid
+        self.stdin = popen.stdin
+        self.stdout = popen.stdout
+        self.log = log
+        self.gone = threading.Event()
+        self.reader: threading.Thread | None = None
+        self._stdin_lock = threading.Lock()
+        os.set_blocking(self.stdin.fileno(), False)  # a child that does not read must not stop its launcher
+
+    def __str__(self) -> str:
+        return f"{self.name} (pid {self.popen.pid})"
+
+    def write(self, line: bytes) -> None:
+        """Write a line of at most PIPE_BUF bytes to its stdin; one that is gone is noticed elsewhere."""
+        with self._stdin_lock:
+            if self.stdin.closed:
+                return
+            try:
+                os.write(self.stdin.fileno(), line)
+            except BrokenPipeError:
+                pass
+            except BlockingIOError:
+                raise SupervisorError(f"{self} takes no commands any more") from None
+
+    def end_input(self) -> None:
+        with self._stdin_lock:
+            self.stdin.close()
+
+    def signal(self, number: signal.Signals) -> None:
+        with contextlib.suppress(psutil.NoSuchProcess):
+            self.process.send_signal(number)
+
+
+class Supervisor:
+    """The children of one run. Its methods may be called from any thread.
+
+    ``log_folder`` gets ``<name>.log`` of each child: its stderr, and what it printed that is no event.
+    ``environment`` is added to what the children inherit.
+    """
+
+    def __init__(self, log_folder: Path, *, environment: Mapping[str, str] | None = None) -> None:
+        self.log_folder = log_folder
+        self.token = uuid.uuid4().hex
+        self._environment = dict(environment or {})
+        self._heard: queue.SimpleQueue[Heard] = queue.SimpleQueue()
+        self._children: dict[str, _Child] = {}
+        self._lock = threading.Lock()
+        self._stopping = False
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """Process id of every child ever started, by name."""
+        return {name: child.popen.pid for name, child in self._children.items()}
+
+    def alive(self, name: str) -> bool:
+        """Whether that child was started and has not ended."""
+        return name in self._children and not self._children[name].gone.is_set()
+
+    def start(self, name: str, command: Sequence[str], *, pass_fds: Iterable[int] = ()) -> int:
+        """Start a child in a session of its own and return its process id.
+
+        ``pass_fds`` are the only file descriptors that it inherits, under the same numbers.
+        Raises SupervisorError if the command cannot be run, or if the children are being stopped.
+        """
+        with interrupts_deferred(), self._lock:
+            if self._stopping:
+                raise SupervisorError(f"{name}: not started, for the run is being stopped")
+            log = self.log_path(name).open("ab", buffering=0)  # appended to, so parent and child can share it
+            try:
+                popen = subprocess.Popen(
+                    list(command),
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=log,
+                    start_new_session=True,
+                    pass_fds=tuple(pass_fds),
+                    env=os.environ | self._environment | {MARK: f"{self.token}/{name}"},
+                )
+            except OSError as error:
+                log.close()
+                raise SupervisorError(f"{name}: cannot be started: {error}") from None
+            child = self._children[name] = _Child(name, popen, log)
+            child.reader = threading.Thread(
+                target=self._read, args=(child,), name=f"hear {name}", daemon=True
+            )
+            child.reader.start()
+            threading.Thread(target=self._watch, args=(child,), name=f"watch {name}", daemon=True).start()
+            return popen.pid
+
+    def _read(self, child: _Child) -> None:
+        """Queue each line that is an event; native libraries print too, and that belongs in the log."""
+        with child.stdout, child.log:
+            for line in child.stdout:
+                try:
+                    self._heard.put((child.name, _decoder.decode(line)))
+                except (msgspec.DecodeError, UnicodeDecodeError):
+                    with contextlib.suppress(OSError):  # a full disk must not stop the events
+                        child.log.write(line)
+
+    def _watch(self, child: _Child) -> None:
+        """Wait for the child's end and queue it after its last event."""
+        returncode = child.popen.wait()
+        child.end_input()
+        if child.reader is not None:
+            child.reader.join(LAST_WORDS_S)
+        exited = Exited(
+            name=child.name,
+            pid=child.popen.pid,
+            returncode=returncode,
+            log_tail=self.log_tail(child.name) if returncode else "",
+        )
+        self._heard.put((child.name, exited))
+        child.gone.set()
+
+    def hear(self, timeout_s: float) -> Heard | None:
+        """Oldest message that has not been taken; None if there is none within the time."""
+        try:
+            return self._heard.get(timeout=max(0.0, timeout_s))
+        except queue.Empty:
+            return None
+
+    def send(self, name: str, command: AnyCommand) -> None:
+        """Write a command to a child's stdin. If it has ended, that is what comes out of `hear`."""
+        self._children[name].write(_encoder.encode(command) + b"\n")
+
+    def kill(self, name: str) -> None:
+        """SIGKILL a child and return when it is gone."""
+        child = self._children[name]
+        child.signal(signal.SIGKILL)
+        if not child.gone.wait(KILL_GRACE_S):
+            raise SupervisorError(f"{child} does not end on SIGKILL")
+
+    def end(self, names: Iterable[str], *, grace_s: float = 0.0) -> list[str]:
+        """End these children, all at once, and return a line for each that had to be forced.
+
+        They are told to stop and have ``grace_s`` to write what they have; then their input ends, and
+        SIGTERM and SIGKILL follow, after `INPUT_GRACE_S` and `TERM_GRACE_S`.
+        """
+        with interrupts_deferred():
+            children = [self._children[name] for name in names if self.alive(name)]
+            for child in children:
+                with contextlib.suppress(SupervisorError):
+                    child.write(_encoder.encode(Stop()) + b"\n")
+            _wait_gone(children, grace_s)
+            forced = []
+            if grace_s:
+                forced = [f"{child} did not stop when asked" for child in children if not child.gone.is_set()]
+            for child in children:
+                child.end_input()
+            _wait_gone(children, INPUT_GRACE_S)
+            for number, patience_s in ((signal.SIGTERM, TERM_GRACE_S), (signal.SIGKILL, KILL_GRACE_S)):
+                late = [child for child in children if not child.gone.is_set()]
+                for child in late:
+                    forced.append(f"{child} did not end in time: {number.name}")
+                    child.signal(number)
+                _wait_gone(late, patience_s)
+            return forced
+
+    def stop(self) -> list[str]:
+        """End every child at once, and whatever these started, for good: none can be started afterwards.
+
+        Returns a line for each process that had to be forced.
+        """
+        with interrupts_deferred():
+            with self._lock:
+                self._stopping = True
+            forced = self.end(self._children) + self._end_strays()
+            for child in self._children.values():
+                if child.reader is not None:
+                    child.reader.join(LAST_WORDS_S)
+            return forced
+
+    def _end_strays(self) -> list[str]:
+        lines = []
+        for stray, name in self.strays():
+            with contextlib.suppress(psutil.NoSuchProcess):
+                lines.append(f"{name} left {stray.name()} (pid {stray.pid}) behind: SIGKILL")
+                stray.kill()
+        deadline = time.monotonic() + KILL_GRACE_S
+        # polled, for a process that is not a child of this one can be waited for in no other way
+        while lines and self.strays() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return lines
+
+    def strays(self) -> list[tuple[psutil.Process, str]]:
+        """Living processes that came from these children, with the child's name, found by their environment.
+
+        A process that left its parent, group and session still carries the mark; only one that changed its
+        environment or its user does not.
+        """
+        found = []
+        for process in psutil.process_iter():
+            try:
+                token, _, name = process.environ().get(MARK, "").partition("/")
+                if token == self.token and process.status() != psutil.STATUS_ZOMBIE:
+                    found.append((process, name))
+            except (psutil.Error, OSError):
+                continue
+        return found
+
+    def log_path(self, name: str) -> Path:
+        """Where that child's log is, or would be."""
+        return self.log_folder / f"{name.replace(' ', '-')}.log"
+
+    def log_tail(self, name: str, lines: int = TAIL_LINES) -> str:
+        """Last lines of a child's log."""
+        return tail(self.log_path(name), lines)
+
+
+def tail(path: Path, lines: int) -> str:
+    """Last lines of a text file of any size; empty if there is none."""
+    try:
+        with path.open("rb") as log:
+            log.seek(max(0, log.seek(0, os.SEEK_END) - TAIL_BYTES))
+            last = collections.deque(log, maxlen=lines)
+    except OSError:
+        return ""
+    return b"".join(last).decode(errors="replace").rstrip()
+
+
+def _wait_gone(children: Iterable[_Child], timeout_s: float) -> None:
+    deadline = time.monotonic() + timeout_s
+    for child in children:
+        child.gone.wait(max(0.0, deadline - time.monotonic()))

@@ -1,0 +1,95 @@
+"""From the processes' binary logs to the run's columnar files.
+
+A structured record's field of several components becomes one column each, named after its frame: ``pos_ned_m`` gives
+``pos_ned_m.n``, ``.e`` and ``.d``. Rows are in order of time, then vehicle; equal runs give equal bytes.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from autopilot.recording import VEHICLE_RECORD
+from harness.recording import AIR_RECORD, TRUTH_RECORD
+from harness.run_folder import RunFolder
+from netsim.record_log import read
+from netsim.logs import FRAME_LOG, SESSION_LOG
+
+_KEY = ("time_us", "uav")
+
+
+def write_tables(folder: RunFolder, agents: int) -> NDArray[Any]:
+    """Make the Parquet files from the raw logs; returns the flight: records (instants, agents) of `FLIGHT_RECORD`."""
+    flight = merge(read(folder.raw_truth, TRUTH_RECORD), [read(folder.raw_vehicle(i), VEHICLE_RECORD) for i in range(agents)])
+    _write(folder.flight, flight.ravel())
+    for target, raw, dtype in (
+        (folder.radio, folder.raw_frames, FRAME_LOG),
+        (folder.ftm, folder.raw_sessions, SESSION_LOG),
+        (folder.air, folder.raw_air, AIR_RECORD),
+    ):
+        _write(target, read(raw, dtype))
+    return flight
+
+
+def merge(truth: NDArray[Any], vehicles: list[NDArray[Any]]) -> NDArray[Any]:
+    """Truth (instants x vehicles rows) beside what each vehicle recorded at the same times; NaN or 0 where it did not.
+
+    Returns (instants, vehicles) records of `FLIGHT_RECORD`. An instant that was cut short is left out.
+    """
+    n = len(vehicles)
+    truth = truth[: len(truth) // n * n].reshape(-1, n)
+    flight = np.zeros(truth.shape, dtype=FLIGHT_RECORD)
+    for name in TRUTH_RECORD.fields or ():
+        flight[name] = truth[name]
+    times_us = truth["time_us"][:, 0]
+    for i, rows in enumerate(vehicles):
+        rows = rows[np.isin(rows["time_us"], times_us)]
+        at = np.searchsorted(times_us, rows["time_us"])
+        for name in _vehicle_fields():
+            if np.issubdtype(flight[name].dtype, np.floating):
+                flight[name][:, i] = np.nan
+            flight[name][at, i] = rows[name]
+    return flight
+
+
+def _vehicle_fields() -> list[str]:
+    """Fields of the vehicle's record that the truth does not have under the same name."""
+    return [name for name in VEHICLE_RECORD.names or () if name not in (TRUTH_RECORD.names or ())]
+
+
+FLIGHT_RECORD = np.dtype(
+    [(name, TRUTH_RECORD[name]) for name in TRUTH_RECORD.names or ()]
+    + [(name, VEHICLE_RECORD[name]) for name in _vehicle_fields()]
+)
+
+
+def _write(path: Path, records: NDArray[Any]) -> None:
+    columns: dict[str, NDArray[Any]] = {}
+    for name in records.dtype.names or ():
+        values = records[name]
+        if values.ndim == 1:
+            columns[name] = values
+            continue
+        for k, label in enumerate(_labels(name, values.shape[1])):
+            columns[f"{name}.{label}"] = np.ascontiguousarray(values[:, k])
+    arrays = {name: _array(values) for name, values in columns.items()}
+    pq.write_table(pa.table(arrays), path, compression="zstd")
+
+
+def _array(values: NDArray[Any]) -> pa.Array:
+    if values.dtype.kind == "S":  # short names, such as a frame's kind
+        return pa.array(np.char.decode(values, "ascii").tolist(), pa.string()).dictionary_encode()
+    return pa.array(values)
+
+
+def _labels(name: str, count: int) -> tuple[str, ...]:
+    if name.startswith("q_") or "_q_" in name:
+        return ("w", "x", "y", "z")
+    if "ned" in name:
+        return ("n", "e", "d")
+    if "frd" in name:
+        return ("f", "r", "d")
+    return tuple(str(k) for k in range(count))

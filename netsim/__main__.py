@@ -1,0 +1,30 @@
+"""``python -m netsim --config FILE``: the 802.11 emulator of one run."""
+
+import argparse
+import sys
+from pathlib import Path
+
+import msgspec
+
+from netsim.server import run
+from netsim.transport import TransportError
+
+
+def main() -> int:
+    """Serve until told to stop; a failure is one line and status 2."""
+    parser = argparse.ArgumentParser(prog="python -m netsim", description="The 802.11 emulator of one run.")
+    parser.add_argument("--config", type=Path, required=True, help="JSON file with the emulator's settings")
+    parser.add_argument("--supervised", action="store_true", help="take commands on stdin and end with it")
+    arguments = parser.parse_args()
+    try:
+        run(arguments.config, supervised=arguments.supervised)
+    except (TransportError, OSError, msgspec.DecodeError) as error:
+        print(f"radio: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Channel access (when) and frame exchange (which sequence); what survives is `netsim.phy`'s."""

@@ -1,0 +1,66 @@
+"""What a station is asked to send, and how that ended."""
+
+from collections.abc import Callable
+from enum import StrEnum
+
+from netsim.frames import FrameKind
+from netsim.phy.medium import Transmission
+from netsim.phy.modes import PhyMode
+
+
+class Outcome(StrEnum):
+    """How a job ended."""
+
+    SENT = "sent"
+    """A group-addressed frame went out."""
+    ACKNOWLEDGED = "acknowledged"
+    RETRY_LIMIT = "retry_limit"
+    EXPIRED = "expired"
+    """Its lifetime passed in the queue."""
+    OVERFLOW = "overflow"
+    """The queue was full."""
+
+
+class Job:
+    """One frame to be delivered, by as many transmissions as it takes."""
+
+    __slots__ = (
+        "ack", "attempts", "body", "cancelled", "destination", "done", "expires_ns", "failures",
+        "frame_bytes", "kind", "mode", "retry_limit", "rts", "seq", "sequence", "transmission",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        *,
+        kind: FrameKind,
+        destination: int,
+        mode: PhyMode,
+        frame_bytes: int,
+        expires_ns: int,
+        retry_limit: int,
+        done: Callable[["Job", Outcome], None],
+        seq: int = 0,
+        body: object = None,
+        rts: bool = False,
+    ) -> None:
+        self.kind = kind
+        self.destination = destination
+        self.mode = mode
+        self.frame_bytes = frame_bytes
+        self.expires_ns = expires_ns
+        self.retry_limit = retry_limit
+        """Failed exchanges after which the next failure gives the frame up."""
+        self.done = done
+        self.seq = seq
+        """The host's number of it."""
+        self.sequence = 0
+        self.body = body
+        self.rts = rts
+        """Reserve the medium first: with the destination, or for a group frame with a neighbour."""
+        self.cancelled = False
+        self.attempts = 0
+        self.failures = 0
+        self.transmission: Transmission | None = None
+        """The last transmission of the frame itself."""
+        self.ack: Transmission | None = None
+        """The acknowledgement that ended it."""

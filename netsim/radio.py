@@ -1,0 +1,83 @@
+"""A station's way to the emulated channel: hand over transmissions, take what arrived. Keys of the run's radio."""
+
+import sys
+from collections import deque
+from collections.abc import Sequence
+
+from netsim.transport import Question, Transport
+from netsim.wire.messages import Ack, RxBatch, RxItem, TxBatch, TxItem, decode, encode
+
+ANSWER_LIMIT_S = 4.0
+"""Wall time that the emulator, or a station, has to acknowledge; far beyond what a loaded machine needs."""
+
+
+def transmit_key(run_id: str) -> str:
+    """Served by the emulator: TxBatch -> Ack."""
+    return f"coflight/{run_id}/radio/tx"
+
+
+def receive_key(run_id: str, station: int) -> str:
+    """Served by each station: RxBatch -> Ack."""
+    return f"coflight/{run_id}/radio/rx/{station}"
+
+
+def advance_key(run_id: str) -> str:
+    """Served by the emulator: Advance -> Advanced."""
+    return f"coflight/{run_id}/radio/advance"
+
+
+class RadioLost(ConnectionError):
+    """The emulator does not acknowledge; the text is one line."""
+
+
+class RadioClient:
+    """One station's radio. Blocking, for one thread; deliveries come in by Zenoh's threads.
+
+    Raises TransportError or RadioLost if the emulator cannot be reached. A station number that is in use is not
+    refused: both would get the deliveries.
+    """
+
+    def __init__(self, *, endpoint: str, run_id: str, station: int) -> None:
+        self._station = station
+        self._batches: deque[RxBatch] = deque()
+        self.malformed = 0
+        """Bytes on this station's key that were no delivery."""
+        self._transport = Transport.connect(endpoint)
+        try:
+            self._transport.serve(receive_key(run_id, station), self._on_delivery)
+            self._asker = self._transport.asker(transmit_key(run_id), timeout_s=ANSWER_LIMIT_S)
+            # The declaration above travels ahead of this empty batch: once it is acknowledged, deliveries find the way.
+            self.send(0, ())
+        except BaseException:
+            self._transport.close()
+            raise
+
+    def send(self, now_us: int, items: Sequence[TxItem]) -> None:
+        """Hand over transmissions and wait until the emulator has them. Raises RadioLost."""
+        batch = TxBatch(station=self._station, now_us=now_us, items=tuple(items))
+        answer = self._asker.ask(encode(batch)).answer()
+        if answer is None or decode(Ack, answer) is None:
+            raise RadioLost(f"station {self._station}: the 802.11 emulator does not acknowledge")
+
+    def receive(self, now_us: int) -> list[RxItem]:
+        """What may be seen at ``now_us``, in order of (time, source, sequence)."""
+        items: list[RxItem] = []
+        while self._batches and self._batches[0].release_us <= now_us:
+            items.extend(self._batches.popleft().items)
+        return items
+
+    def close(self) -> None:
+        """Leave the channel."""
+        self._transport.close()
+
+    def _on_delivery(self, question: Question) -> None:
+        batch = decode(RxBatch, question.payload)
+        if batch is None or batch.station != self._station:
+            self.malformed += 1
+            print(f"radio: dropped {len(question.payload)} bytes that are no delivery", file=sys.stderr)
+            return
+        self._batches.append(batch)
+        question.answer(_ACK)
+
+
+_ACK = encode(Ack())

@@ -1,0 +1,50 @@
+"""Append-only binary logs of fixed-size records: what a process writes while it runs, and the report turns into tables.
+
+Records are NumPy structured rows, written in whole blocks by row count alone, so equal runs give equal bytes and a
+process that is killed leaves everything up to its last block readable.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+BLOCK_ROWS = 64
+
+
+class RecordLog:
+    """Writer of one log file; makes or truncates it."""
+
+    def __init__(self, path: str | Path, dtype: np.dtype[Any]) -> None:
+        self._file = Path(path).open("wb")  # noqa: SIM115 - closed by close()
+        self._dtype = dtype
+        self._rows: list[Any] = []
+
+    def append(self, rows: Iterable[Any]) -> None:
+        """Add rows: tuples in the order of the dtype's fields, or records of that dtype."""
+        self._rows.extend(rows)
+        while len(self._rows) >= BLOCK_ROWS:
+            self._write(self._rows[:BLOCK_ROWS])
+            del self._rows[:BLOCK_ROWS]
+
+    def close(self) -> None:
+        """Write what is left. Harmless when repeated."""
+        if not self._file.closed:
+            self._write(self._rows)
+            self._rows.clear()
+            self._file.close()
+
+    def _write(self, rows: list[Any]) -> None:
+        self._file.write(np.array(rows, dtype=self._dtype).tobytes())
+        self._file.flush()
+
+
+def read(path: str | Path, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """All whole records of a log; none for a file that is missing. A record cut short by a kill is left out."""
+    path = Path(path)
+    if not path.exists():
+        return np.empty(0, dtype=dtype)
+    buffer = path.read_bytes()
+    return np.frombuffer(buffer, dtype=dtype, count=len(buffer) // dtype.itemsize)

@@ -1,0 +1,51 @@
+"""Random streams: one numpy Generator per model and link, so that no draw of one moves another's.
+
+A stream depends on the run's seed, its model and its indices alone: not on which was asked for first.
+"""
+
+from enum import IntEnum
+
+import numpy as np
+
+
+class Model(IntEnum):
+    """What a stream is for. Values are part of what a seed means: append, never renumber."""
+
+    BACKOFF = 0
+    RECEPTION = 1
+    FADING = 2
+    SHADOWING = 3
+    HOST = 4
+    CLOCK = 5
+    TIME_STAMP = 6
+    CALIBRATION = 7
+
+
+class Streams:
+    """Generators below one seed."""
+
+    def __init__(self, seed: np.random.SeedSequence) -> None:
+        self._seed = seed
+
+    def generator(self, model: Model, *index: int) -> np.random.Generator:
+        """Return a new Generator at the beginning of this model's stream for a station, link or pair."""
+        key = (*self._seed.spawn_key, int(model), *index)
+        return np.random.default_rng(np.random.SeedSequence(self._seed.entropy, spawn_key=key))
+
+
+class Uniforms:
+    """Uniform floats in [0, 1) from one Generator, in blocks because single draws cost a microsecond."""
+
+    __slots__ = ("_block", "_generator")
+    BLOCK = 256
+
+    def __init__(self, generator: np.random.Generator) -> None:
+        self._generator = generator
+        self._block: list[float] = []
+
+    def draw(self) -> float:
+        """Next float of the stream."""
+        if not self._block:
+            self._block = self._generator.random(self.BLOCK).tolist()
+            self._block.reverse()
+        return self._block.pop()

@@ -1,0 +1,147 @@
+"""Stand-ins for a swarm's processes, as ``python supervisor_stand_ins.py MODULE --config FILE ...``.
+
+They keep the protocol of the real ones and fly nothing: vehicles rise at 1 m/s and are formed at 3 s. What
+they shall do wrong is the scenario's name.
+"""
+
+import argparse
+import json
+import os
+import queue
+import signal
+import socket
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from harness.messages import (
+    AnyCommand,
+    Formed,
+    Paused,
+    Progress,
+    RunUntil,
+    SetAttenuation,
+    SetPid,
+    VehicleLost,
+    VehicleTruth,
+)
+from netsim.child import Finished, Ready, Stop, commands, emit, end_with_parent
+
+STEP_US = 4_000
+FORMED_US = 3_000_000
+
+
+def complain(line: str) -> None:
+    sys.stderr.write(line + "\n")
+    sys.stderr.flush()
+
+
+def vehicle(time_us: int, *, alive: bool) -> VehicleTruth:
+    return VehicleTruth(
+        alive=alive,
+        armed=True,
+        mode="offboard",
+        phase="on station" if time_us >= FORMED_US else "climb",
+        pos_ned_m=(0.0, 0.0, -time_us * 1e-6),
+        vel_ned_m_s=(0.0, 0.0, -1.0),
+        q_ned_frd=(1.0, 0.0, 0.0, 0.0),
+        error_m=0.25,
+    )
+
+
+def physics(config: dict[str, Any], listeners: list[socket.socket]) -> None:
+    inbox: queue.SimpleQueue[AnyCommand] = queue.SimpleQueue()
+    commands(AnyCommand, inbox)  # type: ignore[arg-type]
+    fault = config["scenario"]["name"]
+    emit(Ready(name="physics", pid=os.getpid()))
+    vehicles: dict[int, socket.socket] = {}
+    lost: set[int] = set()
+    time_us = 0
+    while not isinstance(command := inbox.get(), Stop):
+        match command:
+            case SetPid() | SetAttenuation():
+                complain(f"command {command}")
+                continue
+            case RunUntil(time_us=end_us):
+                pass
+        if not vehicles:
+            vehicles = {i: listener.accept()[0] for i, listener in enumerate(listeners)}
+        reason = "time"
+        while time_us < end_us and inbox.empty():
+            for i in vehicles.keys() - lost:
+                try:
+                    gone = vehicles[i].recv(1, socket.MSG_DONTWAIT) == b""
+                except BlockingIOError:
+                    gone = False
+                if gone:
+                    lost.add(i)
+                    emit(VehicleLost(time_us=time_us, instance=i, reason="its connection broke"))
+            if len(lost) == len(vehicles):
+                reason = "no_vehicles"
+                break
+            if fault == "physics-fails" and time_us >= 1_000_000:
+                complain("physics: the world has ended")
+                sys.exit(2)
+            if fault == "physics-hangs" and time_us >= 1_000_000:
+                signal.pause()
+            time_us += STEP_US
+            if time_us == FORMED_US and fault != "never-formed":
+                emit(Formed(time_us=time_us))
+                if command.stop_when_formed:
+                    reason = "formed"
+                    break
+        truth = tuple(vehicle(time_us, alive=i not in lost) for i in vehicles)
+        emit(Progress(time_us=time_us, wall_s=time.monotonic(), channel_busy_fraction=0.125, vehicles=truth))
+        emit(Paused(time_us=time_us, reason=reason, vehicles=truth))
+        if fault == "interrupted" and time_us == FORMED_US:
+            os.kill(os.getppid(), signal.SIGINT)
+    emit(Finished(name="physics", details={"time_us": time_us, "formed": time_us >= FORMED_US}))
+
+
+def radio(config: dict[str, Any]) -> None:
+    inbox: queue.SimpleQueue[Stop] = queue.SimpleQueue()
+    commands(Stop, inbox)
+    with socket.create_server((config["host"], config["port"])) as server:
+        endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
+        emit(Ready(name="radio", pid=os.getpid(), details={"endpoint": endpoint}))
+        inbox.get()
+    emit(Finished(name="radio", details={"counters": {}}))
+
+
+def uav(config: dict[str, Any]) -> None:
+    end_with_parent()
+    name, ports = f"uav {config['instance']}", config["ports"]
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as gcs,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as companion,
+        socket.create_connection((ports["host"], ports["simulator_tcp"])) as simulator,
+    ):
+        gcs.bind((ports["host"], ports["gcs_local_udp"]))
+        companion.bind((ports["host"], ports["companion_local_udp"]))
+        if config["autopilot"]["params"].get("SYS_AUTOSTART") == config["instance"]:
+            complain(f"{name}: no such airframe")
+            sys.exit(2)
+        details = {"gcs_local_udp": gcs.getsockname()[1], "companion_local_udp": companion.getsockname()[1]}
+        emit(Ready(name=name, pid=os.getpid(), details=details))
+        while simulator.recv(1):
+            pass
+    emit(Finished(name=name, details={"ground_messages": 0}))
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("module")
+    parser.add_argument("--config", type=Path)
+    parser.add_argument("--listen-fds", default="")
+    parser.add_argument("--radio-endpoint")
+    parser.add_argument("--supervised", action="store_true")
+    arguments = parser.parse_args()
+    settings = json.loads(arguments.config.read_bytes())
+    match arguments.module:
+        case "harness.physics_server":
+            physics(settings, [socket.socket(fileno=int(fd)) for fd in arguments.listen_fds.split(",")])
+        case "netsim":
+            radio(settings)
+        case "autopilot":
+            uav(settings)

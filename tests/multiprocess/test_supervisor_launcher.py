@@ -1,0 +1,135 @@
+"""The launcher as its user meets it: exit status, streams and Ctrl-C. It starts the stand-ins for a swarm's processes."""
+
+import json
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+pytestmark = pytest.mark.multiprocess
+
+WALL_LIMIT_S = 30.0
+SUMMARY = """{
+    "scenario": scenario.name, "seed": 1, "status": outcome.status, "reason": outcome.reason, "wall_s": 1.0,
+    "simulated_s": outcome.simulated_us / 1e6, "real_time_factor": 1.0, "formed_s": None, "collisions": 0,
+    "formation_rms_m": {"absolute": None, "shape": None}, "channel_busy_fraction": 0.1, "deterministic": True,
+    "frames": {"sent": 0, "delivered": 0, "collided": 0, "lost_to_noise": 0}, "log_sha256": "0",
+    "ftm": {"requested": 0, "completed": 0, "failed": 0, "error_mean_m": None, "error_std_m": None},
+    "max_gain_dbi": {"ideal": None, "mean": None, "std": None},
+    "pids": [process.pid for process in outcome.processes],
+}"""
+LAUNCHER = f"""
+import sys
+import harness.processes, harness.report
+from harness.cli import main
+
+def python_module(module, config):
+    return [sys.executable, {str(Path(__file__).with_name("supervisor_stand_ins.py"))!r},
+            module, "--config", str(config), "--supervised"]
+
+def finish(folder, scenario, outcome, *, draw=True):
+    return {SUMMARY}
+
+harness.processes.python_module = python_module
+harness.report.finish = finish
+sys.exit(main())
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Give a working folder with scenarios on free ports."""
+    ports = "".join(
+        f"{name} = 0\n"
+        for name in (
+            "simulator_tcp", "gcs_local_udp", "gcs_remote_udp", "companion_local_udp", "companion_remote_udp", "radio_tcp",
+        )
+    )  # fmt: skip
+    for name in ("fine", "never-formed", "physics-fails", "interrupted"):
+        path = tmp_path / f"{name}.toml"
+        path.write_text(f'name = "{name}"\nagents = 2\n[run]\nreach_timeout_s = 5.0\n[ports]\n{ports}')
+    return tmp_path
+
+
+def launch(folder: Path, *arguments: str) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(LAUNCHER), *arguments],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=WALL_LIMIT_S,
+        check=False,
+    )
+
+
+def test_run_that_is_fine(folder: Path) -> None:
+    launched = launch(folder, "fine.toml", "--duration", "1.5", "--out", "run")
+    assert launched.returncode == 0
+    assert "fine, seed 1: completed" in launched.stdout
+    assert "t = 3.00 s: formation reached" in launched.stderr
+    assert "written to run:" in launched.stderr
+
+
+def test_json_is_alone_on_stdout(folder: Path) -> None:
+    launched = launch(folder, "fine.toml", "--duration", "1.5", "--json")
+    assert launched.returncode == 0
+    summary = json.loads(launched.stdout)
+    assert summary["status"] == "completed"
+    # formed at 3 s, and 1.5 s in formation
+    assert summary["simulated_s"] == pytest.approx(4.5, abs=0.004)
+    assert len(set(summary["pids"])) == 4
+    (run,) = (folder / "runs").glob("fine-*")
+    assert (run / "logs" / "uav-1.log").exists()
+
+
+def test_formation_that_is_not_reached_fails_the_run_and_is_reported(folder: Path) -> None:
+    launched = launch(folder, "never-formed.toml", "--json")
+    assert launched.returncode == 1
+    assert launched.stderr.splitlines()[-1] == "coflight: the formation was not reached within 5 s"
+    assert json.loads(launched.stdout)["status"] == "not_formed"
+
+
+def test_failed_process_fails_the_run_with_its_last_words(folder: Path) -> None:
+    launched = launch(folder, "physics-fails.toml")
+    assert launched.returncode == 1
+    last_line = launched.stderr.splitlines()[-1]
+    assert last_line.startswith("coflight: physics (pid ")
+    assert "ended with status 2: physics: the world has ended (log: runs/physics-fails-" in last_line
+    assert "Traceback" not in launched.stderr
+
+
+def test_one_ctrl_c_stops_everything_and_keeps_the_records(folder: Path) -> None:
+    launched = launch(folder, "interrupted.toml", "--json", "--duration", "1e6")
+    assert launched.returncode == 130
+    assert (
+        launched.stderr.splitlines()[-1]
+        == "coflight: broken off: every process is stopped, the records are kept"
+    )
+    summary = json.loads(launched.stdout)
+    assert summary["status"] == "interrupted"
+    assert not any(psutil.pid_exists(pid) for pid in summary["pids"])
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_signal_at_any_moment_of_the_start_leaves_no_process(folder: Path, number: signal.Signals) -> None:
+    for started in range(4):  # radio, physics and two vehicles: the signal comes after that many
+        command = [sys.executable, "-c", textwrap.dedent(LAUNCHER), "fine.toml", "--duration", "1e6"]
+        command += ["--out", f"{number.name}-{started}"]
+        with subprocess.Popen(
+            command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        ) as launcher:
+            children: dict[int, psutil.Process] = {}
+            deadline_s = time.monotonic() + WALL_LIMIT_S
+            while len(children) <= started:
+                assert time.monotonic() < deadline_s
+                children |= {child.pid: child for child in psutil.Process(launcher.pid).children()}
+            launcher.send_signal(number)
+            launcher.communicate(timeout=WALL_LIMIT_S)
+            assert launcher.returncode == (-signal.SIGKILL if number == signal.SIGKILL else 130)
+        # after SIGKILL they end by themselves, when they notice
+        assert psutil.wait_procs(children.values(), timeout=WALL_LIMIT_S)[1] == []

@@ -1,0 +1,121 @@
+"""The pytest plugin, in a pytest of its own: what its user sees when a test passes, fails, or leaves something."""
+
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.multiprocess
+
+CONFTEST = f"""
+import sys
+import pytest
+import harness.processes
+
+@pytest.fixture(autouse=True)
+def stand_ins(monkeypatch):
+    def python_module(module, config):
+        return [sys.executable, {str(Path(__file__).with_name("supervisor_stand_ins.py"))!r},
+                module, "--config", str(config), "--supervised"]
+    monkeypatch.setattr(harness.processes, "python_module", python_module)
+"""
+
+
+def run_pytest(folder: Path, code: str) -> "subprocess.CompletedProcess[str]":
+    (folder / "conftest.py").write_text(CONFTEST)
+    (folder / "pytest.ini").write_text("[pytest]\nfilterwarnings = error\n")
+    (folder / "small.toml").write_text("agents = 2\n")
+    (folder / "test_user.py").write_text(textwrap.dedent(code))
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(folder)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60.0, check=False)
+
+
+def test_users_test_passes_from_any_folder(tmp_path: Path) -> None:
+    finished = run_pytest(
+        tmp_path,
+        """
+        def test_hover(swarm):
+            flight = swarm("small.toml", agents=3)
+            assert flight.run_until_formed(timeout_s=10).error_m.max() < 0.5
+
+        def test_two(swarm):
+            first, second = swarm("small.toml"), swarm("small.toml")
+            assert set(first.pids.values()).isdisjoint(second.pids.values())
+        """,
+    )
+    assert finished.returncode == 0, finished.stdout
+    assert "2 passed" in finished.stdout
+
+
+def test_failed_test_shows_the_ends_of_the_logs(tmp_path: Path) -> None:
+    finished = run_pytest(
+        tmp_path,
+        """
+        def test_channel(swarm):
+            flight = swarm("small.toml")
+            flight.cut_channel()
+            flight.run_for(0.1)
+            assert flight.truth.t_s > 1.0
+        """,
+    )
+    assert finished.returncode == 1
+    assert "- log of physics -" in finished.stdout
+    assert "extra_attenuation_db=200.0" in finished.stdout
+    assert "1 failed" in finished.stdout
+
+
+def test_swarm_that_does_not_start_shows_why(tmp_path: Path) -> None:
+    finished = run_pytest(
+        tmp_path,
+        """
+        def test_airframe(swarm):
+            swarm("small.toml", overrides=["autopilot.params.SYS_AUTOSTART=1"])
+        """,
+    )
+    assert finished.returncode == 1
+    assert "ended with status 2: uav 1: no such airframe" in finished.stdout
+
+
+def test_deadline_ends_a_test_that_flies_too_long(tmp_path: Path) -> None:
+    finished = run_pytest(
+        tmp_path,
+        """
+        def test_long(swarm):
+            swarm("small.toml", wall_limit_s=2.0).run_until(lambda _: False, timeout_s=1e9)
+        """,
+    )
+    assert finished.returncode == 1
+    assert "the wall time of 2 s is over" in finished.stdout
+
+
+def test_process_that_is_left_fails_the_test(tmp_path: Path) -> None:
+    finished = run_pytest(
+        tmp_path,
+        """
+        import socket
+        from harness.supervisor import bind
+
+        def test_untidy(swarm, monkeypatch):
+            flight = swarm("small.toml")
+            port = flight._processes.ready["uav 0"].details["gcs_local_udp"]
+            flight.stop()
+            global held
+            held = bind(socket.SOCK_DGRAM, "127.0.0.1", port)
+
+        def test_close():
+            held.close()
+        """,
+    )
+    assert finished.returncode == 1
+    assert "the swarm left behind: port " in finished.stdout
+    assert "2 passed, 1 error" in finished.stdout
+
+
+def test_plugin_is_light(tmp_path: Path) -> None:
+    code = "import sys, harness.pytest_plugin; print([m for m in ('numpy', 'msgspec', 'psutil') if m in sys.modules])"
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True
+    )
+    assert loaded.stdout.strip() == "[]"

@@ -1,0 +1,125 @@
+"""Framing: every message comes through, whatever lies before, between or around it, and nothing raises."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import common
+
+from autopilot.mavlink.codec import Encoder, Parser, stamp
+from autopilot.mavlink.modes import FlightMode, mode_from_custom, mode_from_main_sub
+
+
+def attitude(number):
+    return common.MAVLink_attitude_message(number, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+
+
+def frames(count):
+    encoder = Encoder(system=3, component=1)
+    return [encoder.encode(attitude(i)) for i in range(count)]
+
+
+def numbers(messages):
+    return [message.time_boot_ms for message in messages]
+
+
+def test_what_is_encoded_is_decoded_with_its_source_and_sequence():
+    messages = Parser().push(b"".join(frames(300)))
+    assert numbers(messages) == list(range(300))
+    assert {(m.get_srcSystem(), m.get_srcComponent()) for m in messages} == {(3, 1)}
+    assert [m.get_seq() for m in messages] == [i % 256 for i in range(300)]
+    assert messages[0].roll == pytest.approx(0.1, rel=1e-6)
+
+
+def test_a_stamped_message_keeps_its_source():
+    encoder = Encoder(system=3, component=1)
+    (message,) = Parser().push(encoder.encode(stamp(attitude(0), system=3, component=191)))
+    assert (message.get_srcSystem(), message.get_srcComponent()) == (3, 191)
+    (message,) = Parser().push(encoder.encode(attitude(1)))
+    assert message.get_srcComponent() == 1
+
+
+@given(st.lists(st.integers(1, 50), max_size=40))
+def test_any_cut_of_the_stream_gives_the_same_messages(cuts):
+    stream = b"".join(frames(8))
+    parser, messages, at = Parser(), [], 0
+    for cut in [*cuts, len(stream)]:
+        messages += parser.push(stream[at : at + cut])
+        at += cut
+    assert numbers(messages) == list(range(8))
+    assert parser.bad_bytes == 0
+
+
+@given(st.lists(st.binary(max_size=40), min_size=5, max_size=5))
+def test_garbage_between_messages_costs_only_itself(garbage):
+    # enough good bytes behind it to complete any frame that the garbage pretends to begin
+    parser = Parser()
+    good = frames(4 + 20)
+    stream = b"".join(g + f for g, f in zip(garbage, good[:4] + [b""], strict=True)) + b"".join(good[4:])
+    assert numbers(parser.push(stream)) == list(range(24))
+    assert parser.bad_bytes == sum(map(len, garbage))
+
+
+def test_random_bytes_never_raise_and_are_counted():
+    rng = np.random.default_rng(5)
+    parser = Parser()
+    data = rng.integers(0, 256, 300_000, dtype=np.uint8)
+    data[rng.integers(0, data.size, 6_000)] = 0xFD
+    heard = 0
+    for chunk in np.array_split(data, 500):
+        heard += len(parser.push(chunk.tobytes()))
+    assert heard <= 1  # a checksum of 16 bits lets one of 65536 frames through
+    assert parser.bad_bytes > data.size - 300 - 280 * heard
+
+
+def test_mutated_frames_give_the_original_or_nothing():
+    rng = np.random.default_rng(6)
+    original = frames(1)[0]
+    for _ in range(3_000):
+        frame = bytearray(original)
+        frame[rng.integers(1, len(frame))] ^= 1 << rng.integers(8)  # a checksum catches every single wrong bit
+        assert Parser().push_datagram(bytes(frame)) == []
+
+
+def test_a_datagram_ends_what_is_in_it():
+    whole, cut = frames(2)
+    parser = Parser()
+    assert numbers(parser.push_datagram(cut[:-1])) == []
+    assert parser.bad_bytes == len(cut) - 1
+    assert numbers(parser.push_datagram(whole)) == [0]
+    # a false beginning must not hide the message behind it
+    assert numbers(parser.push_datagram(b"\xfd\xff" + whole)) == [0]
+
+
+def test_version_1_is_heard():
+    sender = common.MAVLink(None, srcSystem=255, srcComponent=190)
+    frame = common.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(sender, force_mavlink1=True)
+    (message,) = Parser().push(frame)
+    assert message.get_type() == "HEARTBEAT"
+    assert message.get_srcSystem() == 255
+
+
+def test_unknown_incompatibility_flags_forbid_reading():
+    frame = bytearray(frames(1)[0])
+    frame[2] = 0x02
+    assert Parser().push_datagram(bytes(frame)) == []
+
+
+@pytest.mark.parametrize("mode", [m for m in FlightMode if m is not FlightMode.DESCEND])
+def test_modes_have_px4s_numbers_and_come_back(mode):
+    assert mode_from_custom(mode.custom_mode) is mode
+    assert mode_from_main_sub(mode.custom_mode >> 16 & 0xFF, mode.custom_mode >> 24) is mode
+
+
+def test_modes_as_seen_on_the_wire_of_px4():
+    # facts: hold 4/3, take-off 4/2, land 4/6, offboard 6/0; base_mode 29 disarmed, 157 armed auto, 145 armed offboard
+    assert FlightMode.HOLD.custom_mode == 4 << 16 | 3 << 24
+    assert FlightMode.HOLD.base_mode == 29
+    assert FlightMode.TAKEOFF.base_mode | common.MAV_MODE_FLAG_SAFETY_ARMED == 157
+    assert FlightMode.OFFBOARD.base_mode | common.MAV_MODE_FLAG_SAFETY_ARMED == 145
+    assert FlightMode.DESCEND.custom_mode == FlightMode.LAND.custom_mode
+
+
+@pytest.mark.parametrize(("main", "sub"), [(9.0, 0.0), (float("nan"), 0.0), (4.0, float("inf")), (-1.0, 3.0), (4.0, 3e9)])
+def test_numbers_that_are_no_mode_give_none(main, sub):
+    assert mode_from_main_sub(main, sub) is None

@@ -1,0 +1,134 @@
+"""A channel with given powers and delays, stations with given backoffs, and a log of who sent what when."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from netsim.config import Mode, RadioConfig
+from netsim.frames import GROUP, FrameKind
+from netsim.kernel import EventQueue
+from netsim.mac.access import DCF, AccessParameters
+from netsim.mac.jobs import Job, Outcome
+from netsim.mac.station import Station
+from netsim.phy.medium import Medium, Transmission
+from netsim.phy.modes import phy_mode
+from netsim.phy.propagation import LinkRow
+from netsim.streams import Model, Streams, Uniforms
+
+UNHEARD_DBM = -200.0
+A, B, C, D = range(4)
+
+
+class GivenLinks:
+    """Powers and delays by (from, to); -50 dBm and no delay where nothing else is said."""
+
+    def __init__(self, stations: int, powers_dbm: Mapping[tuple[int, int], float], delays_ns: Mapping[tuple[int, int], int]):
+        self._rows = []
+        for source in range(stations):
+            powers_mw = [10 ** (powers_dbm.get((source, to), -50.0) / 10) for to in range(stations)]
+            row_ns = [delays_ns.get((source, to), 0) for to in range(stations)]
+            self._rows.append(LinkRow(powers_mw, row_ns, max(row_ns)))
+
+    def row(self, source: int, at_ns: int) -> LinkRow:
+        assert at_ns >= 0
+        return self._rows[source]
+
+
+class GivenBackoffs(Uniforms):
+    """Draws that make backoffs of (slots, contention window); what is not given comes from a stream."""
+
+    def __init__(self, draws: Sequence[tuple[int, int]]) -> None:
+        super().__init__(np.random.default_rng(1))
+        self._draws = [(slots + 0.5) / (window + 1) for slots, window in reversed(draws)]
+
+    def draw(self) -> float:
+        return self._draws.pop() if self._draws else super().draw()
+
+
+class Air:
+    """Stations 0..n-1 at 20 MHz, DCF unless said otherwise; times in microseconds."""
+
+    def __init__(
+        self,
+        stations: int,
+        *,
+        powers_dbm: Mapping[tuple[int, int], float] | None = None,
+        delays_ns: Mapping[tuple[int, int], int] | None = None,
+        backoffs: Mapping[int, Sequence[tuple[int, int]]] | None = None,
+        access: Mapping[str, AccessParameters] | None = None,
+        control_mode: Mode = "ofdm24",
+        seed: int = 1,
+    ) -> None:
+        config = RadioConfig(bandwidth_mhz=20, rician_k_db=None)
+        streams = Streams(np.random.SeedSequence(seed))
+        self.queue = EventQueue()
+        self.transmissions: list[Transmission] = []
+        self.outcomes: list[Outcome] = []
+        self.arrivals: list[tuple[int, int, bool]] = []
+        self.medium = Medium(
+            config=config,
+            queue=self.queue,
+            links=GivenLinks(stations, powers_dbm or {}, delays_ns or {}),
+            stations=stations,
+            streams=streams,
+            on_ended=self.transmissions.append,
+        )
+        self.stations = [
+            Station(
+                index=i,
+                queue=self.queue,
+                medium=self.medium,
+                access=access or {"dcf": DCF},
+                control_mode=phy_mode(control_mode, 20),
+                queue_frames=10,
+                backoff=GivenBackoffs(backoffs[i])
+                if backoffs and i in backoffs
+                else Uniforms(streams.generator(Model.BACKOFF, i)),
+                upper=_Upper(self, i),
+            )
+            for i in range(stations)
+        ]
+
+    def send(
+        self,
+        at_us: int,
+        source: int,
+        to: int = GROUP,
+        *,
+        frame_bytes: int = 100,
+        mode: Mode = "ofdm6",
+        rts: bool = False,
+        category: str = "dcf",
+        retry_limit: int = 7,
+        lifetime_us: int = 1_000_000,
+    ) -> Job:
+        job = Job(
+            kind=FrameKind.DATA,
+            destination=to,
+            mode=phy_mode(mode, 20),
+            frame_bytes=frame_bytes,
+            expires_ns=1_000 * (at_us + lifetime_us),
+            retry_limit=retry_limit,
+            done=lambda _job, outcome: self.outcomes.append(outcome),
+            rts=rts,
+        )
+        self.queue.at(1_000 * at_us, lambda job: self.stations[source].enqueue(category, job), job)
+        return job
+
+    def run(self, until_us: int = 1_000_000) -> list[tuple[int, int, int, str]]:
+        """(start, end, source, kind) of every transmission so far, in order of start; whole microseconds."""
+        self.queue.run_until(1_000 * until_us)
+        order = sorted(self.transmissions, key=lambda t: (t.start_ns, t.source))
+        assert all(t.start_ns % 1_000 == 0 for t in order)
+        return [(t.start_ns // 1_000, t.end_ns // 1_000, t.source, t.frame.kind.value) for t in order]
+
+
+class _Upper:
+    def __init__(self, air: Air, index: int) -> None:
+        self._air = air
+        self._index = index
+
+    def on_frame(self, transmission: Transmission, power_mw: float, end_ns: int, *, duplicate: bool) -> None:
+        assert power_mw > 0.0
+        assert end_ns >= transmission.end_ns
+        self._air.arrivals.append((self._index, transmission.source, duplicate))

@@ -1,0 +1,124 @@
+import numpy as np
+import pytest
+from antenna_hertzian import gain_dbi
+from scipy.spatial.transform import Rotation
+
+from antenna.config import AntennaConfig
+from antenna.geometry import ElementsTouch, grid, vertical_snapshot
+from harness.analysis import antenna_from_ned, antenna_snapshot, figure_patterns, gain_series, ideal_pattern
+from harness.flight import Flight
+
+CONFIG = AntennaConfig(grid_deg=15.0)
+UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
+PLACES_NED_M = grid(8, 4, 8.5, 2.5) @ antenna_from_ned(0.0) + [0.0, 0.0, -10.0]
+
+
+def _flight(pos_ned_m, alive, desired_pos_ned_m=PLACES_NED_M):
+    instants, vehicles = alive.shape
+    return Flight(
+        time_us=np.arange(instants, dtype=np.int64) * 500_000 + 7_000_000,
+        pos_ned_m=pos_ned_m,
+        q_ned_frd=np.broadcast_to(UPRIGHT, (instants, vehicles, 4)),
+        desired_pos_ned_m=np.broadcast_to(desired_pos_ned_m, pos_ned_m.shape),
+        alive=alive,
+    )
+
+
+@pytest.mark.parametrize(
+    ("heading_deg", "east", "north"),
+    [(0.0, [1.0, 0.0], [0.0, 1.0]), (90.0, [0.0, 1.0], [-1.0, 0.0]), (180.0, [-1.0, 0.0], [0.0, -1.0])],
+)
+def test_antenna_frame_turns_clockwise_with_the_heading(heading_deg, east, north):
+    """World's east and north as x and y of a frame whose y points along the heading."""
+    to_antenna = antenna_from_ned(heading_deg)
+    np.testing.assert_allclose(to_antenna @ [0.0, 1.0, 0.0], [*east, 0.0], atol=1e-15)
+    np.testing.assert_allclose(to_antenna @ [1.0, 0.0, 0.0], [*north, 0.0], atol=1e-15)
+    np.testing.assert_allclose(to_antenna @ [0.0, 0.0, 1.0], [0.0, 0.0, -1.0], atol=1e-15)
+
+
+def test_dipoles_lean_with_their_vehicles():
+    """Nose down by 0.2 rad while heading north leans the dipole to the north; roll right leans it east."""
+    q_ned_frd = Rotation.from_euler(
+        "ZYX", [[0.0, -0.2, 0.0], [0.0, 0.0, 0.2], [np.pi / 2, -0.2, 0.0]]
+    ).as_quat(scalar_first=True)
+    snapshot = antenna_snapshot(PLACES_NED_M[:3], q_ned_frd, PLACES_NED_M[:3], 0.0, 10.0)
+    s, c = np.sin(0.2), np.cos(0.2)
+    np.testing.assert_allclose(snapshot.axes, [[0.0, s, c], [s, 0.0, c], [s, 0.0, c]], atol=1e-12)
+
+
+def test_snapshot_of_the_ideal_flight_is_the_ideal_array_whatever_the_heading():
+    rng = np.random.default_rng(1)
+    for heading_deg in (0.0, 37.0, -120.0):
+        places_ned_m = grid(8, 4, 8.5, 2.5) @ antenna_from_ned(heading_deg) + rng.normal(0.0, 50.0, 3)
+        attitudes = np.tile(Rotation.from_euler("Z", 0.3).as_quat(scalar_first=True), (8, 1))
+        snapshot = antenna_snapshot(places_ned_m, attitudes, places_ned_m, heading_deg, 10.0)
+        ideal = vertical_snapshot(grid(8, 4, 8.5, 2.5), 10.0)
+        np.testing.assert_allclose(snapshot.centres_m, ideal.centres_m, atol=1e-9)
+        np.testing.assert_allclose(snapshot.axes, ideal.axes, atol=1e-12)
+        np.testing.assert_allclose(snapshot.voltages, ideal.voltages, atol=1e-9)
+
+
+def test_feeds_are_those_of_the_places_and_not_of_the_positions():
+    moved_ned_m = PLACES_NED_M + np.random.default_rng(2).normal(0.0, 1.0, (8, 3))
+    snapshot = antenna_snapshot(moved_ned_m, np.tile(UPRIGHT, (8, 1)), PLACES_NED_M, 0.0, 10.0)
+    ideal = vertical_snapshot(grid(8, 4, 8.5, 2.5), 10.0)
+    np.testing.assert_allclose(snapshot.voltages, ideal.voltages, atol=1e-12)
+    np.testing.assert_allclose(
+        snapshot.centres_m - ideal.centres_m, (moved_ned_m - PLACES_NED_M)[:, [1, 0, 2]] * [1, 1, -1]
+    )
+
+
+@pytest.mark.nec2
+def test_gain_follows_the_flight_and_leaves_gaps_where_there_is_no_antenna():
+    pytest.importorskip("PyNEC", reason="the optional extra coflight[nec2] is not installed")
+    pos_ned_m = np.tile(PLACES_NED_M, (6, 1, 1))
+    pos_ned_m[1] += np.random.default_rng(3).normal(0.0, 1.5, (8, 3))
+    alive = np.ones((6, 8), bool)
+    alive[2, :] = False
+    pos_ned_m[3, 7] = pos_ned_m[3, 5]
+    alive[3, 1] = False
+    alive[4, 5] = False
+    pos_ned_m[4, 5] = np.nan
+    series = gain_series(_flight(pos_ned_m, alive), 0.0, CONFIG)
+
+    np.testing.assert_array_equal(series.time_us, [7_000_000, 7_500_000, 9_000_000, 9_500_000])
+    assert [(m.time_us, m.reason) for m in series.missing] == [
+        (8_000_000, "no vehicle is alive"),
+        (8_500_000, "antennas of UAVs 5 and 7 touch"),
+    ]
+    ideal_dbi = ideal_pattern(PLACES_NED_M, 0.0, CONFIG).max_gain_dbi
+    assert series.max_gain_dbi[[0, 3]] == pytest.approx(ideal_dbi, abs=1e-6)
+    assert series.max_gain_dbi[1] < ideal_dbi - 1.0
+    seven = np.delete(np.arange(8), 5)
+    exact = gain_dbi(vertical_snapshot(grid(8, 4, 8.5, 2.5)[seven], 10.0), 10.0, 90.0, 90.0)
+    bias_db = 10.0 * np.log10(series.patterns[2].average_gain)
+    assert series.max_gain_dbi[2] - bias_db == pytest.approx(exact, abs=0.05)
+    assert [len(snapshot.centres_m) for snapshot in series.snapshots] == [8, 8, 7, 8]
+    np.testing.assert_array_equal(series.max_gain_dbi, [pattern.max_gain_dbi for pattern in series.patterns])
+    assert series.median_index == 2  # of 13.26, 8 to 12, 12.6 and 13.26: the lower of the middle two
+
+
+@pytest.mark.nec2
+def test_figure_shows_the_median_instant_beside_the_ideal_on_a_finer_grid():
+    pytest.importorskip("PyNEC", reason="the optional extra coflight[nec2] is not installed")
+    pos_ned_m = PLACES_NED_M + np.random.default_rng(4).normal(0.0, 0.5, (3, 8, 3))
+    series = gain_series(_flight(pos_ned_m, np.ones((3, 8), bool)), 0.0, CONFIG)
+    ideal, flown = figure_patterns(series, PLACES_NED_M, 0.0, CONFIG)
+    assert flown.max_gain_dbi == pytest.approx(np.median(series.max_gain_dbi), abs=0.001)
+    assert ideal.max_gain_dbi == pytest.approx(13.262, abs=0.001)
+    assert flown.theta_deg[1] == ideal.theta_deg[1] == 1.5
+
+
+@pytest.mark.nec2
+def test_formation_that_cannot_exist_has_no_ideal_pattern():
+    pytest.importorskip("PyNEC", reason="the optional extra coflight[nec2] is not installed")
+    with pytest.raises(ElementsTouch):
+        ideal_pattern(np.zeros((2, 3)), 0.0, CONFIG)
+
+
+def test_series_without_patterns_has_no_median():
+    series = gain_series(_flight(np.zeros((2, 8, 3)), np.zeros((2, 8), bool)), 0.0, CONFIG)
+    assert len(series.missing) == 2
+    assert series.max_gain_dbi.shape == (0,)
+    with pytest.raises(ValueError, match="no median"):
+        _ = series.median_index

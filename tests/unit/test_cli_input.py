@@ -1,0 +1,170 @@
+"""A wrong command line is one line on stderr and status 2; what a run shows is right, and in words."""
+
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from harness.cli import BAD_INPUT, FINE, main
+from harness.messages import Collision, Formed, Progress, VehicleLost, VehicleSilent, VehicleTruth
+from harness.progress import LineDisplay, LiveDisplay, Pace, describe, fleet, headline, summary_table
+from harness.supervisor import Exited
+from netsim.child import Ready
+
+
+@pytest.fixture
+def scenario_file(tmp_path: Path) -> Path:
+    path = tmp_path / "small.toml"
+    path.write_text("agents = 2\n[wind]\nmean_n = 1.0\n")
+    return path
+
+
+def complaint_of(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
+    """Run a command line that is refused; returns its only line on stderr."""
+    assert main(arguments) == BAD_INPUT
+    streams = capsys.readouterr()
+    assert streams.out == ""
+    lines = streams.err.splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("coflight: ")
+    return lines[0].removeprefix("coflight: ")
+
+
+def test_missing_file_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    assert complaint_of(capsys, ["no/such.toml"]) == "no/such.toml: no such scenario file"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--set", "wind.men_n=2"], ["wind", "men_n"]),
+        (["--set", "wind.mean_n=strong"], ["wind.mean_n"]),
+        (["--set", "wind"], ["--set wind", "PATH=VALUE"]),
+        (["--agents", "0"], ["agents"]),
+        (["--agents", "many"], ["--agents"]),
+        (["--duration", "-1"], ["run.duration_s"]),
+        (["--seed", "-1"], ["run.seed"]),
+        (["--speed", "fast"], ["'fast'", "'max'"]),
+        (["--speed", "0"], ["'0'", "'max'"]),
+        (["--speed", "inf"], ["'inf'", "'max'"]),
+        (["--port-offset", "61000"], ["simulator_tcp", "61000"]),
+        (["--no-such-option"], ["--no-such-option"]),
+    ],
+)
+def test_bad_input_is_one_line_that_names_it(
+    capsys: pytest.CaptureFixture[str], scenario_file: Path, arguments: list[str], words: list[str]
+) -> None:
+    line = complaint_of(capsys, [str(scenario_file), *arguments])
+    for word in words:
+        assert word in line
+
+
+def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["no/such.toml", "--debug"]) == BAD_INPUT
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_help_is_no_failure(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == FINE
+    assert "--port-offset" in capsys.readouterr().out
+
+
+def vehicle(*, alive: bool = True, phase: str = "on station", error_m: float = 0.25) -> VehicleTruth:
+    return VehicleTruth(
+        alive=alive,
+        armed=True,
+        mode="offboard",
+        phase=phase,
+        pos_ned_m=(1.0, 2.0, -10.5),
+        vel_ned_m_s=(0.0, 0.0, 0.0),
+        q_ned_frd=(1.0, 0.0, 0.0, 0.0),
+        error_m=error_m,
+    )
+
+
+def progress(time_us: int, wall_s: float, *vehicles: VehicleTruth) -> Progress:
+    return Progress(time_us=time_us, wall_s=wall_s, channel_busy_fraction=0.1234, vehicles=vehicles)
+
+
+def test_pace_is_that_of_the_last_two_seconds() -> None:
+    pace = Pace()
+    assert pace.update(0, 100.0) is None
+    assert pace.update(4_000_000, 101.0) == pytest.approx(4.0)
+    # the first second, four times as fast, leaves the window
+    assert pace.update(5_000_000, 102.0) == pytest.approx(2.5)
+    assert pace.update(6_000_000, 103.0) == pytest.approx(1.0)
+    assert pace.update(7_000_000, 104.0) == pytest.approx(1.0)
+
+
+def test_fleet_counts_phases_and_forgets_the_lost() -> None:
+    vehicles = [vehicle(), vehicle(error_m=0.5), vehicle(phase="climb"), vehicle(alive=False, error_m=99.0)]
+    assert fleet(vehicles) == "1 climb, 2 on station, 1 lost, largest error 0.50 m"
+
+
+def test_headline() -> None:
+    assert headline(progress(12_340_000, 0.0), 4.26) == "t = 12.34 s, 4.3 x real time, channel 12.3% busy"
+    assert "- x real time" in headline(progress(0, 0.0), None)
+
+
+def test_happenings_in_words() -> None:
+    where = (0.0, 0.0, -10.0)
+    assert describe(Formed(time_us=31_200_000)) == "t = 31.20 s: formation reached"
+    assert describe(VehicleLost(time_us=4_000, instance=3, reason="gone")) == "t = 0.00 s: uav 3 lost: gone"
+    silent = VehicleSilent(time_us=0, instance=2, wall_silence_s=0.52)
+    assert describe(silent) == "t = 0.00 s: uav 2 has not answered for 0.5 s of wall time"
+    collision = Collision(time_us=1_000_000, first=1, second=2, pos_ned_m=where)
+    assert describe(collision) == "t = 1.00 s: uav 1 and uav 2 touched"
+    killed = Exited(name="uav 3", pid=12, returncode=-9, log_tail="flying\nstill flying")
+    assert describe(killed) == "uav 3 (pid 12) was killed by SIGKILL: still flying"
+    assert describe(Exited(name="uav 3", pid=12, returncode=0, log_tail="")) is None
+    assert describe(Ready(name="uav 3", pid=12)) is None
+
+
+def test_plain_lines_come_every_three_seconds_and_events_at_once() -> None:
+    console = Console(record=True, width=40, force_terminal=False, quiet=False)
+    display = LineDisplay(console)
+    for tenth in range(70):
+        display.on_message(progress(tenth * 400_000, tenth / 10, vehicle()))
+        if tenth == 15:
+            display.on_message(Formed(time_us=6_000_000))
+    display.close()
+    lines = console.export_text().splitlines()
+    assert [line.split(",")[0] for line in lines] == [
+        "t = 0.00 s",
+        "t = 6.00 s: formation reached",
+        "t = 12.00 s",
+        "t = 24.00 s",
+    ]
+    assert lines[2].endswith("4.0 x real time, channel 12.3% busy, 1 on station, largest error 0.25 m")
+
+
+def test_live_table_shows_every_vehicle_and_keeps_the_events(capsys: pytest.CaptureFixture[str]) -> None:
+    display = LiveDisplay(Console(force_terminal=True, width=100))
+    display.on_message(progress(1_000_000, 1.0, vehicle(), vehicle(alive=False)))
+    display.on_message(VehicleLost(time_us=900_000, instance=1, reason="gone"))
+    display.close()
+    display.close()
+    shown = capsys.readouterr().out
+    assert "uav 1 lost: gone" in shown
+    for words in ("offboard", "on station", "10.50", "0.25", "channel 12.3% busy"):
+        assert words in shown
+
+
+def test_summary_table_shows_what_is_there_and_a_dash_for_the_rest() -> None:
+    summary = {
+        "scenario": "article", "seed": 7, "status": "not_formed", "simulated_s": 12.0, "wall_s": 4.0,
+        "real_time_factor": 3.0, "formed_s": None, "formation_rms_m": {"absolute": None, "shape": 0.1234},
+        "frames": {"sent": 10, "delivered": 60, "collided": 1, "lost_to_noise": 2},
+        "channel_busy_fraction": 0.05, "collisions": 0, "deterministic": True, "log_sha256": "f" * 64,
+        "ftm": {"requested": 5, "completed": 4, "failed": 1, "error_mean_m": 0.01, "error_std_m": 0.06},
+        "max_gain_dbi": {"ideal": 13.26, "mean": None, "std": None},
+    }  # fmt: skip
+    console = Console(record=True, width=100, quiet=False)
+    console.print(summary_table(summary))
+    text = console.export_text()
+    assert "article, seed 7: not_formed" in text
+    assert "- absolute, 0.123 m shape" in text
+    assert "- mean, 13.26 dBi ideal, - std" in text
+    assert "10 sent, 1 collided, 2 lost to noise" in text
+    assert "4 of 5 completed" in text
+    assert "5.0%" in text

@@ -1,0 +1,113 @@
+"""Timelines of the land detector, at 4 ms steps."""
+
+from autopilot.commander.land_detector import (
+    GROUND_CONTACT_US,
+    LANDED_US,
+    LEFT_GROUND_HEIGHT_M,
+    MAYBE_LANDED_US,
+    LandDetector,
+    LandDetectorParams,
+    Stage,
+)
+
+STEP = 4_000
+HOVER = {"vel_down_m_s": 0.0, "down_demand_m_s": 0.0, "thrust_of_hover": 1.0}
+DESCENT = {"vel_down_m_s": 0.7, "down_demand_m_s": 0.7, "thrust_of_hover": 0.95}
+ON_GROUND = {"vel_down_m_s": 0.0, "down_demand_m_s": 0.7, "thrust_of_hover": 0.2}
+
+
+class Timeline:
+    def __init__(self):
+        self.detector = LandDetector(LandDetectorParams())
+        self.now_us = 0
+
+    def run(self, duration_us, *, armed=True, down_m=-2.0, rotation_rad_s=0.0, **motion):
+        """Returns when each new stage was reached, from the beginning of this piece."""
+        begin_us, reached = self.now_us, {}
+        for _ in range(duration_us // STEP):
+            self.now_us += STEP
+            before = self.detector.stage
+            self.detector.update(
+                self.now_us,
+                armed=armed,
+                down_m=down_m,
+                horizontal_speed_m_s=0.1,
+                rotation_rad_s=rotation_rad_s,
+                **motion,
+            )
+            if self.detector.stage is not before:
+                reached[self.detector.stage] = self.now_us - begin_us
+        return reached
+
+    def take_off(self):
+        self.run(STEP, down_m=0.0, vel_down_m_s=0.0, down_demand_m_s=-1.5, thrust_of_hover=0.5)
+        self.run(STEP, down_m=-1.0, vel_down_m_s=-1.0, down_demand_m_s=-1.5, thrust_of_hover=1.1)
+        assert self.detector.stage is Stage.AIRBORNE
+
+
+def test_standing_armed_is_landed_however_long():
+    line = Timeline()
+    assert line.run(10_000_000, down_m=0.0, **ON_GROUND) == {}
+    assert line.detector.landed
+
+
+def test_take_off_is_seen_at_a_height_over_where_the_climb_was_asked_for():
+    line = Timeline()
+    climb = {"vel_down_m_s": -0.2, "down_demand_m_s": -1.5, "thrust_of_hover": 1.0}
+    line.run(1_000_000, down_m=0.4, **climb)  # the estimate may stand at any height on the ground
+    assert line.detector.landed
+    line.run(STEP, down_m=0.4 - LEFT_GROUND_HEIGHT_M + 0.01, **climb)
+    assert line.detector.landed
+    line.run(STEP, down_m=0.4 - LEFT_GROUND_HEIGHT_M - 0.01, **climb)
+    assert not line.detector.landed
+
+
+def test_a_drifting_height_alone_is_no_take_off():
+    line = Timeline()
+    line.run(STEP, down_m=-1.0, **HOVER)
+    line.run(STEP, down_m=-3.0, **HOVER)
+    assert line.detector.landed
+
+
+def test_landing_takes_the_three_stages_one_after_the_other():
+    #  | contact 0.35 s | maybe landed 0.25 s | landed 0.3 s |
+    line = Timeline()
+    line.take_off()
+    assert line.run(2_000_000, **DESCENT) == {}
+    contact = GROUND_CONTACT_US + (-GROUND_CONTACT_US) % STEP
+    maybe = contact + MAYBE_LANDED_US + (-MAYBE_LANDED_US) % STEP
+    landed = maybe + LANDED_US + (-LANDED_US) % STEP
+    reached = line.run(2_000_000, **ON_GROUND)
+    assert list(reached) == [Stage.GROUND_CONTACT, Stage.MAYBE_LANDED, Stage.LANDED]
+    for stage, expected in zip(reached, (contact, maybe, landed), strict=True):
+        assert abs(reached[stage] - expected) <= STEP
+
+
+def test_hovering_and_a_bounce_are_not_landing():
+    line = Timeline()
+    line.take_off()
+    assert line.run(20_000_000, **HOVER) == {}
+    line.run(600_000, **ON_GROUND)
+    line.run(STEP, vel_down_m_s=-0.6, down_demand_m_s=0.7, thrust_of_hover=0.2)
+    assert line.detector.stage is Stage.AIRBORNE
+
+
+def test_standing_with_thrust_on_is_contact_and_no_more():
+    line = Timeline()
+    line.take_off()
+    line.run(5_000_000, vel_down_m_s=0.0, down_demand_m_s=0.7, thrust_of_hover=0.6)
+    assert line.detector.stage is Stage.GROUND_CONTACT
+
+
+def test_tumbling_is_not_resting():
+    line = Timeline()
+    line.take_off()
+    line.run(5_000_000, rotation_rad_s=1.0, **ON_GROUND)
+    assert line.detector.stage is Stage.GROUND_CONTACT
+
+
+def test_disarmed_counts_as_landed():
+    line = Timeline()
+    line.take_off()
+    line.run(STEP, armed=False, **DESCENT)
+    assert line.detector.landed

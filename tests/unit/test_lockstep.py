@@ -1,0 +1,174 @@
+"""The rendezvous of a step: every living vehicle's answer is waited for, and whoever is gone is named."""
+
+import contextlib
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+
+import psutil
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from autopilot.mavlink.codec import Encoder, Parser
+from harness.lockstep import ConnectTimeout, Lockstep
+from harness.patience import REPORT_AFTER_S, Patience
+
+
+class Vehicles:
+    """Listeners, lockstep and what it reported."""
+
+    def __init__(self, count, limit_s=1.0):
+        self.listeners = [socket.create_server(("127.0.0.1", 0)) for _ in range(count)]
+        self.patience = Patience(limit_s)
+        self.messages, self.silent, self.lost = [], [], []
+        self.lockstep = Lockstep(
+            self.listeners,
+            patience=self.patience,
+            on_message=lambda i, message: self.messages.append((i, message.get_type())),
+            on_silent=lambda i, _: self.silent.append(i),
+            on_lost=lambda i, reason: self.lost.append((i, reason)),
+        )
+        self.clients = [socket.create_connection(listener.getsockname()) for listener in self.listeners]
+        self.lockstep.connect(5.0, keep_waiting=lambda: True)
+
+    def answering(self, i, *, lag=0, before=()):
+        """A thread that answers each HIL_SENSOR with its time stamp, after other messages and a stale answer if asked."""
+
+        def run():
+            parser, encoder = Parser(), Encoder(system=i + 1, component=1)
+            with contextlib.suppress(OSError):  # the test is over
+                while data := self.clients[i].recv(4096):
+                    for sensor in parser.push(data):
+                        stale = [actuators(sensor.time_usec - lag)] if lag else []
+                        for message in (*before, *stale, actuators(sensor.time_usec)):
+                            self.clients[i].sendall(encoder.encode(message))
+
+        threading.Thread(target=run, daemon=True).start()
+
+    def close(self):
+        self.lockstep.close()
+        for client in self.clients:
+            client.close()
+
+
+@pytest.fixture
+def vehicles():
+    made = []
+
+    def make(*args, **kwargs):
+        made.append(Vehicles(*args, **kwargs))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
+
+
+def actuators(time_us):
+    return mavlink.MAVLink_hil_actuator_controls_message(time_us, [0.5] * 16, 129, 1)
+
+
+def sensors(time_us):
+    message = mavlink.MAVLink_hil_sensor_message(time_us, *[0.0] * 13, 0x3F, 0)
+    return Encoder(system=0, component=1).encode(message)
+
+
+def test_all_answers_of_the_step_come_back_and_stale_ones_do_not(vehicles):
+    three = vehicles(3)
+    for i in range(3):
+        three.answering(i, lag=4000 if i == 1 else 0)
+    for time_us in (4000, 8000, 12_000):
+        answers = three.lockstep.exchange(time_us, [sensors(time_us)] * 3)
+        assert [answer.time_usec for answer in answers] == [time_us] * 3
+    assert three.lost == []
+
+
+def test_other_messages_are_passed_on_before_the_answer_counts(vehicles):
+    one = vehicles(1)
+    one.answering(0, before=[mavlink.MAVLink_heartbeat_message(2, 12, 129, 0, 4, 3)])
+    one.lockstep.exchange(4000, [sensors(4000)])
+    assert one.messages == [(0, "HEARTBEAT")]
+
+
+def test_a_closed_connection_is_lost_at_once_and_the_others_go_on(vehicles):
+    two = vehicles(2)
+    two.answering(0)
+    two.clients[1].close()
+    answers = two.lockstep.exchange(4000, [sensors(4000)] * 2)
+    assert answers[0].time_usec == 4000
+    assert answers[1] is None
+    assert two.lost == [(1, "its connection closed")]
+    answers = two.lockstep.exchange(8000, [sensors(8000), None])
+    assert answers[0].time_usec == 8000
+
+
+def test_a_sleeping_vehicle_is_reported_and_given_up_after_its_limit(vehicles):
+    one = vehicles(1, limit_s=0.3)
+    one.answering(0)
+    one.lockstep.exchange(4000, [sensors(4000)])  # it works, so the long patience of the start is over
+    before = time.monotonic()
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as sleeper:
+        one.patience.set_pid(0, sleeper.pid)
+        one.lockstep.exchange(8000, [b"\x00"])  # nothing it could answer
+    assert one.silent == [0]
+    assert one.lost[0][0] == 0
+    assert "has not answered" in one.lost[0][1]
+    assert REPORT_AFTER_S <= time.monotonic() - before
+
+
+def test_a_stopped_process_is_given_up_within_a_second_whatever_the_limit(vehicles):
+    one = vehicles(1, limit_s=600.0)
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
+        try:
+            process.send_signal(signal.SIGSTOP)
+            one.patience.set_pid(0, process.pid)
+            one.lockstep.exchange(4000, [sensors(4000)])
+        finally:
+            process.send_signal(signal.SIGCONT)
+    assert one.lost == [(0, "its process is stopped")]
+    assert one.silent == [0]
+
+
+def test_who_does_not_connect_is_named():
+    listeners = [socket.create_server(("127.0.0.1", 0)) for _ in range(3)]
+    nothing = {"on_message": None, "on_silent": None, "on_lost": None}
+    lockstep = Lockstep(listeners, patience=Patience(1.0), **nothing)
+    with socket.create_connection(listeners[1].getsockname()), pytest.raises(ConnectTimeout, match="uav 0, 2 within"):
+        lockstep.connect(0.2, keep_waiting=lambda: True)
+    lockstep.close()
+
+
+class Process:
+    """What psutil would say of a process, as a script: (status, cpu seconds) at each look."""
+
+    def __init__(self, looks):
+        self.looks = iter(looks)
+
+    def __call__(self, instance):
+        assert instance == 0
+        return next(self.looks)
+
+
+def judge(patience, looks, *, every_s=0.1, starting=False):
+    """Judge every 0.1 s of wall time; returns when it was given up, or None."""
+    patience._look = Process(looks)
+    patience.begin(100.0)
+    for k in range(1, len(looks) + 1):
+        if patience.judge(0, 100.0 + k * every_s, starting=starting).give_up is not None:
+            return k * every_s
+    return None
+
+
+def test_a_starved_process_is_waited_for_and_a_sleeping_or_spinning_one_is_not():
+    looks = 100
+    starved = [(psutil.STATUS_RUNNING, 0.001 * k) for k in range(looks)]
+    assert judge(Patience(2.0), starved) is None
+    sleeping = [(psutil.STATUS_SLEEPING, 0.0)] * looks
+    assert judge(Patience(2.0), sleeping) == pytest.approx(2.1, abs=0.15)
+    spinning = [(psutil.STATUS_RUNNING, 0.1 * k) for k in range(looks)]
+    assert judge(Patience(2.0), spinning) == pytest.approx(2.5, abs=0.25)
+    assert judge(Patience(2.0), sleeping, starting=True) is None
+    assert judge(Patience(2.0), [(psutil.STATUS_ZOMBIE, 0.0)] * looks) == pytest.approx(REPORT_AFTER_S, abs=0.15)

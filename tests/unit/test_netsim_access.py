@@ -1,0 +1,256 @@
+"""Channel access and frame exchange as timelines in microseconds.
+
+100 bytes at 6 Mbit/s last 160 us and their ACK 44 us; RTS, CTS and ACK at 24 Mbit/s last 28 us. Slot 9, SIFS 16, DIFS 34.
+"""
+
+import pytest
+from netsim_air import UNHEARD_DBM, A, Air, B, C, D
+
+from netsim.mac.access import DCF, EDCA
+from netsim.mac.jobs import Outcome
+
+SLOT_US, SIFS_US, DIFS_US, EIFS_US = 9, 16, 34, 94
+
+
+def test_interframe_spaces_are_those_of_5_ghz_ofdm():
+    assert DCF.aifs_ns == 34_000
+    assert {name: (p.aifs_ns // 1_000, p.cw_min, p.cw_max) for name, p in EDCA.items()} == {
+        "vo": (34, 3, 7),
+        "vi": (34, 7, 15),
+        "be": (43, 15, 1023),
+        "bk": (79, 15, 1023),
+    }
+
+
+def test_idle_medium_is_used_at_once():
+    #  1000   1160 1176 1220
+    #  A data | sifs | B ack
+    air = Air(2)
+    air.send(1000, A, B)
+    assert air.run() == [(1000, 1160, A, "data"), (1176, 1220, B, "ack")]
+    assert air.outcomes == [Outcome.ACKNOWLEDGED]
+    assert air.arrivals == [(B, A, False)]
+
+
+def test_frame_within_difs_of_a_busy_medium_waits_for_the_rest_of_it():
+    #  1000   1160  1170         1194
+    #  A data |     B's arrives  B data
+    air = Air(2)
+    air.send(1000, A)
+    air.send(1170, B)
+    assert air.run()[1] == (1160 + DIFS_US, 1354, B, "data")
+
+
+def test_frame_that_finds_the_medium_busy_backs_off():
+    #  1000     1160 1194      1221
+    #  A data   |difs| 3 slots | B data
+    #    ^ B's arrives
+    air = Air(2, backoffs={B: [(3, 15)]})
+    air.send(1000, A)
+    air.send(1100, B)
+    assert air.run() == [(1000, 1160, A, "data"), (1160 + DIFS_US + 3 * SLOT_US, 1381, B, "data")]
+
+
+def test_backoff_freezes_while_busy_and_resumes_with_what_is_left():
+    #  1000   1160 1194     1212     1372 1406     1433
+    #  A data |difs|2 slots | C data |difs|3 slots | B data
+    #  B drew 5, C drew 2
+    air = Air(3, backoffs={B: [(5, 15)], C: [(2, 15)]})
+    air.send(1000, A)
+    air.send(1010, B)
+    air.send(1020, C)
+    assert air.run() == [(1000, 1160, A, "data"), (1212, 1372, C, "data"), (1433, 1593, B, "data")]
+
+
+def test_post_backoff_holds_back_the_next_frame_of_the_same_station():
+    air = Air(2, backoffs={A: [(4, 15)]})
+    air.send(1000, A)
+    air.send(1100, A)
+    assert air.run()[1][0] == 1160 + DIFS_US + 4 * SLOT_US
+
+
+def test_post_backoff_counts_down_without_a_frame():
+    # drawn at 1160: 4 slots have passed at 1230, so a frame at 1300 goes out at once; one at 1210 waits for them
+    for arrives_us, starts_us in ((1300, 1300), (1210, 1230)):
+        air = Air(2, backoffs={A: [(4, 15)]})
+        air.send(1000, A)
+        air.send(arrives_us, A)
+        assert air.run()[1][0] == starts_us
+
+
+def test_stations_that_start_in_the_same_instant_all_collide():
+    stations = 6
+    air = Air(stations)
+    for station in range(stations):
+        air.send(1000, station)
+    assert [start for start, *_ in air.run()] == [1000] * stations
+    assert not air.arrivals
+    assert all(len(t.collided) == stations - 1 and not t.lost_to_noise for t in air.transmissions)
+
+
+def test_equal_backoffs_collide_despite_propagation():
+    # 300 m: a microsecond between any two, a tenth of a slot
+    delays_ns = {(i, j): 1_000 for i in range(3) for j in range(3) if i != j}
+    air = Air(3, delays_ns=delays_ns, backoffs={B: [(2, 15)], C: [(2, 15)]})
+    air.send(1000, A)
+    air.send(1100, B)
+    air.send(1100, C)
+    # both count from the end at their own antennas, 1161
+    assert [(start, source) for start, _, source, _ in air.run()] == [(1000, A), (1213, B), (1213, C)]
+
+
+@pytest.mark.parametrize(("stronger_db", "wait_us"), [(6.0, EIFS_US), (0.0, DIFS_US)])
+def test_eifs_after_a_frame_that_began_well_and_broke(stronger_db, wait_us):
+    #  1000        1160
+    #  A data      |           C finds A's preamble if that is 4 dB stronger than B, fails to decode it, waits EIFS;
+    #  B data      |eifs|slot| C data                of two equal frames it finds neither and senses energy alone
+    powers_dbm = {(A, C): -50.0, (B, C): -50.0 - stronger_db}
+    air = Air(3, powers_dbm=powers_dbm, backoffs={C: [(1, 15)]})
+    air.send(1000, A, mode="ofdm24", frame_bytes=400)
+    air.send(1000, B, mode="ofdm24", frame_bytes=400)
+    air.send(1050, C)
+    end_us = 1000 + 20 + 4 * 34
+    assert air.run()[2][:3] == (end_us + wait_us + SLOT_US, end_us + wait_us + SLOT_US + 160, C)
+
+
+def test_a_correct_frame_ends_eifs():
+    # D's frame reaches C while C waits EIFS; from its end on DIFS is enough
+    powers_dbm = {(A, C): -50.0, (B, C): -56.0, (A, D): UNHEARD_DBM, (B, D): UNHEARD_DBM}
+    air = Air(4, powers_dbm=powers_dbm, backoffs={C: [(0, 15)]})
+    air.send(1000, A, mode="ofdm24", frame_bytes=400)
+    air.send(1000, B, mode="ofdm24", frame_bytes=400)
+    air.send(1050, C)
+    air.send(1160, D)
+    assert [frame for frame in air.run() if frame[2] in {C, D}] == [(1160, 1320, D, "data"), (1354, 1514, C, "data")]
+
+
+def test_rts_and_cts_reserve_the_medium():
+    #  1000  1028 1044  1072 1088   1248 1264 1308
+    #  A rts |    B cts |    A data |    B ack |difs| C data
+    air = Air(3, backoffs={C: [(0, 15)]})
+    air.send(1000, A, B, rts=True)
+    air.send(1035, C)
+    assert air.run() == [
+        (1000, 1028, A, "rts"),
+        (1044, 1072, B, "cts"),
+        (1088, 1248, A, "data"),
+        (1264, 1308, B, "ack"),
+        (1308 + DIFS_US, 1502, C, "data"),
+    ]
+
+
+@pytest.mark.parametrize("rts", [False, True])
+def test_hidden_terminal_collides_unless_it_hears_the_cts(rts):
+    # A and C do not hear each other, B hears both
+    air = Air(3, powers_dbm={(A, C): UNHEARD_DBM, (C, A): UNHEARD_DBM}, backoffs={C: [(0, 15)]})
+    air.send(1000, A, B, rts=rts)
+    air.send(1100, C)
+    air.run(1600)
+    first_data = next(t for t in air.transmissions if t.source == A and t.frame.kind == "data")
+    from_c = next(t for t in air.transmissions if t.source == C)
+    if rts:
+        # C waits for the end of the exchange at 1308, of which it hears CTS and ACK alone
+        assert (first_data.delivered, first_data.collided) == ([B], [])
+        assert from_c.start_ns == 1_000 * (1308 + DIFS_US)
+    else:
+        assert (first_data.delivered, first_data.collided) == ([], [B])
+        assert from_c.start_ns == 1_100_000
+
+
+def test_nav_falls_when_nothing_follows_an_rts():
+    # 1028 + 2 SIFS + CTS 28 + preamble 20 + 2 slots = 1126
+    air = Air(3, powers_dbm={(A, B): UNHEARD_DBM}, backoffs={C: [(0, 15)]})
+    air.send(1000, A, B, rts=True, frame_bytes=1000, retry_limit=0)
+    air.send(1035, C)
+    assert air.run()[1] == (1126 + DIFS_US, 1320, C, "data")
+
+
+def test_lost_frame_is_repeated_with_doubled_windows_and_given_up():
+    # no answer: 45 us after each end the exchange has failed, then DIFS and the backoff, here the whole window
+    windows = [31, 63, 127, 255, 511, 1023, 1023]
+    air = Air(2, powers_dbm={(A, B): UNHEARD_DBM}, backoffs={A: [(w, w) for w in windows]})
+    air.send(1000, A, B)
+    starts_us = [start for start, *_ in air.run()]
+    gaps_us = [later - earlier for earlier, later in zip(starts_us, starts_us[1:], strict=False)]
+    assert gaps_us == [160 + SIFS_US + SLOT_US + 20 + DIFS_US + w * SLOT_US for w in windows]
+    assert air.outcomes == [Outcome.RETRY_LIMIT]
+
+
+def test_repeated_frame_is_marked_as_a_duplicate():
+    # B hears A, A never hears B's ACK
+    air = Air(2, powers_dbm={(B, A): UNHEARD_DBM})
+    air.send(1000, A, B, retry_limit=2)
+    air.send(500_000, A, B, retry_limit=0)
+    air.run()
+    assert air.arrivals == [(B, A, False), (B, A, True), (B, A, True), (B, A, False)]
+
+
+def test_ack_that_has_begun_in_time_is_waited_for():
+    # at 6 Mbit/s the ACK ends 60 us after the frame, 15 us past the time-out, which stops at its preamble
+    air = Air(2)
+    air.send(1000, A, B)
+    air.run()
+    assert air.outcomes == [Outcome.ACKNOWLEDGED]
+    assert len(air.transmissions) == 2
+
+
+def test_group_frame_behind_rts_goes_to_the_loudest_neighbour():
+    #  9000  9028 9044  9072 9088
+    #  A rts |    C cts |    A data
+    air = Air(3, powers_dbm={(B, A): -60.0, (C, A): -55.0})
+    air.send(1000, B)
+    air.send(5000, C)
+    air.send(9000, A, rts=True)
+    assert air.run()[2:] == [(9000, 9028, A, "rts"), (9044, 9072, C, "cts"), (9088, 9248, A, "data")]
+    assert air.transmissions[-1].delivered == [B, C]
+
+
+def test_group_frame_goes_without_rts_when_nobody_was_heard_lately():
+    air = Air(2)
+    air.send(1000, A, rts=True)
+    air.send(10_000, B)
+    air.send(1_010_200, A, rts=True)
+    assert [kind for *_, kind in air.run(2_000_000)] == ["data", "data", "data"]
+
+
+def test_group_frame_is_dropped_when_cts_stays_away_and_the_neighbour_forgotten():
+    air = Air(2, powers_dbm={(A, B): UNHEARD_DBM})
+    air.send(1000, B)
+    air.send(2000, A, rts=True, retry_limit=3)
+    air.send(500_000, A, rts=True)
+    assert [kind for *_, kind in air.run()] == ["data", "rts", "rts", "rts", "rts", "data"]
+    assert air.outcomes == [Outcome.SENT, Outcome.RETRY_LIMIT, Outcome.SENT]
+
+
+def test_voice_goes_before_best_effort():
+    access = {"vo": EDCA["vo"], "be": EDCA["be"]}
+    air = Air(3, access=access, backoffs={B: [(1, 15)], C: [(1, 3)]})
+    air.send(1000, A, category="be")
+    air.send(1010, B, category="be")
+    air.send(1020, C, category="vo")
+    # C after 34 + 9; B has by then waited its 43 and no slot
+    assert [frame[:3] for frame in air.run()[1:]] == [(1203, 1363, C), (1363 + 43 + 9, 1575, B)]
+
+
+def test_two_queues_of_one_station_collide_inside_it():
+    # both would send at 1203: voice does, best effort draws from twice its window
+    access = {"vo": EDCA["vo"], "be": EDCA["be"]}
+    air = Air(2, access=access, backoffs={B: [(0, 15), (1, 3), (20, 31)]})
+    air.send(1000, A, category="be")
+    be = air.send(1010, B, category="be")
+    air.send(1020, B, category="vo")
+    assert [frame[:3] for frame in air.run()[1:]] == [(1203, 1363, B), (1363 + 43 + 20 * 9, 1746, B)]
+    assert be.failures == 1
+
+
+def test_queue_is_bounded_in_length_and_time():
+    air = Air(2, powers_dbm={(A, B): UNHEARD_DBM})
+    for _ in range(12):
+        air.send(1000, A, B, retry_limit=0, lifetime_us=600)
+    air.run()
+    # ten fit; after 600 us whatever was not yet sent has expired
+    assert air.outcomes.count(Outcome.OVERFLOW) == 2
+    sent = len(air.transmissions)
+    assert 1 <= sent <= 3
+    assert air.outcomes.count(Outcome.RETRY_LIMIT) == sent
+    assert air.outcomes.count(Outcome.EXPIRED) == 10 - sent

@@ -1,0 +1,54 @@
+"""Order and cancellation of scheduled calls, and independence of random streams."""
+
+import numpy as np
+import pytest
+
+from netsim.kernel import NEVER_NS, EventQueue
+from netsim.streams import Model, Streams, Uniforms
+
+
+def test_calls_run_in_order_of_time_and_then_of_scheduling():
+    queue, ran = EventQueue(), []
+    for time_ns, name in ((20, "b"), (10, "a"), (20, "c"), (31, "late")):
+        queue.at(time_ns, ran.append, name)
+    queue.run_until(30)
+    assert ran == ["a", "b", "c"]
+    assert (queue.now_ns, queue.next_ns()) == (30, 31)
+
+
+def test_a_call_may_schedule_another_at_the_same_instant():
+    queue, ran = EventQueue(), []
+    queue.at(10, lambda _: queue.at(10, ran.append, queue.now_ns), None)
+    queue.run_until(10)
+    assert ran == [10]
+
+
+def test_cancelled_calls_neither_run_nor_count_as_next():
+    queue, ran = EventQueue(), []
+    event = queue.at(10, ran.append, "x")
+    queue.cancel(event)
+    queue.cancel(event)
+    assert queue.next_ns() == NEVER_NS
+    queue.run_until(20)
+    assert not ran
+
+
+def test_the_past_cannot_be_scheduled():
+    queue = EventQueue()
+    queue.run_until(10)
+    with pytest.raises(ValueError, match="it is 10 ns"):
+        queue.at(9, print, None)
+
+
+def test_streams_differ_by_model_and_link_and_not_by_order_of_use():
+    streams = Streams(np.random.SeedSequence(7))
+    first = {key: streams.generator(*key).random() for key in ((Model.FADING, 0, 1), (Model.FADING, 1, 0), (Model.HOST, 0))}
+    again = {key: Streams(np.random.SeedSequence(7)).generator(*key).random() for key in reversed(first)}
+    assert first == again
+    assert len(set(first.values())) == 3
+
+
+def test_uniforms_are_the_generators_own():
+    uniforms = Uniforms(np.random.default_rng(3))
+    expected = np.random.default_rng(3).random(2 * Uniforms.BLOCK).tolist()
+    assert [uniforms.draw() for _ in expected] == expected

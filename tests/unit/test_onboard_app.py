@@ -1,0 +1,221 @@
+"""The application's flight as a timeline, alone or in pairs, with a scripted autopilot."""
+
+import numpy as np
+import pytest
+from onboard_world import MODE_LOITER, MODE_OFFBOARD, SITE, STEP_US, Errors, SwarmWorld
+from pymavlink.dialects.v20 import common
+
+from autopilot.config import OnboardConfig
+from autopilot.onboard import OnboardApp, Phase
+from autopilot.onboard import beacon as wire
+from netsim.wire.messages import Broadcast, Delivery, FtmRequest
+
+PAIR = ((-3.0, 0.0, -8.0), (3.0, 0.0, -8.0))
+ALONE = ((0.0, 0.0, -8.0),)
+GPS = OnboardConfig(localisation="gps")
+
+
+def world(places=PAIR, *, seed=1, **kwargs):
+    return SwarmWorld(places_ned_m=places, seed=seed, **kwargs)
+
+
+def phase_is(phase):
+    return lambda w: all(app.phase is phase for app in w.apps)
+
+
+def test_timeline_of_a_flight():
+    w = world()
+    w.run_until(phase_is(Phase.LOCALISING), limit_s=1.5)
+    # a pair is complete with one distance each way, asked for within one period
+    w.run_until(phase_is(Phase.TAKE_OFF), limit_s=2.0)
+    w.run_until(phase_is(Phase.JOINING), limit_s=3.0)
+    assert all(-2.0 < z < -1.0 for z in w.pos[:, 2])  # handed over while still climbing
+    # 6.8 m at 1.5 m/s with 0.8 m/s^2 at the end, then 2 s of holding
+    w.run_until(phase_is(Phase.ON_STATION), limit_s=6.8 / 1.5 + 2.0 + 4.0)
+    for app in w.apps:
+        app.request_landing()
+    w.run_until(phase_is(Phase.LANDED), limit_s=8.0 / 0.7 + 5.0)
+    for autopilot in w.autopilots:
+        numbers = list(dict.fromkeys(number for _, number, _ in autopilot.commands))
+        assert numbers == [
+            common.MAV_CMD_COMPONENT_ARM_DISARM,
+            common.MAV_CMD_NAV_TAKEOFF,
+            common.MAV_CMD_DO_SET_MODE,
+            common.MAV_CMD_NAV_LAND,
+        ]
+
+
+def test_gps_alone_needs_no_localising_sends_no_requests_and_corrects_nothing():
+    w = world(config=GPS)
+    w.run_until(phase_is(Phase.ON_STATION), limit_s=20.0)
+    assert w.sent[FtmRequest] == 0
+    assert w.sent[Broadcast] > 0
+    assert all(not app.estimate.correction_ned_m.any() for app in w.apps)
+
+
+def test_a_lone_uav_flies():
+    w = world(ALONE)
+    w.run_until(phase_is(Phase.ON_STATION), limit_s=20.0)
+    assert w.sent[FtmRequest] == 0
+
+
+def test_a_refused_command_is_tried_again_each_second():
+    w = world(ALONE)
+    w.autopilots[0].refuse = {common.MAV_CMD_COMPONENT_ARM_DISARM: 3}
+    w.run_until(phase_is(Phase.TAKE_OFF), limit_s=8.0)
+    arm_us = [now_us for now_us, number, _ in w.autopilots[0].commands if number == 400]
+    assert np.diff(arm_us).tolist() == [1_000_000] * 3
+
+
+def test_an_unanswered_command_is_repeated_with_its_confirmation_raised():
+    app = OnboardApp(station=0, places_ned_m=ALONE, site=SITE, config=GPS, rng=np.random.default_rng(1))
+    sent = []
+    for step in range(1, 1_000):
+        now_us = step * STEP_US
+        if step == 1:
+            lat, lon = round(SITE.latitude_deg * 1e7), round(SITE.longitude_deg * 1e7)
+            app.on_mavlink(common.MAVLink_local_position_ned_message(0, 0, 0, 0, 0, 0, 0), now_us)
+            app.on_mavlink(common.MAVLink_gps_global_origin_message(lat, lon, 488_000), now_us)
+            fix = common.MAVLink_gps_raw_int_message(200_000, 3, lat, lon, 488_000, 150, 250, 0, 0, 10)
+            app.on_mavlink(fix, now_us)
+        sent += [(now_us, m) for m in app.on_timer(now_us).mavlink if m.get_type() == "COMMAND_LONG"]
+    assert [m.confirmation for _, m in sent[:4]] == [0, 1, 2, 3]
+    assert np.diff([now_us for now_us, _ in sent]).tolist() == [500_000] * (len(sent) - 1)
+
+
+def test_setpoints_are_20_hz_before_and_in_offboard():
+    w = world(ALONE)
+    w.run_until(phase_is(Phase.TAKE_OFF), limit_s=5.0)
+    received = []
+    autopilot = w.autopilots[0]
+    original = autopilot.on_message
+    autopilot.on_message = lambda msg, now_us: (
+        received.append((now_us, msg)) if msg.get_type() == "SET_POSITION_TARGET_LOCAL_NED" else None,
+        original(msg, now_us),
+    )[1]
+    w.run(5.0)
+    assert np.all(np.abs(np.diff([now_us for now_us, _ in received]) - 50_000) <= STEP_US)
+    mask = {m.type_mask for _, m in received}
+    assert mask == {0b1101_1100_0000}  # position and velocity count; acceleration, yaw and yaw rate do not
+
+
+def test_heartbeats_tell_the_phase_at_1_hz_and_at_every_change():
+    w = world(ALONE)
+    beats = []
+    app = w.apps[0]
+    on_timer = app.on_timer
+
+    def spy(now_us):
+        out = on_timer(now_us)
+        beats.extend((now_us, m.custom_mode, m.type) for m in out.mavlink if m.get_type() == "HEARTBEAT")
+        return out
+
+    app.on_timer = spy
+    w.run_until(phase_is(Phase.ON_STATION), limit_s=20.0)
+    assert {kind for _, _, kind in beats} == {common.MAV_TYPE_ONBOARD_CONTROLLER}
+    assert [phase for k, (_, phase, _) in enumerate(beats) if k == 0 or beats[k - 1][1] != phase] == [
+        0,
+        2,
+        3,
+        4,
+        5,
+    ]
+    assert max(np.diff([now_us for now_us, _, _ in beats])) <= 1_000_000
+
+
+def test_somebody_elses_mode_is_respected_until_offboard_is_chosen_again():
+    w = world(ALONE)
+    w.run_until(phase_is(Phase.ON_STATION), limit_s=20.0)
+    w.run(1.5)
+    w.autopilots[0].mode = MODE_LOITER
+    w.run_until(phase_is(Phase.YIELDED), limit_s=1.5)
+    commands = len(w.autopilots[0].commands)
+    w.run(3.0)
+    assert len(w.autopilots[0].commands) == commands
+    w.autopilots[0].mode = MODE_OFFBOARD
+    w.run_until(phase_is(Phase.JOINING), limit_s=1.5)
+    w.run_until(phase_is(Phase.ON_STATION), limit_s=5.0)
+
+
+def test_without_distances_it_takes_off_after_the_timeout_and_says_so():
+    w = world(errors=Errors(radio_loss=1.0))
+    w.run_until(phase_is(Phase.LOCALISING), limit_s=1.5)
+    began_us = w.now_us
+    w.run_until(phase_is(Phase.ARMING), limit_s=10.2)
+    assert w.now_us - began_us == pytest.approx(10_000_000, abs=200_000)
+    w.run_until(phase_is(Phase.ON_STATION), limit_s=20.0)
+    for app, autopilot in zip(w.apps, w.autopilots, strict=True):
+        assert not app.estimate.correction_ned_m.any()
+        assert [text for _, text in autopilot.texts] == ["formation not localised: taking off all the same"]
+
+
+def test_a_cut_channel_is_said_once_and_so_is_its_return():
+    w = world()
+    w.run_until(phase_is(Phase.ON_STATION), limit_s=25.0)
+    w.radio_cut = True
+    w.run(8.0)
+    lost = [text for _, text in w.autopilots[0].texts]
+    assert lost == ["ranging lost: correction frozen, then fading"]
+    assert np.isinf(w.apps[0].estimate.shape_std_m)
+    w.radio_cut = False
+    w.run(4.0)
+    assert [text for _, text in w.autopilots[0].texts] == [*lost, "ranging is back"]
+
+
+def test_beacons_are_a_period_apart_with_jitter_and_stations_are_out_of_step():
+    w = world(config=GPS)
+    times_us = [[], []]
+    transmit = w._transmit
+    w._transmit = lambda i, item: (times_us[i].append(item.at_us), transmit(i, item))[1]
+    w.run(10.0)
+    for own_us in times_us:
+        gaps_us = np.diff(own_us)
+        assert np.all(np.abs(gaps_us - 100_000) <= 2 * 2_000)  # two shifts of at most 2 % of the period
+        assert np.std(gaps_us) > 500
+        assert len({at_us % STEP_US for at_us in own_us}) > 50
+    assert abs(times_us[0][10] - times_us[1][10]) % 100_000 > STEP_US
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda beacon: b"",
+        lambda beacon: b"\xff" * 135,
+        lambda beacon: wire.encode(wire.Beacon(0, 1, 2, beacon.time_us, (0.0,) * 3, (0.0,) * 3, None, ())),
+        lambda beacon: wire.encode(wire.Beacon(200, 1, 2, beacon.time_us, (0.0,) * 3, (0.0,) * 3, None, ())),
+        lambda beacon: wire.encode(wire.Beacon(1, 1, 2, 2**62, (0.0,) * 3, (0.0,) * 3, None, ())),
+    ],
+    ids=["empty", "noise", "own number", "no such station", "from the future"],
+)
+def test_a_wrong_datagram_is_counted_and_changes_nothing(spoil):
+    w = world()
+    w.run(2.0)
+    app = w.apps[0]
+    state, cov = app.localisation.state.copy(), app.localisation.cov.copy()
+    good = wire.decode(wire.encode(w.apps[1]._beacon()))
+    delivery = Delivery(source=1, seq=0, received_ns=0, rssi_dbm=-60.0, payload=spoil(good))
+    app.on_radio(delivery, w.now_us)
+    assert app.bad_beacons == 1
+    assert np.array_equal(app.localisation.state, state)
+    assert np.array_equal(app.localisation.cov, cov)
+
+
+def test_an_autopilot_that_booted_earlier_or_later_makes_no_difference():
+    tracks = []
+    for offset_us in (0, 1_000, -60_000_000):
+        w = world(seed=4, boot_offset_us=offset_us)
+        w.run(6.0)
+        tracks.append(w.flown()[1])
+    assert np.array_equal(tracks[0], tracks[1])
+    assert np.array_equal(tracks[0], tracks[2])
+
+
+def test_same_seed_same_flight():
+    flights = []
+    for seed in (3, 3, 4):
+        w = world(seed=seed)
+        w.run(6.0)
+        flights.append((w.flown()[0], w.flown()[1]))
+    assert np.array_equal(flights[0][0], flights[1][0])
+    assert np.array_equal(flights[0][1], flights[1][1])
+    assert not np.array_equal(flights[0][1], flights[2][1])

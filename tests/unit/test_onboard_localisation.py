@@ -1,0 +1,302 @@
+"""The cooperative localisation against what theory allows: the Cramer-Rao bound, the batch optimum, its own covariance."""
+
+import numpy as np
+import pytest
+from onboard_world import article_places_ned_m, rms, shape_errors_m
+from scipy.optimize import least_squares
+
+from autopilot.onboard import kernels
+from autopilot.onboard.localisation import CooperativeLocalisation, LocalisationModel
+
+PLACES = article_places_ned_m()
+N = len(PLACES)
+PAIRS = [(i, j) for i in range(N) for j in range(N) if i != j]
+RANGE_STD_M = 0.1
+STATIC = LocalisationModel(
+    gps_bias_std_m=1.5, gps_bias_time_constant_s=1e6, gps_white_std_m=0.2, odometry_drift_m_sqrt_s=1e-4,
+    height_std_m=0.01, height_time_constant_s=1e6, range_floor_std_m=1e-3,
+)  # fmt: skip
+FIXES = 25
+
+
+class StaticCase:
+    """UAVs at rest for 5 s near their places: fixes at 5 Hz with a constant bias, five rounds of distances."""
+
+    def __init__(self, seed, *, rounds=5, placement_std_m=0.5, mirrored=False):
+        rng = np.random.default_rng(seed)
+        self.truth = PLACES + np.pad(rng.normal(0.0, placement_std_m, (N, 2)), ((0, 0), (0, 1)))
+        self.bias = rng.normal(0.0, STATIC.gps_bias_std_m, (N, 2))
+        if mirrored:
+            # The worst that GPS can do: it shows the formation's two rows exchanged.
+            self.bias = np.column_stack((-2.0 * self.truth[:, 0], np.zeros(N)))
+        self.fixes = self.truth[:, :2] + self.bias + rng.normal(0.0, STATIC.gps_white_std_m, (FIXES, N, 2))
+        self.ranges = []
+        for k in range(rounds):
+            for m in rng.permutation(len(PAIRS)):
+                i, j = PAIRS[m]
+                distance_m = np.linalg.norm(self.truth[i] - self.truth[j]) + rng.normal(0.0, RANGE_STD_M)
+                self.ranges.append((i, j, round((k + len(self.ranges) % 56 / 56) * 1e6) + 1_000, distance_m))
+
+    def run(self, model=STATIC):
+        """Filter after all data, fed in order of time."""
+        filter_ = CooperativeLocalisation(own=0, places_ned_m=PLACES, model=model)
+        ranges = iter(self.ranges)
+        item = next(ranges)
+        for now_us in range(0, 5_100_000, 100_000):
+            for j in range(N):
+                # odometry's origin is arbitrary: here it is that of the site plus the station's number
+                filter_.on_odometry(j, now_us, (float(j), 0.0, PLACES[j, 2]), (0.0, 0.0, 0.0))
+                if now_us % 200_000 == 0 and now_us // 200_000 < FIXES:
+                    filter_.on_fix(j, now_us, (*self.fixes[now_us // 200_000, j], 0.0))
+            while item is not None and item[2] <= now_us:
+                filter_.on_range(*item, RANGE_STD_M, now_us=now_us)
+                item = next(ranges, None)
+            filter_.update(now_us)
+        return filter_
+
+    def batch(self):
+        """Maximum a posteriori positions (N, 2) of the same data, by scipy from the truth."""
+        mean_fix = self.fixes.mean(axis=0)
+        fix_std_m = np.hypot(STATIC.gps_bias_std_m, STATIC.gps_white_std_m / np.sqrt(FIXES))
+        i, j = np.array([item[0] for item in self.ranges]), np.array([item[1] for item in self.ranges])
+        measured = np.array([item[3] for item in self.ranges])
+
+        def residuals(flat):
+            pos = flat.reshape(N, 2)
+            expected = np.linalg.norm(pos[i] - pos[j], axis=1)
+            return np.concatenate(
+                (((pos - mean_fix) / fix_std_m).ravel(), (expected - measured) / RANGE_STD_M)
+            )
+
+        return least_squares(residuals, self.truth[:, :2].ravel()).x.reshape(N, 2)
+
+
+def positions(filter_):
+    return filter_.positions_ned_m(5_000_000)[:, :2]
+
+
+def bound(pos, rounds):
+    """(16, 16) inverse Fisher information of horizontal positions: GPS with its bias as prior, and the distances."""
+    fix_var = STATIC.gps_bias_std_m**2 + STATIC.gps_white_std_m**2 / FIXES
+    information = np.eye(2 * N) / fix_var
+    for i, j in PAIRS:
+        row = np.zeros(2 * N)
+        row[2 * i : 2 * i + 2] = (pos[i] - pos[j]) / np.linalg.norm(pos[i] - pos[j])
+        row[2 * j : 2 * j + 2] = -row[2 * i : 2 * i + 2]
+        information += rounds * np.outer(row, row) / RANGE_STD_M**2
+    return np.linalg.inv(information)
+
+
+def pose_modes(pos):
+    """(16, 3) orthonormal: what two shifts and a small turn of the whole do to all positions."""
+    centred = pos - pos.mean(axis=0)
+    turn = np.column_stack((-centred[:, 1], centred[:, 0])).ravel()
+    north, east = np.tile((1.0, 0.0), N), np.tile((0.0, 1.0), N)
+    return np.column_stack((north / np.sqrt(N), east / np.sqrt(N), turn / np.linalg.norm(turn)))
+
+
+def shape_projector(pos):
+    """(16, 16) onto what a rigid alignment leaves."""
+    modes = pose_modes(pos)
+    return np.eye(2 * N) - modes @ modes.T
+
+
+@pytest.fixture(scope="module")
+def monte_carlo():
+    cases = [StaticCase(seed) for seed in range(100)]
+    return [(case, case.run()) for case in cases]
+
+
+def test_shape_error_is_within_a_tenth_of_the_cramer_rao_bound(monte_carlo):
+    found, bounds = [], []
+    for case, filter_ in monte_carlo:
+        pos = case.truth[:, :2]
+        projector = shape_projector(pos)
+        bounds.append(np.sqrt(np.trace(projector @ bound(pos, 5) @ projector) / N))
+        found.append(rms(shape_errors_m(positions(filter_), pos)))
+    # 100 runs of 13 degrees of freedom: the ratio's own scatter is 1 / sqrt(2 * 1300) = 2 %.
+    assert 0.9 < rms(found) / rms(bounds) < 1.1
+
+
+def test_errors_are_consistent_with_the_covariance(monte_carlo):
+    """Shape and pose apart: a turn of the whole is an arc, which no Gaussian in Cartesian coordinates can describe."""
+    shape_nees, pose_nees = [], []
+    for case, filter_ in monte_carlo:
+        keep = (np.arange(N)[:, None] * kernels.STATES + np.arange(2)).ravel()
+        cov = filter_.cov[np.ix_(keep, keep)]
+        truth, found = case.truth[:, :2], positions(filter_)
+        centred, seen = truth - truth.mean(axis=0), found - found.mean(axis=0)
+        angle = np.arctan2(
+            np.sum(centred[:, 0] * seen[:, 1] - centred[:, 1] * seen[:, 0]), np.sum(centred * seen)
+        )
+        turn = np.array(((np.cos(angle), np.sin(angle)), (-np.sin(angle), np.cos(angle))))
+        q, projector = pose_modes(found), shape_projector(found)
+        error = projector @ (seen - centred @ turn).ravel()
+        shape_nees.append(error @ np.linalg.pinv(projector @ cov @ projector, rcond=1e-6) @ error)
+        shift_m = found.mean(axis=0) - truth.mean(axis=0)
+        pose = np.array((*(shift_m * np.sqrt(N)), angle * np.linalg.norm(centred)))
+        pose_nees.append(pose @ np.linalg.solve(q.T @ cov @ q, pose))
+    # Means of 100 chi-squares with 13 and 3 degrees of freedom: 95 % within 1.96 sqrt(2 dof / 100).
+    assert 13.0 - 1.0 < np.mean(shape_nees) < 13.0 + 1.0
+    assert 3.0 - 0.48 < np.mean(pose_nees) < 3.0 + 0.48
+
+
+def test_it_agrees_with_the_batch_optimum(monte_carlo):
+    shape_apart, apart = [], []
+    for case, filter_ in monte_carlo[:10]:
+        optimum = case.batch()
+        apart.append(rms(np.linalg.norm(positions(filter_) - optimum, axis=1)))
+        shape_apart.append(rms(shape_errors_m(positions(filter_), optimum)))
+    # Sequential and weighted for outliers, it loses less than a third of the 0.07 m that the optimum itself is off by.
+    assert rms(shape_apart) < 0.025
+    assert rms(apart) < 0.1
+
+
+def test_predicted_shape_error_is_that_of_the_bound(monte_carlo):
+    case, filter_ = monte_carlo[0]
+    projector = shape_projector(case.truth[:, :2])
+    expected_m = np.sqrt(np.trace(projector @ bound(case.truth[:, :2], 5) @ projector) / N)
+    assert filter_.shape_std_m(5_000_000) == pytest.approx(expected_m, rel=0.15)
+
+
+def test_covariance_stays_symmetric_and_positive(monte_carlo):
+    for _, filter_ in monte_carlo:
+        assert np.array_equal(filter_.cov, filter_.cov.T)
+        assert np.linalg.eigvalsh(filter_.cov).min() > 0.0
+
+
+def test_gps_that_shows_the_mirror_image_does_not_flip_the_formation():
+    case = StaticCase(7, placement_std_m=0.3, mirrored=True)
+    filter_ = case.run()
+    assert rms(shape_errors_m(positions(filter_), case.truth[:, :2])) < 0.15
+    north_m = positions(filter_)[:, 0]
+    assert np.all(north_m[:4] < north_m[4:])  # rows 0..3 stand south of rows 4..7, as they were put
+
+
+def test_one_distance_off_by_5_m_moves_nothing_by_more_than_5_cm():
+    case = StaticCase(11)
+    clean = positions(case.run())
+    for k in (100, 279):
+        spoilt = StaticCase(11)
+        i, j, time_us, distance_m = spoilt.ranges[k]
+        spoilt.ranges[k] = (i, j, time_us, distance_m + 5.0)
+        moved_m = np.linalg.norm(positions(spoilt.run()) - clean, axis=1)
+        assert moved_m.max() < 0.05
+
+
+def test_a_uav_that_measures_5_m_too_much_does_not_bend_the_others():
+    case = StaticCase(12)
+    honest = positions(case.run())
+    case.ranges = [(i, j, t, d + (5.0 if i == 3 else 0.0)) for i, j, t, d in case.ranges]
+    lied_to = positions(case.run())
+    others = [k for k in range(N) if k != 3]
+    assert rms(shape_errors_m(lied_to[others], honest[others])) < 0.1
+
+
+def test_a_distance_is_used_once_however_often_it_is_told():
+    case = StaticCase(13, rounds=1)
+    filter_ = case.run()
+    told, cov = filter_.ranges_used, filter_.cov.copy()
+    assert told == 56
+    for item in case.ranges:
+        filter_.on_range(*item, RANGE_STD_M, now_us=5_000_000)
+    filter_.update(5_000_000)
+    assert filter_.ranges_used == told
+    assert np.array_equal(filter_.cov, cov)
+
+
+def test_a_distance_from_the_future_is_refused_and_hides_nothing():
+    filter_ = StaticCase(14).run()
+    used = filter_.ranges_used
+    filter_.on_range(1, 2, 900_000_000, 8.5, 0.1, now_us=5_000_000)
+    filter_.on_range(1, 2, 4_990_000, 8.5, 0.1, now_us=5_000_000)
+    filter_.update(5_000_000)
+    assert filter_.ranges_used == used + 1
+
+
+def moving_filter():
+    """Two UAVs, the second flying east at 3 m/s; odometry of both every 100 ms from 0 to 2 s; located by GPS and ranges."""
+    model = LocalisationModel(gps_bias_std_m=0.02, gps_white_std_m=0.01, odometry_drift_m_sqrt_s=0.01)
+    filter_ = CooperativeLocalisation(
+        own=0, places_ned_m=np.array([(0.0, 0.0, -5.0), (0.0, 10.0, -5.0)]), model=model
+    )
+    for time_us in range(0, 2_000_001, 100_000):
+        east_m = 10.0 + 3e-6 * time_us
+        filter_.on_odometry(0, time_us, (0.0, 0.0, -5.0), (0.0, 0.0, 0.0))
+        filter_.on_odometry(1, time_us, (0.0, east_m, -5.0), (0.0, 3.0, 0.0))
+        filter_.on_fix(0, time_us, (0.0, 0.0, -5.0))
+        filter_.on_fix(1, time_us, (0.0, east_m, -5.0))
+    filter_.on_range(0, 1, 1_000_000, 13.0, 0.05, now_us=2_000_000)
+    filter_.update(2_000_000)
+    assert filter_.located.all()
+    return filter_
+
+
+def test_a_late_distance_is_compared_with_where_they_were_then():
+    # 0.45 s old: taken as of now it would be 1.35 m too short.
+    filter_ = moving_filter()
+    filter_.on_range(1, 0, 1_550_000, 10.0 + 3.0 * 1.55, 0.05, now_us=2_000_000)
+    before = filter_.state.copy()
+    filter_.update(2_000_000)
+    assert filter_.ranges_used == 2
+    assert np.abs(filter_.state - before).max() < 1e-3
+
+
+def test_a_distance_waits_for_the_odometry_of_its_time():
+    filter_ = moving_filter()
+    filter_.on_range(0, 1, 2_050_000, 16.15, 0.05, now_us=2_060_000)
+    filter_.update(2_060_000)
+    assert filter_.ranges_used == 1
+    filter_.on_odometry(0, 2_100_000, (0.0, 0.0, -5.0), (0.0, 0.0, 0.0))
+    filter_.on_odometry(1, 2_100_000, (0.0, 16.3, -5.0), (0.0, 3.0, 0.0))
+    filter_.update(2_100_000)
+    assert filter_.ranges_used == 2
+
+
+def test_odometry_between_samples_is_exact_for_constant_acceleration():
+    times_us = np.arange(8, dtype=np.int64) * 100_000
+    t = times_us * 1e-6
+    samples = np.column_stack((t**2, -3.0 * t, np.full(8, -5.0), 2.0 * t, np.full(8, -3.0), np.zeros(8)))
+    out = np.empty(3)
+    for time_us in (0, 30_000, 100_000, 649_999):
+        s = time_us * 1e-6
+        assert kernels.odometry_at(times_us, samples, 8, time_us, out) == kernels.KNOWN
+        assert out == pytest.approx((s**2, -3.0 * s, -5.0), abs=1e-12)
+    assert kernels.odometry_at(times_us, samples, 8, 700_001, out) == kernels.NOT_YET
+    assert kernels.odometry_at(times_us, samples, 9, 50_000, out) != kernels.KNOWN or times_us[1] <= 50_000
+
+
+def test_a_wrong_arrangement_is_noticed_and_solved_afresh():
+    case = StaticCase(15)
+    filter_ = case.run()
+    # Two UAVs are exchanged in the filter's mind, and it is sure of it.
+    swapped = filter_.state.copy()
+    for a in range(2):
+        offset = filter_.positions_ned_m(5_000_000)[4, a] - filter_.positions_ned_m(5_000_000)[0, a]
+        swapped[a] += offset
+        swapped[4 * kernels.STATES + a] -= offset
+    filter_.state[:] = swapped
+    for k in range(1, 61):
+        now_us = 5_000_000 + k * 100_000
+        for j in range(N):
+            filter_.on_odometry(j, now_us, (float(j), 0.0, PLACES[j, 2]), (0.0, 0.0, 0.0))
+        for i, j in PAIRS[(k * 6) % 56 : (k * 6) % 56 + 6]:
+            filter_.on_range(
+                i, j, now_us, np.linalg.norm(case.truth[i] - case.truth[j]), RANGE_STD_M, now_us=now_us
+            )
+        filter_.update(now_us)
+    found = filter_.positions_ned_m(11_000_000)[:, :2]
+    assert rms(shape_errors_m(found, case.truth[:, :2])) < 0.15
+
+
+def test_compiled_and_interpreted_kernels_agree():
+    filter_ = StaticCase(16, rounds=2).run()
+    odometry_m = np.array((2.5, 0.1, 0.0))
+    results = []
+    for function in (kernels.fuse_range, getattr(kernels.fuse_range, "py_func", kernels.fuse_range)):
+        state, cov = filter_.state.copy(), filter_.cov.copy()
+        weight = function(state, cov, state, PLACES[:, :2].copy(), 4, 0, odometry_m, 2.7, 0.01, -1.0)
+        results.append((weight, state, cov))
+    assert results[0][0] == pytest.approx(results[1][0], rel=1e-12)
+    assert results[0][1] == pytest.approx(results[1][1], rel=1e-9, abs=1e-12)
+    assert results[0][2] == pytest.approx(results[1][2], rel=1e-9, abs=1e-12)

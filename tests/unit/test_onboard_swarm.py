@@ -1,0 +1,106 @@
+"""Eight applications through a lossy radio: what ranging does for the formation, and what trouble does to it."""
+
+import numpy as np
+import pytest
+from onboard_world import Errors, SwarmWorld, article_places_ned_m, rms, shape_errors_m
+
+from autopilot.config import OnboardConfig
+
+PLACES = article_places_ned_m()
+FORMATION_S = 15.0
+
+
+def fly(seed=1, *, places=PLACES, formation_s=FORMATION_S, **kwargs):
+    w = SwarmWorld(places_ned_m=places, seed=seed, **kwargs)
+    w.run_until(lambda w: w.formed(), limit_s=40.0)
+    w.formed_s = w.now_us * 1e-6
+    w.run(formation_s)
+    return w
+
+
+def shape_rms_m(w, since_s=None, members=None):
+    members = list(range(w.n)) if members is None else members
+    truth, _ = w.flown(since_s=w.formed_s if since_s is None else since_s)
+    return rms([shape_errors_m(row[members], w.places[members]) for row in truth])
+
+
+def estimated_shape_rms_m(w):
+    """Each UAV's own estimate of itself, put together, against truth."""
+    truth, estimates = w.flown(since_s=w.formed_s)
+    return rms([shape_errors_m(*rows) for rows in zip(estimates, truth, strict=True)])
+
+
+@pytest.fixture(scope="module")
+def flown():
+    return fly()
+
+
+def test_with_ranging_the_flown_shape_is_within_25_cm(flown):
+    assert shape_rms_m(flown) < 0.25
+
+
+def test_gps_alone_is_at_least_five_times_worse(flown):
+    alone = fly(config=OnboardConfig(localisation="gps"))
+    assert shape_rms_m(alone) > 5.0 * shape_rms_m(flown)
+
+
+def test_own_estimates_together_make_the_shape_to_the_predicted_accuracy(flown):
+    # Everybody's filter has its own data, yet they agree on the heading of the whole, or this would not hold.
+    predicted_m = flown.apps[0].localisation.shape_std_m(flown.now_us)
+    assert predicted_m < 0.12
+    assert estimated_shape_rms_m(flown) < 1.25 * predicted_m
+
+
+def test_nobody_comes_near_another(flown):
+    assert flown.least_distance_m > 1.2
+
+
+def test_with_30_percent_loss_the_estimate_suffers_by_less_than_a_half(flown):
+    lossy = fly(errors=Errors(radio_loss=0.3))
+    assert estimated_shape_rms_m(lossy) < 1.5 * estimated_shape_rms_m(flown)
+    assert shape_rms_m(lossy) < 1.5 * shape_rms_m(flown)
+
+
+def test_ten_seconds_without_a_channel_are_survived_and_mended():
+    w = fly(seed=2, formation_s=3.0)
+    w.radio_cut = True
+    w.run(10.0)
+    w.radio_cut = False
+    w.run(10.0)
+    back_s = w.now_us * 1e-6
+    w.run(3.0)
+    assert w.least_distance_m > 0.6
+    assert shape_rms_m(w, since_s=back_s) < 0.3
+
+
+def test_a_uav_that_measures_5_m_wrong_pulls_the_others_by_less_than_30_cm():
+    w = SwarmWorld(places_ned_m=PLACES, seed=3)
+    w.run_until(lambda w: w.formed(), limit_s=40.0)
+    w.range_error_m[2] = 5.0
+    w.run(2.0)
+    since_s = w.now_us * 1e-6
+    w.run(8.0)
+    assert shape_rms_m(w, since_s=since_s, members=[0, 1, 3, 4, 5, 6, 7]) < 0.3
+
+
+def test_the_others_go_on_when_one_dies():
+    w = fly(seed=4, formation_s=1.0)
+    w.dead.add(5)
+    requests = []
+    transmit = w._transmit
+    w._transmit = lambda i, item: (
+        requests.append((w.now_us, getattr(item, "peer", None))),
+        transmit(i, item),
+    )[1]
+    w.run(8.0)
+    # 3 s after its last beacon nobody spends air on the dead one
+    last_us = max(now_us for now_us, peer in requests if peer == 5)
+    assert last_us < round(w.formed_s * 1e6) + 1_000_000 + 3_200_000
+    assert shape_rms_m(w, since_s=w.now_us * 1e-6 - 4.0, members=[0, 1, 2, 3, 4, 6, 7]) < 0.3
+
+
+def test_half_the_spacing_flies_without_touching():
+    places = article_places_ned_m(spacing_east_m=4.25, spacing_north_m=1.25)
+    w = fly(seed=5, places=places, formation_s=10.0, errors=Errors(gust_std_m_s2=0.15))
+    assert w.least_distance_m > 0.5
+    assert np.isfinite(shape_rms_m(w))

@@ -1,0 +1,46 @@
+"""Binary logs: whole blocks by row count, readable up to the last whole record whatever happened."""
+
+import numpy as np
+
+from netsim.logs import FRAME_LOG, SESSION_LOG
+from netsim.record_log import BLOCK_ROWS, RecordLog, read
+from netsim.records import FrameRecord, SessionRecord
+
+PAIR = np.dtype([("time_us", "i8"), ("pos_ned_m", "f8", 3)])
+
+
+def rows(count):
+    return [(4000 * k, (k, 2.0 * k, -k)) for k in range(count)]
+
+
+def test_what_is_appended_is_read_back(tmp_path):
+    log = RecordLog(tmp_path / "log.bin", PAIR)
+    for row in rows(BLOCK_ROWS + 3):
+        log.append([row])
+    log.close()
+    log.close()
+    records = read(tmp_path / "log.bin", PAIR)
+    assert records["time_us"].tolist() == [4000 * k for k in range(BLOCK_ROWS + 3)]
+    assert records["pos_ned_m"][5].tolist() == [5.0, 10.0, -5.0]
+
+
+def test_full_blocks_are_on_disk_before_the_log_is_closed(tmp_path):
+    log = RecordLog(tmp_path / "log.bin", PAIR)
+    log.append(rows(2 * BLOCK_ROWS + 1))
+    assert len(read(tmp_path / "log.bin", PAIR)) == 2 * BLOCK_ROWS
+    log.close()
+
+
+def test_a_record_cut_short_is_left_out_and_a_missing_file_is_empty(tmp_path):
+    log = RecordLog(tmp_path / "log.bin", PAIR)
+    log.append(rows(3))
+    log.close()
+    whole = (tmp_path / "log.bin").read_bytes()
+    (tmp_path / "log.bin").write_bytes(whole[:-1])
+    assert len(read(tmp_path / "log.bin", PAIR)) == 2
+    assert len(read(tmp_path / "none.bin", PAIR)) == 0
+
+
+def test_the_emulators_logs_have_the_fields_of_its_records():
+    assert FRAME_LOG.names == FrameRecord.__struct_fields__
+    assert SESSION_LOG.names == SessionRecord.__struct_fields__

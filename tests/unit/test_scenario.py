@@ -1,0 +1,99 @@
+"""Scenario files: what is wrong is said in one line that names the file, the field and the reason."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from harness.scenario import Scenario, ScenarioError, load
+
+ROOT = Path(__file__).parents[2]
+ARTICLE = ROOT / "scenarios" / "article.toml"
+
+
+def test_article_is_the_articles():
+    scenario = load(ARTICLE)
+    assert scenario.agents == 8
+    assert scenario.wind.mean_n == 5.0
+    assert scenario.wind.gust_rms_fraction == 0.2
+    assert scenario.wind.gust_time_constant_s == 2.0
+    assert scenario.radio.bandwidth_mhz == 80
+    assert scenario.radio.broadcast_rts
+    assert scenario.onboard.beacon_period_ms == 100
+    assert scenario.onboard.ftm_period_s == 1.0
+    assert scenario.run.duration_s == 60.0
+    places = scenario.places_ned_m()
+    assert places.shape == (8, 3)
+    # 0.85 lambda broadside runs east, 0.25 lambda end-fire runs north
+    assert np.allclose(np.diff(np.unique(places[:, 1].round(9))), 8.5)
+    assert np.allclose(np.diff(np.unique(places[:, 0].round(9))), 2.5)
+    assert np.allclose(places[:, 2], -10.0)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "scenarios").glob("*.toml")), ids=lambda path: path.stem)
+def test_every_shipped_scenario_loads_and_survives_its_journey_to_the_processes(path):
+    scenario = load(path)
+    assert msgspec.json.decode(msgspec.json.encode(scenario), type=Scenario) == scenario
+
+
+def test_heading_turns_the_end_fire_axis_clockwise_from_north():
+    east = load(ARTICLE, ["formation.heading_deg=90"]).places_ned_m()
+    north = load(ARTICLE).places_ned_m()
+    # what pointed north points east, what pointed east points south
+    assert np.allclose(east[:, 1], north[:, 0])
+    assert np.allclose(east[:, 0], -north[:, 1])
+
+
+def test_fewer_agents_take_the_first_places_and_more_extend_the_grid():
+    eight = load(ARTICLE).places_ned_m()
+    assert np.array_equal(load(ARTICLE, ["agents=3"]).places_ned_m(), eight[:3])
+    ten = load(ARTICLE, ["agents=10"]).places_ned_m()
+    assert np.allclose(np.diff(ten, axis=0)[:7], np.diff(eight, axis=0))
+    assert len(np.unique(ten[:, 0].round(9))) == 3
+
+
+def test_overrides_take_numbers_strings_words_and_new_tables():
+    scenario = load(ARTICLE, ["wind.mean_n=2", 'sensors.profile="gazebo"', "onboard.localisation=gps", "autopilot.params.MPC_XY_P=1.1"])
+    assert scenario.wind.mean_n == 2.0
+    assert scenario.sensors.profile == "gazebo"
+    assert scenario.onboard.localisation == "gps"
+    assert scenario.autopilot.params == {"MPC_XY_P": 1.1}
+
+
+@pytest.mark.parametrize(
+    ("override", "says"),
+    [
+        ("wind.maen_n=2", "wind: unknown key `maen_n`"),
+        ("wnd.mean_n=2", "unknown key `wnd`"),
+        ("wind.mean_n=-1", "wind.mean_n: expected `float` >= 0.0"),
+        ("wind.mean_n=strong", "wind.mean_n: expected `float`"),
+        ("run.seed=-1", "run.seed: expected `int` >= 0"),
+        ("radio.bandwidth_mhz=60", "radio.bandwidth_mhz: invalid enum value 60"),
+        ("radio.ftm.ftms_per_burst=1", "radio.ftm.ftms_per_burst: expected `int` >= 2"),
+        ("antenna.wavelength_m=0.5", "formation: places 0.12 m apart"),
+        ("agents=0", "agents: expected `int` >= 1"),
+        ("ports.simulator_tcp=65530", "ports.simulator_tcp: 65530 + 7 vehicles is over 65535"),
+        ("wind", "--set wind: expected PATH=VALUE"),
+        ("=3", "--set =3: expected PATH=VALUE"),
+        ("agents.x=3", "--set agents.x=3: agents is a value, not a table"),
+    ],
+)
+def test_a_wrong_field_is_named(override, says):
+    with pytest.raises(ScenarioError) as caught:
+        load(ARTICLE, [override])
+    text = str(caught.value)
+    assert says.lower() in text.lower()
+    assert "\n" not in text
+
+
+def test_a_missing_a_broken_and_a_binary_file_are_named(tmp_path):
+    with pytest.raises(ScenarioError, match=r"nowhere\.toml: no such scenario file"):
+        load(tmp_path / "nowhere.toml")
+    broken = tmp_path / "broken.toml"
+    broken.write_text("agents = = 3\n")
+    with pytest.raises(ScenarioError, match=r"broken\.toml: not TOML"):
+        load(broken)
+    broken.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ScenarioError, match=r"broken\.toml: cannot be read"):
+        load(broken)

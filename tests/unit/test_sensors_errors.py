@@ -1,0 +1,78 @@
+"""The common error process against its parameters."""
+
+import math
+
+import numpy as np
+import pytest
+
+from harness.sensors.config import PROFILES, ErrorModel, InertialErrorModel
+from harness.sensors.errors import SensorError
+
+
+def series(model, *, samples, interval_s, vehicles=1, seed=0):
+    """Draw (samples, vehicles, 3) errors."""
+    error = SensorError(model, shape=(vehicles, 3), interval_s=interval_s, rng=np.random.default_rng(seed))
+    return np.array([error.next() for _ in range(samples)])
+
+
+def allan_deviation(values, averaged):
+    """Over groups of ``averaged`` samples: rms difference of neighbouring means over sqrt(2)."""
+    whole = values[: len(values) // averaged * averaged]
+    groups = whole.reshape(-1, averaged, *values.shape[1:]).mean(axis=1)
+    return np.sqrt(0.5 * np.mean(np.diff(groups, axis=0) ** 2))
+
+
+def test_parts_add_up_to_the_stated_spread():
+    """Over 4000 vehicles: white, turn-on and drift of 3, 4 and 12 make 13, at any time."""
+    model = ErrorModel(white_std=3.0, turn_on_std=4.0, drift_std=12.0, drift_time_constant_s=50.0)
+    first, *_, last = series(model, samples=51, interval_s=1.0, vehicles=4000)
+    assert first.std() == pytest.approx(13.0, rel=0.03)
+    assert last.std() == pytest.approx(13.0, rel=0.03)
+    covariance = np.mean(first * last)
+    assert covariance == pytest.approx(4.0**2 + 12.0**2 * math.exp(-1.0), rel=0.1)
+
+
+def test_white_noise_averages_out_by_the_square_root():
+    """Allan deviation of the Gazebo gyro: density / sqrt(averaging time)."""
+    density = 8.726646e-4
+    model = PROFILES["gazebo"].gyro_rad_s.at_interval(0.004)
+    assert model.white_std == pytest.approx(0.0138, abs=5e-5)
+    values = series(model, samples=50_000, interval_s=0.004)
+    for averaged in (1, 25, 250):
+        expected = density / math.sqrt(averaged * 0.004)
+        assert allan_deviation(values, averaged) == pytest.approx(
+            expected, rel=4.0 / math.sqrt(3 * 50_000 / averaged)
+        )
+
+
+def test_random_walk_grows_by_the_square_root():
+    """Far below its correlation time the drift wanders by random_walk x sqrt(t)."""
+    model = InertialErrorModel(random_walk=6e-3, correlation_s=300.0).at_interval(0.1)
+    values = series(model, samples=11, interval_s=0.1, vehicles=3000)
+    assert np.std(values[10] - values[0]) == pytest.approx(6e-3 * math.sqrt(1.0), rel=0.04)
+    assert values[0].std() == pytest.approx(6e-3 * math.sqrt(150.0), rel=0.04)
+
+
+def test_data_sheet_densities_do_not_depend_on_the_rate():
+    model = InertialErrorModel(noise_density=4e-3)
+    slow, fast = (
+        series(model.at_interval(dt_s), samples=round(40.0 / dt_s), interval_s=dt_s, vehicles=50)
+        for dt_s in (0.02, 0.004)
+    )
+    assert slow.reshape(40, -1, 50, 3).mean(axis=1).std() == pytest.approx(4e-3, rel=0.06)
+    assert fast.reshape(40, -1, 50, 3).mean(axis=1).std() == pytest.approx(4e-3, rel=0.06)
+
+
+def test_axes_may_differ_and_are_independent():
+    model = ErrorModel(drift_std=(1.0, 1.0, 5.0), drift_time_constant_s=1.0)
+    values = series(model, samples=2, interval_s=1.0, vehicles=5000)[1]
+    np.testing.assert_allclose(values.std(axis=0), (1.0, 1.0, 5.0), rtol=0.05)
+    assert np.all(np.abs(np.corrcoef(values.T) - np.eye(3)) < 4.0 / math.sqrt(5000.0))
+
+
+def test_a_model_without_error_is_silent_but_draws_all_the_same():
+    rng, reference = np.random.default_rng(1), np.random.default_rng(1)
+    error = SensorError(ErrorModel(), shape=(4,), interval_s=0.1, rng=rng)
+    assert not error.next().any()
+    reference.standard_normal((4, 4))
+    assert rng.bit_generator.state == reference.bit_generator.state
