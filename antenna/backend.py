@@ -8,7 +8,7 @@ from antenna.geometry import ElementsTouch, Snapshot
 from antenna.patterns import Pattern
 
 
-class BackendUnavailable(ImportError):  # noqa: N818 - named like the fact that the user reads
+class BackendUnavailable(ImportError):
     """What a backend needs is not installed; the text is one line for the user."""
 
 

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 Voltages = NDArray[np.complex128]
 
 
-class ElementsTouch(Exception):  # noqa: N818 - what happened to the formation, and data to an analysis
+class ElementsTouch(Exception):
     """Two elements of a snapshot touch or cross, so that no antenna pattern exists."""
 
     def __init__(self, first: int, second: int, distance_m: float) -> None:

@@ -1,11 +1,13 @@
 """``python -m autopilot --instance 3``: one UAV's process, and the only part of it that touches sockets.
 
-It connects to the simulator as PX4 does (TCP, retrying until it is there), to the run's radio, and opens its MAVLink links;
-then each HIL_SENSOR makes one step of the vehicle and one answer. It ends when the simulator hangs up.
+It connects to the simulator as PX4 does (TCP, retrying until it is there), to the run's radio, and opens its
+MAVLink links; then each HIL_SENSOR makes one step of the vehicle and one answer. It ends when the simulator
+hangs up.
 """
 
 import argparse
 import contextlib
+import logging
 import os
 import socket
 import sys
@@ -15,20 +17,20 @@ from pathlib import Path
 import msgspec
 
 from autopilot.config import VehicleConfig, VehiclePorts
-from autopilot.mavlink.codec import Encoder, Parser
+from autopilot.mavlink.codec import Encoder, Message, Parser
 from autopilot.mavlink.links import UdpLink
 from autopilot.params import ParameterError
 from autopilot.recording import VEHICLE_RECORD, record
 from autopilot.vehicle import COMPANION, GROUND_STATION, Vehicle, is_clock
 from netsim.child import Finished, Ready, emit, end_with_parent
-from netsim.radio import RadioClient, RadioLost
+from netsim.radio import BATCH_HANDED_OVER, RadioClient, RadioLost
 from netsim.record_log import RecordLog
-from netsim.transport import TransportError
+from netsim.wire.messages import TxItem
+
+logger = logging.getLogger(__name__)
 
 RETRY_S = 0.1
 _RECEIVE_BYTES = 65_536
-BATCH_HANDED_OVER = 1 << 32
-"""Bit of HIL_ACTUATOR_CONTROLS.flags: the radio was given something in this step."""
 
 
 class SimulatorUnreachable(ConnectionError):
@@ -79,7 +81,9 @@ class Process:
         ]
         self._radio: RadioClient | None = None
         if ports.radio_endpoint is not None:
-            self._radio = RadioClient(endpoint=ports.radio_endpoint, run_id=config.run_id, station=config.instance)
+            self._radio = RadioClient(
+                endpoint=ports.radio_endpoint, run_id=config.run_id, station=config.instance
+            )
             stack.enter_context(contextlib.closing(self._radio))
         self._log: RecordLog | None = None
         if config.log_path is not None:
@@ -103,7 +107,7 @@ class Process:
                 },
             )
         )
-        waiting = []
+        waiting: list[Message] = []
         with contextlib.suppress(ConnectionError):
             while data := self._simulator.recv(_RECEIVE_BYTES):
                 for message in self._parser.push(data):
@@ -122,9 +126,9 @@ class Process:
             )
         )
 
-    def _step(self, simulator_messages: list[object]) -> bytes:
-        """One step of the vehicle; returns what goes back to the simulator."""
-        now_us = simulator_messages[-1].time_usec  # type: ignore[attr-defined]  # HIL_SENSOR is what ended the list
+    def _step(self, simulator_messages: list[Message]) -> bytes:
+        """One step for a HIL_SENSOR and what came before it; returns what goes back to the simulator."""
+        now_us: int = simulator_messages[-1].time_usec
         incoming = [(i, message) for i, link in enumerate(self._links) for message in link.receive()]
         self._link_messages += len(incoming)
         output = self._vehicle.step(
@@ -135,28 +139,36 @@ class Process:
         )
         for i, link in enumerate(self._links):
             link.send(message for to, message in output.links if to == i)
-        if output.radio and self._radio is not None:
-            self._transmit(now_us, output.radio)
+        if output.radio and self._radio is not None and self._transmit(self._radio, now_us, output.radio):
             output.actuators.flags |= BATCH_HANDED_OVER
         if self._log is not None and now_us % self._config.record_period_us == 0:
             self._log.append([record(self._vehicle)])
         return b"".join(self._encoder.encode(message) for message in (*output.simulator, output.actuators))
 
-    def _transmit(self, now_us: int, items: tuple[object, ...]) -> None:
+    def _transmit(self, radio: RadioClient, now_us: int, items: tuple[TxItem, ...]) -> bool:
+        """Hand transmissions over, or say that the radio is lost and fly on without.
+
+        Returns whether it has them.
+        """
         try:
-            self._radio.send(now_us, items)  # type: ignore[union-attr, arg-type]
+            radio.send(now_us, items)
         except RadioLost as error:
-            print(f"{self._name}: {error}; flying on without", file=sys.stderr)
+            logger.warning("%s: %s; flying on without", self._name, error)
             self._radio = None
+            return False
+        return True
 
 
 def main() -> int:
     """Parse the command line and fly; a failure is one line on stderr and status 2."""
-    parser = argparse.ArgumentParser(prog="python -m autopilot", description="One UAV's autopilot and on-board application.")
-    parser.add_argument("--instance", type=int, default=0, help="vehicle number: MAVLink system id less one, PX4's port offsets")
-    parser.add_argument("--config", type=Path, help="JSON file with everything; without it a lone vehicle on PX4's ports")
-    parser.add_argument("--connect-timeout-s", type=float, default=30.0, help="how long to look for the simulator")
-    parser.add_argument("--supervised", action="store_true", help="end when stdin does")
+    parser = argparse.ArgumentParser(
+        prog="python -m autopilot", description="One UAV's autopilot and on-board application."
+    )
+    add = parser.add_argument
+    add("--instance", type=int, default=0, help="vehicle number: system id less one, PX4's port offsets")
+    add("--config", type=Path, help="JSON file with everything; without it a lone vehicle on PX4's ports")
+    add("--connect-timeout-s", type=float, default=30.0, help="how long to look for the simulator")
+    add("--supervised", action="store_true", help="end when stdin does")
     arguments = parser.parse_args()
     try:
         if arguments.config is not None:
@@ -167,7 +179,7 @@ def main() -> int:
             end_with_parent()
         with contextlib.ExitStack() as stack:
             Process(config, stack).run()
-    except (SimulatorUnreachable, TransportError, RadioLost, OSError, msgspec.DecodeError, ParameterError) as error:
+    except (OSError, msgspec.DecodeError, ParameterError) as error:  # unreachable simulators and radios too
         print(f"uav: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

@@ -1,4 +1,7 @@
-"""Settings of one vehicle: what the launcher hands to ``python -m autopilot``, and what scenarios may say of it."""
+"""Settings of one vehicle.
+
+What the launcher hands to ``python -m autopilot``, and what scenarios may say of it.
+"""
 
 from typing import Annotated, Literal
 
@@ -48,15 +51,24 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     gps_delay_ms: Annotated[int, Meta(ge=0, le=1_000)] = 120
     """How far in the past the moment lies that a GPS fix describes."""
     odometry_drift_m_sqrt_s: Positive = 0.1
-    """Horizontal, per axis: error of the integrated velocity after one second; grows with the root of time."""
+    """Horizontal, per axis: error of the integrated velocity after one second.
+
+    Grows with the root of time.
+    """
     range_floor_std_m: Positive = 0.05
     """What averaging within an FTM session does not reduce."""
     safety_radius_m: NonNegative = 1.2
-    """A neighbour nearer than this, plus one sigma, is kept clear of; at most 0.6 of the spacing to the nearest place."""
+    """A neighbour nearer than this, plus one sigma, is kept clear of.
+
+    At most 0.6 of the spacing to the nearest place.
+    """
 
 
 class VehiclePorts(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where one vehicle listens and speaks, all on ``host``. Port 0: any free one (local) or none (remote)."""
+    """Where one vehicle listens and speaks, all on ``host``.
+
+    Port 0: any free one (local) or none (remote).
+    """
 
     host: str = "127.0.0.1"
     simulator_tcp: Port = 4560

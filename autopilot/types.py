@@ -1,7 +1,8 @@
 """Values that the parts of the autopilot hand to each other.
 
-Frames: NED (local, from the estimator's origin) and FRD (body). Quaternions are Hamilton, wxyz, and ``q_ned_frd`` maps
-FRD into NED. Arrays are float64 and belong to whoever made them: a receiver that keeps one copies it.
+Frames: NED (local, from the estimator's origin) and FRD (body). Quaternions are Hamilton, wxyz, and
+``q_ned_frd`` maps FRD into NED. Arrays are float64 and belong to whoever made them: a receiver that keeps
+one copies it.
 """
 
 from dataclasses import dataclass

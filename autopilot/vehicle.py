@@ -125,8 +125,8 @@ class Vehicle:
         self._app_link = _Link(self, APPLICATION_HZ)
         self.app = self._make_app()
         self._last_us: int | None = None
-        self._active: tuple[FlightMode, bool, int] | None = None
-        """Mode, arming and estimator resets that the navigator and controller work with."""
+        self._active: tuple[FlightMode, bool, int, float | None] | None = None
+        """Mode, arming, estimator resets and take-off altitude that navigator and controller work with."""
         self._announced: tuple[FlightMode, bool] | None = None
         self._announce_us = 0
         self._controls = _NO_CONTROLS
@@ -281,7 +281,7 @@ class Vehicle:
     def _control(self, dt_s: float) -> None:
         """Setpoint of the mode and the controls that follow it."""
         flight, commander, state = self.flight, self.commander, self.flight.state
-        active = (commander.mode, commander.armed, state.reset_counter)
+        active = (commander.mode, commander.armed, state.reset_counter, self.takeoff_altitude.amsl_m)
         if active != self._active:
             self._change(was_armed=self._active is not None and self._active[1])
             self._active = active

@@ -25,7 +25,7 @@ FINE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
-class Failure(Exception):  # noqa: N818  not all of them are errors: Ctrl-C is a user's right
+class Failure(Exception):
     """The run ends with this status and line."""
 
     def __init__(self, status: int, line: str) -> None:
@@ -177,7 +177,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status = app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
     except BaseException as error:  # noqa: BLE001  every end has its status and its line
         failure = _failure(error)
-        print(f"coflight: {failure}", file=sys.stderr)  # noqa: T201
+        print(f"coflight: {failure}", file=sys.stderr)
         return failure.status
     finally:
         for number, handler in handlers.items():

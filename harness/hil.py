@@ -1,22 +1,21 @@
-"""The simulator's side of PX4's simulator API: sensor readings to MAVLink bytes, a vehicle's bytes to messages.
+"""The simulator's side of PX4's simulator API.
 
-Pure: sockets are `harness.lockstep`'s. Units on the wire are those that PX4 decodes (facts of HIL_SENSOR, HIL_GPS):
-gauss, hPa, degC; degE7, mm, cm/s; eph and epv in cm.
+Sensor readings to MAVLink bytes, a vehicle's bytes to messages.
+
+Pure: sockets are `harness.lockstep`'s. Units on the wire are those that PX4 decodes (facts of HIL_SENSOR,
+HIL_GPS): gauss, hPa, degC; degE7, mm, cm/s; eph and epv in cm.
 """
 
 import math
-from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot.estimation.atmosphere import altitude_m
+from autopilot.mavlink.codec import Message
 from harness.sensors.suite import BaroSamples, GpsFixes, SensorFrame
 
 SIMULATOR_SYSTEM_ID = 0
 SIMULATOR_COMPONENT_ID = 1
-BATCH_HANDED_OVER = 1 << 32
-"""Bit of HIL_ACTUATOR_CONTROLS.flags, free in the standard: this step the vehicle gave its radio something to send."""
-
 _IMU = 0x3F
 _MAG = 0x1C0
 _BARO = 0x1A00
@@ -38,7 +37,7 @@ class SensorEncoder:
         return bytes(gps + _sensor(vehicle, time_us, frame).pack(self._mav))
 
 
-def _sensor(vehicle: int, time_us: int, frame: SensorFrame) -> Any:
+def _sensor(vehicle: int, time_us: int, frame: SensorFrame) -> Message:
     accel = frame.accel_frd_m_s2[vehicle].tolist()
     gyro = frame.gyro_frd_rad_s[vehicle].tolist()
     fields = _IMU
@@ -59,7 +58,7 @@ def _baro(vehicle: int, baro: BaroSamples) -> tuple[float, float, float, float]:
     return pressure_hpa, 0.0, float(altitude_m(pressure_hpa * 100.0)), float(baro.temperature_degc[vehicle])
 
 
-def _gps(vehicle: int, time_us: int, fixes: GpsFixes) -> Any:
+def _gps(vehicle: int, time_us: int, fixes: GpsFixes) -> Message:
     north, east, down = fixes.vel_ned_m_s[vehicle].tolist()
     speed_m_s = math.hypot(north, east)
     course_cdeg = round(math.degrees(math.atan2(east, north)) * 100) % 36_000
@@ -80,8 +79,11 @@ def _gps(vehicle: int, time_us: int, fixes: GpsFixes) -> Any:
     )
 
 
-def controls(message: Any, rotors: int) -> tuple[list[float], bool]:
-    """Rotor commands in 0..1 of HIL_ACTUATOR_CONTROLS, and whether it says armed. A NaN is a rotor at rest."""
+def controls(message: Message, rotors: int) -> tuple[list[float], bool]:
+    """Rotor commands in 0..1 of HIL_ACTUATOR_CONTROLS, and whether it says armed.
+
+    A NaN is a rotor at rest.
+    """
     values = [min(max(value, 0.0), 1.0) if value == value else 0.0 for value in message.controls[:rotors]]
     return values, bool(message.mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
 

@@ -1,18 +1,19 @@
-"""The step's rendezvous with the vehicles: everyone gets the sensors of an instant, everyone's answer is waited for.
+"""The step's rendezvous with the vehicles.
 
-An edge: owns the TCP connections of PX4's simulator API and the wall-clock patience with a vehicle that stays silent.
-What a silence means is told from outside by `harness.patience`.
+Everyone gets the sensors of an instant, everyone's answer is waited for.
+
+An edge: owns the TCP connections of PX4's simulator API and the wall-clock patience with a vehicle that
+stays silent. What a silence means is told from outside by `harness.patience`.
 """
 
 import selectors
 import socket
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
-from autopilot.mavlink.codec import Parser
+from autopilot.mavlink.codec import Message, Parser
 from harness.patience import Patience
 
 POLL_S = 0.1
@@ -26,7 +27,7 @@ class Seat:
         self.instance = instance
         self.connection: socket.socket | None = None
         self.parser = Parser()
-        self.answer: Any = None
+        self.answer: Message | None = None
         """HIL_ACTUATOR_CONTROLS of the present step, once it is there."""
         self.answered_ever = False
 
@@ -43,8 +44,8 @@ class ConnectTimeout(TimeoutError):
 class Lockstep:
     """All vehicles' seats.
 
-    ``on_message(instance, message)`` is called for everything but the answers; ``on_silent(instance, wall_silence_s)`` once
-    per silence; ``on_lost(instance, reason)`` when a vehicle leaves for good.
+    ``on_message(instance, message)`` is called for everything but the answers; ``on_silent(instance,
+    wall_silence_s)`` once per silence; ``on_lost(instance, reason)`` when a vehicle leaves for good.
     """
 
     def __init__(
@@ -52,7 +53,7 @@ class Lockstep:
         listeners: Sequence[socket.socket],
         *,
         patience: Patience,
-        on_message: Callable[[int, Any], None],
+        on_message: Callable[[int, Message], None],
         on_silent: Callable[[int, float], None],
         on_lost: Callable[[int, str], None],
     ) -> None:
@@ -63,7 +64,10 @@ class Lockstep:
         self._selector = selectors.DefaultSelector()
 
     def connect(self, wall_timeout_s: float, *, keep_waiting: Callable[[], bool]) -> None:
-        """Wait until every vehicle has connected. Raises ConnectTimeout; returns early if told not to keep waiting."""
+        """Wait until every vehicle has connected. Raises ConnectTimeout.
+
+        Returns early if told not to keep waiting.
+        """
         waiting = selectors.DefaultSelector()
         for instance, listener in enumerate(self._listeners):
             waiting.register(listener, selectors.EVENT_READ, instance)
@@ -80,8 +84,11 @@ class Lockstep:
                 raise ConnectTimeout(f"no connection from uav {absent} within {wall_timeout_s:g} s")
         waiting.close()
 
-    def exchange(self, time_us: int, frames: Sequence[bytes | None]) -> list[Any]:
-        """Send every living vehicle its sensors of ``time_us``; returns each one's answer, None for those that are gone."""
+    def exchange(self, time_us: int, frames: Sequence[bytes | None]) -> list[Message | None]:
+        """Send every living vehicle its sensors of ``time_us``.
+
+        Returns each one's answer, None for those that are gone.
+        """
         pending: set[int] = set()
         for seat, frame in zip(self.seats, frames, strict=True):
             seat.answer = None

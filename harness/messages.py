@@ -1,7 +1,10 @@
-"""What the launcher says to the physics server, and what that says back: JSON lines over its stdin and stdout.
+"""What the launcher says to the physics server, and what that says back.
 
-The physics server does nothing by itself: it simulates while a `RunUntil` lasts and waits otherwise, so whoever drives
-it can look at the truth, kill a vehicle or cut the channel at an exact simulated time, and get the same run again.
+JSON lines over its stdin and stdout.
+
+The physics server does nothing by itself: it simulates while a `RunUntil` lasts and waits otherwise, so
+whoever drives it can look at the truth, kill a vehicle or cut the channel at an exact simulated time, and
+get the same run again.
 """
 
 from msgspec import Struct
@@ -16,7 +19,7 @@ class Command(Struct, frozen=True, kw_only=True, tag_field="command", tag=str.lo
     """From the launcher."""
 
 
-class RunUntil(Command):
+class RunUntil(Command, frozen=True, kw_only=True):
     """Simulate up to ``time_us``, or until the formation is reached if asked; answered by `Paused`."""
 
     time_us: int
@@ -25,13 +28,13 @@ class RunUntil(Command):
     """Against wall time; 0 runs as fast as it can."""
 
 
-class SetAttenuation(Command):
+class SetAttenuation(Command, frozen=True, kw_only=True):
     """From the next step on, attenuate every radio link by this; None is the scenario's own value."""
 
     extra_attenuation_db: float | None
 
 
-class SetPid(Command):
+class SetPid(Command, frozen=True, kw_only=True):
     """Process id of a vehicle, so that a starved vehicle can be told from a stopped one."""
 
     instance: int
@@ -62,7 +65,7 @@ class VehicleTruth(Struct, frozen=True, kw_only=True):
     """Horizontal distance from its place in the formation."""
 
 
-class Progress(Event):
+class Progress(Event, frozen=True, kw_only=True):
     """A few times per second of wall time while running."""
 
     wall_s: float
@@ -70,32 +73,36 @@ class Progress(Event):
     vehicles: tuple[VehicleTruth, ...]
 
 
-class Paused(Event):
-    """`RunUntil` is done, or cannot go on (``reason``: ``time``, ``formed``, ``no_vehicles``)."""
+class Paused(Event, frozen=True, kw_only=True):
+    """`RunUntil` is done, or cannot go on (``reason``)."""
 
     reason: str
+    """``time``.
+
+    ``formed``, ``no_vehicles``, ``vehicle_lost`` (where the scenario ends runs for it) or ``command``.
+    """
     vehicles: tuple[VehicleTruth, ...]
 
 
-class Formed(Event):
+class Formed(Event, frozen=True, kw_only=True):
     """Every living vehicle's application says that it is on station, for the first time."""
 
 
-class VehicleLost(Event):
+class VehicleLost(Event, frozen=True, kw_only=True):
     """A vehicle's rotors stop from here on."""
 
     instance: int
     reason: str
 
 
-class VehicleSilent(Event):
+class VehicleSilent(Event, frozen=True, kw_only=True):
     """A vehicle has not answered for a while of wall time; it is still waited for."""
 
     instance: int
     wall_silence_s: float
 
 
-class Collision(Event):
+class Collision(Event, frozen=True, kw_only=True):
     """Two vehicles touched; ``time_us`` is that of the first step in contact."""
 
     first: int

@@ -1,17 +1,21 @@
 """How long a vehicle that does not answer is waited for.
 
-A machine under load starves processes for seconds; a run must not come out differently for it. So silence counts only
-while the process could have answered: stopped or dead it is given up at once; runnable but without a processor its
-silence does not count; sleeping or computing it does.
+A machine under load starves processes for seconds; a run must not come out differently for it. So silence
+counts only while the process could have answered: stopped or dead it is given up at once; runnable but
+without a processor its silence does not count; sleeping or computing it does.
 """
 
 from dataclasses import dataclass
 
 import psutil
 
+LOOK_AFTER_S = 0.25
+"""Silences shorter than this are nothing; from then on the process is looked at."""
 REPORT_AFTER_S = 0.5
 STARTING_LIMIT_S = 120.0
-"""Before its first answer a vehicle may be compiling its kernels."""
+"""Before its first answer a vehicle may be compiling its kernels; that is no news either."""
+LEAST_SHARE = 0.25
+"""A runnable process that got less of a processor than this is starved."""
 _GONE = {psutil.STATUS_STOPPED, psutil.STATUS_TRACING_STOP, psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD}
 
 
@@ -25,16 +29,28 @@ class Verdict:
     """Reason, if it is to be waited for no longer."""
 
 
+@dataclass(slots=True, kw_only=True)
+class _Looked:
+    """What the last look at a silent vehicle's process showed."""
+
+    wall_s: float
+    cpu_s: float
+    counted_s: float
+    """Silence that counts against it."""
+    reported: bool
+
+
 class Patience:
-    """Judges silences against the processes behind them; a vehicle of unknown process id gets the plain limit."""
+    """Judges silences against the processes behind them.
+
+    A vehicle of unknown process id gets the plain limit.
+    """
 
     def __init__(self, limit_s: float) -> None:
         self._limit_s = limit_s
         self._processes: dict[int, psutil.Process] = {}
         self._wall_begin_s = 0.0
-        self._wall_last_s: dict[int, float] = {}
-        self._cpu_last_s: dict[int, float] = {}
-        self._counted_s: dict[int, float] = {}
+        self._looked: dict[int, _Looked] = {}
 
     def set_pid(self, instance: int, pid: int) -> None:
         """Name the process of a vehicle; one that is already gone counts as unknown."""
@@ -46,29 +62,30 @@ class Patience:
     def begin(self, wall_s: float) -> None:
         """Start of a wait for all vehicles."""
         self._wall_begin_s = wall_s
-        self._wall_last_s.clear()
-        self._counted_s.clear()
+        self._looked.clear()
 
     def judge(self, instance: int, wall_s: float, *, starting: bool) -> Verdict:
         """Decide on a vehicle that has not answered since `begin`; called a few times per second."""
         silence_s = wall_s - self._wall_begin_s
-        first = instance not in self._wall_last_s and silence_s >= REPORT_AFTER_S
-        if silence_s < REPORT_AFTER_S:
+        if silence_s < LOOK_AFTER_S:
             return Verdict(wall_silence_s=silence_s, newly_silent=False, give_up=None)
-        elapsed_s = wall_s - self._wall_last_s.get(instance, self._wall_begin_s)
-        self._wall_last_s[instance] = wall_s
         status, cpu_s = self._look(instance)
         if status in _GONE:
-            return Verdict(wall_silence_s=silence_s, newly_silent=first, give_up=f"its process is {status}")
-        used_s = cpu_s - self._cpu_last_s.get(instance, cpu_s)
-        self._cpu_last_s[instance] = cpu_s
-        starved = status == psutil.STATUS_RUNNING and used_s < 0.25 * elapsed_s
+            return Verdict(wall_silence_s=silence_s, newly_silent=True, give_up=f"its process is {status}")
+        looked = self._looked.get(instance)
+        if looked is None:
+            self._looked[instance] = _Looked(wall_s=wall_s, cpu_s=cpu_s, counted_s=0.0, reported=False)
+            return Verdict(wall_silence_s=silence_s, newly_silent=False, give_up=None)
+        elapsed_s = wall_s - looked.wall_s
+        starved = status == psutil.STATUS_RUNNING and cpu_s - looked.cpu_s < LEAST_SHARE * elapsed_s
+        looked.wall_s, looked.cpu_s = wall_s, cpu_s
         if not starved:
-            self._counted_s[instance] = self._counted_s.get(instance, 0.0) + elapsed_s
-        limit_s = STARTING_LIMIT_S if starting else self._limit_s
-        over = self._counted_s.get(instance, 0.0) > limit_s
+            looked.counted_s += elapsed_s
+        newly = not looked.reported and not starved and not starting and silence_s >= REPORT_AFTER_S
+        looked.reported |= newly
+        over = looked.counted_s > (STARTING_LIMIT_S if starting else self._limit_s)
         reason = f"it has not answered for {silence_s:.1f} s" if over else None
-        return Verdict(wall_silence_s=silence_s, newly_silent=first, give_up=reason)
+        return Verdict(wall_silence_s=silence_s, newly_silent=newly, give_up=reason)
 
     def _look(self, instance: int) -> tuple[str, float]:
         process = self._processes.get(instance)

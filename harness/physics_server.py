@@ -1,7 +1,8 @@
 """The physics server's process: master of simulated time.
 
-``python -m harness.physics_server`` owns the world, the wind and the sensors, meets the vehicles in lockstep, tells the
-802.11 emulator how far the air may go, and writes the truth down. It runs on command (`harness.messages`).
+``python -m harness.physics_server`` owns the world, the wind and the sensors, meets the vehicles in
+lockstep, tells the 802.11 emulator how far the air may go, and writes the truth down. It runs on command
+(`harness.messages`).
 """
 
 import argparse
@@ -19,9 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common as mavlink
 
+from autopilot.mavlink.codec import Message
 from autopilot.mavlink.modes import mode_from_custom
 from autopilot.onboard.phases import Phase
-from harness.hil import BATCH_HANDED_OVER, SensorEncoder, controls
+from harness.hil import SensorEncoder, controls
 from harness.lockstep import ConnectTimeout, Lockstep
 from harness.messages import (
     AnyCommand,
@@ -39,13 +41,14 @@ from harness.messages import (
 )
 from harness.patience import Patience
 from harness.physics.model import IRIS
+from harness.physics.truth import Truth
 from harness.physics.world import World
 from harness.recording import AIR_RECORD, EVENT_KINDS, TRUTH_RECORD
 from harness.run_folder import PhysicsConfig
 from harness.sensors.suite import SensorSuite
 from harness.wind import GustyWind
 from netsim.child import Finished, Ready, Stop, commands, emit
-from netsim.radio import ANSWER_LIMIT_S, advance_key
+from netsim.radio import ANSWER_LIMIT_S, BATCH_HANDED_OVER, advance_key
 from netsim.record_log import RecordLog
 from netsim.transport import Pending, Transport, TransportError
 from netsim.wire.messages import Advance, Advanced, decode, encode
@@ -62,7 +65,10 @@ class RadioSilent(ConnectionError):
 
 
 class Air:
-    """The time master's side of the emulated channel: asks it to go on, and only when it has something to do."""
+    """The time master's side of the emulated channel.
+
+    Asks it to go on, and only when it has something to do.
+    """
 
     def __init__(self, transport: Transport, run_id: str) -> None:
         self._asker = transport.asker(advance_key(run_id), timeout_s=ANSWER_LIMIT_S)
@@ -72,8 +78,11 @@ class Air:
         self.extra_attenuation_db: float | None = None
         self.busy_ns = 0
 
-    def begin(self, time_us: int, step_us: int, truth: Any, silent: tuple[int, ...]) -> None:
-        """Let the emulator simulate up to ``time_us`` beside the vehicles, unless the air stays quiet until then."""
+    def begin(self, time_us: int, step_us: int, truth: Truth, silent: tuple[int, ...]) -> None:
+        """Let the emulator simulate up to ``time_us`` beside the vehicles.
+
+        Unless the air stays quiet until then.
+        """
         if not self._handed_over and time_us < self._quiet_until_us:
             return
         self._handed_over = False
@@ -109,8 +118,8 @@ class Air:
         self._handed_over = True
 
 
-def _rows(array: NDArray[Any]) -> Any:
-    return tuple(tuple(row) for row in array.tolist())
+def _rows(array: NDArray[np.float64]) -> Any:  # noqa: ANN401  as many components as the message wants
+    return tuple(map(tuple, array.tolist()))
 
 
 class Simulation:
@@ -142,8 +151,12 @@ class Simulation:
             listeners,
             patience=self.patience,
             on_message=self._on_message,
-            on_silent=lambda i, s: self._emit(VehicleSilent(time_us=self.time_us, instance=i, wall_silence_s=s)),
-            on_lost=lambda i, reason: self._emit(VehicleLost(time_us=self.time_us, instance=i, reason=reason)),
+            on_silent=lambda i, s: self._emit(
+                VehicleSilent(time_us=self.time_us, instance=i, wall_silence_s=s)
+            ),
+            on_lost=lambda i, reason: self._emit(
+                VehicleLost(time_us=self.time_us, instance=i, reason=reason)
+            ),
         )
         self._truth_log = RecordLog(config.truth_log_path, TRUTH_RECORD)
         self._air_log = RecordLog(config.air_log_path, AIR_RECORD)
@@ -163,18 +176,30 @@ class Simulation:
         """Whether any vehicle is still in the run."""
         return any(seat.alive for seat in self.lockstep.seats)
 
+    @property
+    def must_end(self) -> bool:
+        """Whether a vehicle has been lost in a scenario that ends for it."""
+        return self._scenario.run.on_vehicle_loss == "end" and not all(
+            seat.alive for seat in self.lockstep.seats
+        )
+
     def step(self) -> None:
         """One step: sensors of this instant out, answers in, world and wind on to the next instant."""
         truth = self._world.truth
         alive = [seat.alive for seat in self.lockstep.seats]
         frame = self._sensors.sample(self.time_us, truth)
         if self._air is not None:
-            self._air.begin(self.time_us, self._step_us, truth, tuple(i for i, a in enumerate(alive) if not a))
+            self._air.begin(
+                self.time_us, self._step_us, truth, tuple(i for i, a in enumerate(alive) if not a)
+            )
         if self.time_us % self._scenario.record_period_us == 0:
             self._record(truth, alive)
         answers = self.lockstep.exchange(
             self.time_us,
-            [encoder.encode(i, self.time_us, frame) if alive[i] else None for i, encoder in enumerate(self._encoders)],
+            [
+                encoder.encode(i, self.time_us, frame) if alive[i] else None
+                for i, encoder in enumerate(self._encoders)
+            ],
         )
         if self._air is not None:
             for i in self._air.end():
@@ -222,7 +247,7 @@ class Simulation:
         self._air_log.close()
         self._event_log.close()
 
-    def _record(self, truth: Any, alive: list[bool]) -> None:
+    def _record(self, truth: Truth, alive: list[bool]) -> None:
         self._truth_log.append(
             zip(
                 [self.time_us] * len(alive),
@@ -255,7 +280,7 @@ class Simulation:
                 self.formed = True
                 self._emit(Formed(time_us=self.time_us))
 
-    def _on_message(self, instance: int, message: Any) -> None:
+    def _on_message(self, instance: int, message: Message) -> None:
         if message.get_msgId() != mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             return
         if message.get_srcComponent() == COMPONENT_AUTOPILOT:
@@ -289,6 +314,9 @@ def _run(simulation: Simulation, command: RunUntil, inbox: "queue.SimpleQueue[An
             reason = "command"
             break
         simulation.step()
+        if simulation.must_end:
+            reason = "vehicle_lost"
+            break
         if command.stop_when_formed and simulation.formed:
             reason = "formed"
             break
@@ -342,11 +370,19 @@ def serve(config: PhysicsConfig, listeners: list[socket.socket], radio_endpoint:
 
 def main() -> int:
     """Parse the command line and serve; a failure is one line on stderr and status 2."""
-    parser = argparse.ArgumentParser(prog="python -m harness.physics_server", description="The physics server of one run.")
+    parser = argparse.ArgumentParser(
+        prog="python -m harness.physics_server", description="The physics server of one run."
+    )
     parser.add_argument("--config", type=Path, required=True, help="JSON file with the server's settings")
-    parser.add_argument("--listen-fds", required=True, help="inherited listening TCP sockets, one per vehicle: 5,6,7")
-    parser.add_argument("--radio-endpoint", help="Zenoh locator of the 802.11 emulator; none flies without a radio")
-    parser.add_argument("--supervised", action="store_true", help="accepted for likeness: this server always is")
+    parser.add_argument(
+        "--listen-fds", required=True, help="inherited listening TCP sockets, one per vehicle: 5,6,7"
+    )
+    parser.add_argument(
+        "--radio-endpoint", help="Zenoh locator of the 802.11 emulator; none flies without a radio"
+    )
+    parser.add_argument(
+        "--supervised", action="store_true", help="accepted for likeness: this server always is"
+    )
     arguments = parser.parse_args()
     try:
         config = msgspec.json.decode(arguments.config.read_bytes(), type=PhysicsConfig)

@@ -14,7 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import psutil
+from msgspec import Struct
 
+from harness import kernel_cache
 from harness.messages import AnyCommand, AnyEvent, Formed, Paused, Progress, SetPid
 from harness.run_folder import RunFolder
 from harness.scenario import Scenario
@@ -41,7 +43,14 @@ _ENVIRONMENT = {
     "PYTHONFAULTHANDLER": "1",
 }
 
-Message = ChildMessage | Exited
+
+class Notice(Struct, frozen=True, kw_only=True):
+    """The launcher itself has something to say, before it takes long."""
+
+    text: str
+
+
+Message = ChildMessage | Exited | Notice
 Happening = AnyEvent | Exited
 
 
@@ -88,7 +97,7 @@ class Processes:
         self._wall_limit_s = wall_limit_s
         self._wall_start_s = time.monotonic()
         self._on_message = on_message
-        self._supervisor = Supervisor(folder.logs, environment=_ENVIRONMENT)
+        self._supervisor = Supervisor(folder.logs, environment=_ENVIRONMENT | kernel_cache.environment())
         self._ports: set[int] = set()
         self._running = False
         self.ready: dict[str, Ready] = {}
@@ -125,13 +134,18 @@ class Processes:
             self._start()
         except (PortError, OSError) as error:
             raise SetupError(str(error)) from None
-        except SupervisorError as error:
+        except (SupervisorError, kernel_cache.CompileError) as error:
             raise SwarmError(str(error)) from None
+
+    def _note(self, text: str) -> None:
+        if self._on_message is not None:
+            self._on_message(Notice(text=text))
 
     def _start(self) -> None:
         scenario, host, run_id = self._scenario, self._scenario.ports.host, uuid.uuid4().hex[:16]
         vehicles = range(scenario.agents)
         self._check_ports()
+        kernel_cache.prepare(self._note)
         with contextlib.ExitStack() as sockets:
             base = scenario.ports.simulator_tcp
             listeners = [
@@ -224,6 +238,11 @@ class Processes:
         if self.failure is not None:
             raise SwarmError(self.failure)
         return message
+
+    def deaths(self) -> list[str]:
+        """How processes came to a bad end, one line each, in order."""
+        self.drain()
+        return [self._obituary(exited) for exited in self.exited.values() if exited.returncode]
 
     def drain(self) -> None:
         """File what has come in."""

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from harness.messages import Collision, Formed, Progress, VehicleLost, VehicleSilent, VehicleTruth
-from harness.processes import Message, uav
+from harness.processes import Message, Notice, uav
 from harness.supervisor import Exited
 
 LINE_PERIOD_S = 3.0
@@ -52,6 +52,8 @@ def describe(message: Message) -> str | None:
             return f"{_at(message.time_us)}: {uav(message.instance)} {silence}"
         case Collision():
             return f"{_at(message.time_us)}: {uav(message.first)} and {uav(message.second)} touched"
+        case Notice():
+            return message.text
         case Exited() if message.returncode:
             last_words = message.log_tail.rpartition("\n")[2]
             return message.describe() + (f": {last_words}" if last_words else "")

@@ -16,7 +16,10 @@ TRUTH_RECORD = np.dtype(
         ("rotor_speed_rad_s", "f8", 4),
     ]
 )
-"""One row per vehicle and recorded instant: the state at ``time_us``, the wind and rotors of the step that led to it."""
+"""One row per vehicle and recorded instant.
+
+The state at ``time_us``, the wind and rotors of the step that led to it.
+"""
 
 AIR_RECORD = np.dtype([("time_us", "i8"), ("busy_ns", "i8")])
 """One row per recorded instant: time since the start for which the channel carried something."""

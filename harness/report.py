@@ -1,4 +1,6 @@
-"""The end of a run: raw logs to tables, tables to numbers and figures, and a manifest that says what made them.
+"""The end of a run.
+
+Raw logs to tables, tables to numbers and figures, and a manifest that says what made them.
 
 Everything here works from the run folder alone, so a run that was cut short is reported like any other.
 """
@@ -7,7 +9,6 @@ import hashlib
 import importlib.metadata
 import os
 import platform
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -27,13 +28,14 @@ from harness.recording import AIR_RECORD
 from harness.run_folder import RunFolder
 from harness.scenario import Scenario
 from harness.tables import write_tables
-from netsim.record_log import read
 from netsim.logs import FRAME_LOG, SESSION_LOG
+from netsim.record_log import read
 
 LOGS = ("events.jsonl", "flight.parquet", "radio.parquet", "ftm.parquet", "air.parquet")
 """What a seed determines, byte for byte, in this order in ``log_sha256``."""
 _DISTRIBUTIONS = (
-    "coflight", "numpy", "scipy", "numba", "pybullet", "pymavlink", "eclipse-zenoh", "msgspec", "pyarrow", "matplotlib", "PyNEC",
+    "coflight", "numpy", "scipy", "numba", "pybullet", "pymavlink", "eclipse-zenoh", "msgspec", "pyarrow",
+    "matplotlib", "PyNEC",
 )  # fmt: skip
 
 
@@ -95,7 +97,7 @@ def finish(folder: RunFolder, scenario: Scenario, outcome: Outcome, *, draw: boo
         "formation_s": _span_s(window),
         "formation_rms_m": _formation(error),
         "vehicles": _vehicles(records, error),
-        **_radio(folder, outcome, sessions),
+        **_radio(folder, sessions),
         "max_gain_dbi": _gain(gains, ideal, antenna_note),
         "collisions": sum(b'"event":"collision"' in line for line in folder.events.read_bytes().splitlines()),
         "deterministic": not outcome.nondeterminism,
@@ -157,13 +159,16 @@ def _vehicles(records: NDArray[Any], error: FormationError | None) -> list[dict[
     ]
 
 
-def _radio(folder: RunFolder, outcome: Outcome, sessions: NDArray[Any]) -> dict[str, Any]:
+def _radio(folder: RunFolder, sessions: NDArray[Any]) -> dict[str, Any]:
     frames = read(folder.raw_frames, FRAME_LOG)
     air = read(folder.raw_air, AIR_RECORD)
     error_m = _ftm_error_m(sessions)
     busy = float(air["busy_ns"][-1] / (air["time_us"][-1] * 1e3)) if len(air) else 0.0
     return {
-        "frames": {"sent": len(frames), **{name: int(frames[name].sum()) for name in ("delivered", "collided", "lost_to_noise")}},
+        "frames": {
+            "sent": len(frames),
+            **{name: int(frames[name].sum()) for name in ("delivered", "collided", "lost_to_noise")},
+        },
         "channel_busy_fraction": round(busy, 5),
         "ftm": {
             "requested": len(sessions),
@@ -206,7 +211,9 @@ def _gain(gains: GainSeries | None, ideal: Pattern | None, note: str | None) -> 
     }
 
 
-def _manifest(scenario: Scenario, outcome: Outcome, hashes: dict[str, str], written: list[str]) -> dict[str, Any]:
+def _manifest(
+    scenario: Scenario, outcome: Outcome, hashes: dict[str, str], written: list[str]
+) -> dict[str, Any]:
     return {
         "status": outcome.status,
         "reason": outcome.reason,
@@ -268,7 +275,9 @@ def _draw(
     if gains is not None and ideal is not None and len(gains.patterns):
         figures.save_gain_density(at / "gain_density.png", {"flown": gains.max_gain_dbi}, ideal.max_gain_dbi)
         places_ned_m, heading_deg = scenario.places_ned_m(), scenario.formation.heading_deg
-        figures.save_patterns(at / "patterns.png", *figure_patterns(gains, places_ned_m, heading_deg, scenario.antenna))
+        figures.save_patterns(
+            at / "patterns.png", *figure_patterns(gains, places_ned_m, heading_deg, scenario.antenna)
+        )
     air = read(folder.raw_air, AIR_RECORD)
     time_us, busy_fraction = _occupancy(air)
     if len(time_us):
@@ -283,7 +292,9 @@ def _occupancy(air: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.float64
     """Busy fraction of whole seconds (or the run, if it is shorter than two)."""
     if len(air) < 2:
         return np.empty(0, dtype=np.int64), np.empty(0)
-    rows = np.unique(np.searchsorted(air["time_us"], np.arange(air["time_us"][0], air["time_us"][-1] + 1, 1_000_000)))
+    rows = np.unique(
+        np.searchsorted(air["time_us"], np.arange(air["time_us"][0], air["time_us"][-1] + 1, 1_000_000))
+    )
     if len(rows) < 2:
         rows = np.array([0, len(air) - 1])
     time_us, busy_ns = air["time_us"][rows], air["busy_ns"][rows]

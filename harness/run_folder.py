@@ -1,10 +1,10 @@
 """The folder of one run: which file is where, and the settings files that its processes read.
 
-    manifest.json summary.json events.jsonl      what ran, what came out, what happened
-    flight.parquet radio.parquet ftm.parquet      truth and estimates, every frame, every ranging session
-    air.parquet                                   channel occupancy over time
-    figures/*.png  logs/*.log  config/*.json       pictures, the processes' messages, their settings
-    raw/                                          binary logs while the run lasts
+manifest.json summary.json events.jsonl      what ran, what came out, what happened
+flight.parquet radio.parquet ftm.parquet      truth and estimates, every frame, every ranging session
+air.parquet                                   channel occupancy over time
+figures/*.png  logs/*.log  config/*.json       pictures, the processes' messages, their settings
+raw/                                          binary logs while the run lasts
 """
 
 from pathlib import Path
@@ -32,7 +32,9 @@ class RunFolder:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.raw, self.config, self.logs, self.figures = (path / name for name in ("raw", "config", "logs", "figures"))
+        self.raw, self.config, self.logs, self.figures = (
+            path / name for name in ("raw", "config", "logs", "figures")
+        )
         self.manifest, self.summary = path / "manifest.json", path / "summary.json"
         self.events = path / "events.jsonl"
         self.flight, self.radio = path / "flight.parquet", path / "radio.parquet"
@@ -80,7 +82,13 @@ class RunFolder:
         return self._write("physics", config)
 
     def write_vehicle_config(
-        self, scenario: Scenario, instance: int, *, run_id: str, simulator_port: int, radio_endpoint: str | None
+        self,
+        scenario: Scenario,
+        instance: int,
+        *,
+        run_id: str,
+        simulator_port: int,
+        radio_endpoint: str | None,
     ) -> Path:
         """Settings of one UAV's process, with the port that the simulator really listens on."""
         config = scenario.vehicle(

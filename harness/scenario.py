@@ -1,8 +1,8 @@
 """Scenario files: TOML in, one frozen and checked object out.
 
-Each package owns the settings of its part; this module composes them, applies ``--set`` overrides, and turns what is
-wrong into one line that names the file, the field's path and the reason. The same object, written as JSON into the run
-folder, is what every process of the run reads.
+Each package owns the settings of its part; this module composes them, applies ``--set`` overrides, and turns
+what is wrong into one line that names the file, the field's path and the reason. The same object, written as
+JSON into the run folder, is what every process of the run reads.
 """
 
 import math
@@ -107,7 +107,10 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
                 raise ValueError(f"ports.{field}: {base} + {last} vehicles is over 65535")
 
     def places_ned_m(self) -> NDArray[np.float64]:
-        """(agents, 3) places of the formation in the site's NED frame: the first of the grid, or a longer grid."""
+        """(agents, 3) places of the formation in the site's NED frame.
+
+        The first of the grid, or a longer grid.
+        """
         f, wavelength_m = self.formation, self.antenna.wavelength_m
         xyz_m = grid(
             max(self.agents, f.columns * f.rows),
@@ -119,7 +122,9 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         x_m, y_m = xyz_m[:, 0], xyz_m[:, 1]
         return np.stack([y_m * c - x_m * s, y_m * s + x_m * c, np.full(len(x_m), -f.height_m)], axis=1)
 
-    def vehicle(self, instance: int, *, run_id: str, radio_endpoint: str | None, log_path: str | None) -> VehicleConfig:
+    def vehicle(
+        self, instance: int, *, run_id: str, radio_endpoint: str | None, log_path: str | None
+    ) -> VehicleConfig:
         """What vehicle ``instance`` is told."""
         p = self.ports
         return VehicleConfig(
@@ -156,7 +161,9 @@ MIN_SPACING_M = 0.8
 
 
 def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
-    """Read a scenario file and apply ``path=value`` overrides, values in TOML's notation (bare words are strings).
+    """Read a scenario file and apply ``path=value`` overrides.
+
+    Values in TOML's notation (bare words are strings).
 
     Raises ScenarioError with one line that names the file or override, the field's path and what is wrong.
     """

@@ -212,7 +212,12 @@ class Swarm:
             self._wall_running_s += time.monotonic() - wall_begin_s
         self._truth = Truth(time_us=paused.time_us, vehicles=paused.vehicles)
         if paused.reason == "no_vehicles":
-            raise processes.fatal(SwarmError(f"no vehicle is left at {self._truth.t_s:.3f} s"))
+            left = f"no vehicle is left at {self._truth.t_s:.3f} s"
+            raise processes.fatal(SwarmError("; ".join([left, *processes.deaths()[-1:]])))
+        if paused.reason == "vehicle_lost":
+            losses = (event for event in processes.happenings if isinstance(event, VehicleLost))
+            lost = "; ".join(f"{uav(event.instance)} was lost: {event.reason}" for event in losses)
+            raise processes.fatal(SwarmError(f"{lost}; run.on_vehicle_loss is 'end'"))
         return self._truth
 
     def _await_paused(self) -> Paused:
@@ -220,9 +225,6 @@ class Swarm:
             message = self._processes.next(SILENCE_LIMIT_S, "the physics server is silent")
             if isinstance(message, Paused):
                 return message
-            if isinstance(message, VehicleLost) and self.scenario.run.on_vehicle_loss == "end":
-                lost = f"{uav(message.instance)} was lost: {message.reason}; run.on_vehicle_loss is 'end'"
-                raise self._processes.fatal(SwarmError(lost))
 
     # --- interventions
 
@@ -257,7 +259,7 @@ class Swarm:
         while simulated time passes. Such a run depends on more than scenario and seed; its manifest says so.
         """
         os.environ.setdefault("MAVLINK20", "1")  # read when pymavlink is imported: it would send MAVLink 1
-        from pymavlink import mavutil  # noqa: PLC0415  slow to import, and few programs need it
+        from pymavlink import mavutil  # noqa: PLC0415, TID251  an edge; few programs need it
 
         port = self._processes.ready[uav(instance)].details["gcs_local_udp"]
         address = f"udpout:{self.scenario.ports.host}:{port}"

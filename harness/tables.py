@@ -1,6 +1,7 @@
 """From the processes' binary logs to the run's columnar files.
 
-A structured record's field of several components becomes one column each, named after its frame: ``pos_ned_m`` gives
+A structured record's field of several components becomes one column each, named after its frame:
+``pos_ned_m`` gives
 ``pos_ned_m.n``, ``.e`` and ``.d``. Rows are in order of time, then vehicle; equal runs give equal bytes.
 """
 
@@ -15,15 +16,21 @@ from numpy.typing import NDArray
 from autopilot.recording import VEHICLE_RECORD
 from harness.recording import AIR_RECORD, TRUTH_RECORD
 from harness.run_folder import RunFolder
-from netsim.record_log import read
 from netsim.logs import FRAME_LOG, SESSION_LOG
+from netsim.record_log import read
 
 _KEY = ("time_us", "uav")
 
 
 def write_tables(folder: RunFolder, agents: int) -> NDArray[Any]:
-    """Make the Parquet files from the raw logs; returns the flight: records (instants, agents) of `FLIGHT_RECORD`."""
-    flight = merge(read(folder.raw_truth, TRUTH_RECORD), [read(folder.raw_vehicle(i), VEHICLE_RECORD) for i in range(agents)])
+    """Make the Parquet files from the raw logs.
+
+    Returns the flight: records (instants, agents) of `FLIGHT_RECORD`.
+    """
+    flight = merge(
+        read(folder.raw_truth, TRUTH_RECORD),
+        [read(folder.raw_vehicle(i), VEHICLE_RECORD) for i in range(agents)],
+    )
     _write(folder.flight, flight.ravel())
     for target, raw, dtype in (
         (folder.radio, folder.raw_frames, FRAME_LOG),
@@ -35,7 +42,9 @@ def write_tables(folder: RunFolder, agents: int) -> NDArray[Any]:
 
 
 def merge(truth: NDArray[Any], vehicles: list[NDArray[Any]]) -> NDArray[Any]:
-    """Truth (instants x vehicles rows) beside what each vehicle recorded at the same times; NaN or 0 where it did not.
+    """Truth (instants x vehicles rows) beside what each vehicle recorded at the same times.
+
+    NaN or 0 where it did not.
 
     Returns (instants, vehicles) records of `FLIGHT_RECORD`. An instant that was cut short is left out.
     """

@@ -1,9 +1,13 @@
-"""A child process's line to whoever started it: JSON events out on stdout, lines in on stdin, and an end with the parent.
+"""A child process's line to whoever started it.
 
-With ``--supervised`` a child says `Ready` once it can work and `Finished` before it ends, and ends at once when its stdin
-does: that is how no process outlives its launcher, however the launcher dies. Without it, stdin and stdout are a user's.
+JSON events out on stdout, lines in on stdin, and an end with the parent.
+
+With ``--supervised`` a child says `Ready` once it can work and `Finished` before it ends, and ends at once
+when its stdin does: that is how no process outlives its launcher, however the launcher dies. Without it,
+stdin and stdout are a user's.
 """
 
+import logging
 import os
 import queue
 import sys
@@ -35,12 +39,17 @@ class Finished(Struct, frozen=True, kw_only=True, tag="finished", tag_field="eve
     details: dict[str, Any] = {}
 
 
+logger = logging.getLogger(__name__)
+
 T = TypeVar("T")
 _encoder = msgspec.json.Encoder()
 
 
 def emit(event: Struct) -> None:
-    """Write one event as a line on stdout; a parent that is gone is no error, for the child is about to end."""
+    """Write one event as a line on stdout.
+
+    A parent that is gone is no error, for the child is about to end.
+    """
     try:
         sys.stdout.buffer.write(_encoder.encode(event) + b"\n")
         sys.stdout.buffer.flush()
@@ -60,7 +69,7 @@ def commands(kind: type[T], inbox: "queue.SimpleQueue[T]") -> None:
             try:
                 inbox.put(decoder.decode(line))
             except msgspec.DecodeError as error:
-                print(f"not a command: {line[:200]!r}: {error}", file=sys.stderr, flush=True)
+                logger.warning("not a command: %r: %s", line[:200], error)
         _end()
 
     threading.Thread(target=read, name="parent", daemon=True).start()
@@ -78,7 +87,10 @@ def end_with_parent() -> None:
 
 
 def _stdin_lines() -> Iterator[bytes]:
-    """Lines of stdin, read past Python's buffer, whose lock makes an interpreter abort that ends while a thread waits."""
+    """Lines of stdin.
+
+    Read past Python's buffer, whose lock makes an interpreter abort that ends while a thread waits.
+    """
     rest = b""
     while chunk := os.read(sys.stdin.fileno(), 65_536):
         *lines, rest = (rest + chunk).split(b"\n")

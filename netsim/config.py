@@ -1,7 +1,7 @@
 """Settings of the emulated radio: what a scenario's ``[radio]`` table may say.
 
-Frozen, keyword-only and range-checked by msgspec when a scenario is decoded. Only data: the models that read it are
-in `netsim.phy`, `netsim.mac` and `netsim.ftm`.
+Frozen, keyword-only and range-checked by msgspec when a scenario is decoded. Only data: the models that read
+it are in `netsim.phy`, `netsim.mac` and `netsim.ftm`.
 """
 
 from typing import Annotated, Literal
@@ -13,7 +13,8 @@ Positive = Annotated[float, Meta(gt=0.0)]
 BandwidthMhz = Literal[20, 40, 80]
 Mode = Literal[
     "ofdm6", "ofdm9", "ofdm12", "ofdm18", "ofdm24", "ofdm36", "ofdm48", "ofdm54",
-    "vht_mcs0", "vht_mcs1", "vht_mcs2", "vht_mcs3", "vht_mcs4", "vht_mcs5", "vht_mcs6", "vht_mcs7", "vht_mcs8", "vht_mcs9",
+    "vht_mcs0", "vht_mcs1", "vht_mcs2", "vht_mcs3", "vht_mcs4",
+    "vht_mcs5", "vht_mcs6", "vht_mcs7", "vht_mcs8", "vht_mcs9",
 ]  # fmt: skip
 AccessCategory = Literal["vo", "vi", "be", "bk"]
 
@@ -55,7 +56,10 @@ class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     shadowing_std_db: NonNegative = 0.0
     """Log-normal shadowing of a link, one draw per link and run."""
     rician_k_db: Annotated[float, Meta(ge=-20.0, le=60.0)] | None = 12.0
-    """Rician K factor of the small-scale fading, drawn afresh per frame and link; None switches fading off."""
+    """Rician K factor of the small-scale fading, drawn afresh per frame and link.
+
+    None switches fading off.
+    """
     extra_attenuation_db: NonNegative = 0.0
     """Attenuation added to every link: degrades the channel (20 dB), or cuts it (200 dB)."""
     cca_energy_dbm: float = -62.0

@@ -212,12 +212,9 @@ class Emulator:
         self._received.append((end_ns, frame.source, frame.seq, station, item))
 
     def _on_ranged(self, ranging: Ranging) -> None:
-        true_m = 0.0
-        if 0 <= ranging.peer < self._stations:
-            true_m = self.trajectories.distance_m(ranging.initiator, ranging.peer, ranging.measured_ns)
         self._ftm_ended[ranging.status] += 1
         if ranging.status == "ok":
-            error_m = ranging.distance_m - true_m
+            error_m = ranging.distance_m - ranging.true_distance_m
             self._error_sum_m += error_m
             self._error_square_sum_m2 += error_m * error_m
         self._sessions.append(
@@ -227,7 +224,7 @@ class Emulator:
                 peer=ranging.peer,
                 status=ranging.status,
                 distance_m=ranging.distance_m,
-                true_distance_m=true_m,
+                true_distance_m=ranging.true_distance_m,
                 distance_std_m=ranging.distance_std_m,
                 round_trips=ranging.round_trips,
                 rssi_dbm=ranging.rssi_dbm,

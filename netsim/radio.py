@@ -1,14 +1,23 @@
-"""A station's way to the emulated channel: hand over transmissions, take what arrived. Keys of the run's radio."""
+"""A station's way to the emulated channel: hand over transmissions, take what arrived.
 
-import sys
+Keys of the run's radio.
+"""
+
+import logging
 from collections import deque
 from collections.abc import Sequence
 
 from netsim.transport import Question, Transport
 from netsim.wire.messages import Ack, RxBatch, RxItem, TxBatch, TxItem, decode, encode
 
+logger = logging.getLogger(__name__)
+
 ANSWER_LIMIT_S = 4.0
 """Wall time that the emulator, or a station, has to acknowledge; far beyond what a loaded machine needs."""
+
+
+BATCH_HANDED_OVER = 1 << 32
+"""Bit of HIL_ACTUATOR_CONTROLS.flags, free in the standard: the vehicle gave its radio something to send."""
 
 
 def transmit_key(run_id: str) -> str:
@@ -33,8 +42,8 @@ class RadioLost(ConnectionError):
 class RadioClient:
     """One station's radio. Blocking, for one thread; deliveries come in by Zenoh's threads.
 
-    Raises TransportError or RadioLost if the emulator cannot be reached. A station number that is in use is not
-    refused: both would get the deliveries.
+    Raises TransportError or RadioLost if the emulator cannot be reached. A station number that is in use is
+    not refused: both would get the deliveries.
     """
 
     def __init__(self, *, endpoint: str, run_id: str, station: int) -> None:
@@ -46,7 +55,8 @@ class RadioClient:
         try:
             self._transport.serve(receive_key(run_id, station), self._on_delivery)
             self._asker = self._transport.asker(transmit_key(run_id), timeout_s=ANSWER_LIMIT_S)
-            # The declaration above travels ahead of this empty batch: once it is acknowledged, deliveries find the way.
+            # The declaration above travels ahead of this empty batch: once it is acknowledged, deliveries
+            # find the way.
             self.send(0, ())
         except BaseException:
             self._transport.close()
@@ -74,7 +84,7 @@ class RadioClient:
         batch = decode(RxBatch, question.payload)
         if batch is None or batch.station != self._station:
             self.malformed += 1
-            print(f"radio: dropped {len(question.payload)} bytes that are no delivery", file=sys.stderr)
+            logger.warning("dropped %d bytes that are no delivery", len(question.payload))
             return
         self._batches.append(batch)
         question.answer(_ACK)

@@ -1,7 +1,9 @@
-"""Append-only binary logs of fixed-size records: what a process writes while it runs, and the report turns into tables.
+"""Append-only binary logs of fixed-size records.
 
-Records are NumPy structured rows, written in whole blocks by row count alone, so equal runs give equal bytes and a
-process that is killed leaves everything up to its last block readable.
+What a process writes while it runs, and the report turns into tables.
+
+Records are NumPy structured rows, written in whole blocks by row count alone, so equal runs give equal bytes
+and a process that is killed leaves everything up to its last block readable.
 """
 
 from collections.abc import Iterable
@@ -42,7 +44,10 @@ class RecordLog:
 
 
 def read(path: str | Path, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """All whole records of a log; none for a file that is missing. A record cut short by a kill is left out."""
+    """All whole records of a log.
+
+    None for a file that is missing. A record cut short by a kill is left out.
+    """
     path = Path(path)
     if not path.exists():
         return np.empty(0, dtype=dtype)

@@ -34,7 +34,7 @@ class SessionRecord(Struct, frozen=True, kw_only=True):
     status: str
     distance_m: float
     true_distance_m: float
-    """At ``measured_ns``; 0.0 if there is no such peer."""
+    """Mean over the round trips, at the end if there were none; 0.0 if there is no such peer."""
     distance_std_m: float
     round_trips: int
     rssi_dbm: float

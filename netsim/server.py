@@ -1,14 +1,14 @@
 """The 802.11 emulator's process: Zenoh in front, the emulator behind, logs beside it.
 
-Transmissions are acknowledged at once, in Zenoh's threads, and wait in a list; the main thread takes those that belong
-before the interval it is asked to simulate. What belongs to later steps stays, so the air does not depend on which of
-two messages happened to come first.
+Transmissions are acknowledged at once, in Zenoh's threads, and wait in a list; the main thread takes those
+that belong before the interval it is asked to simulate. What belongs to later steps stays, so the air does
+not depend on which of two messages happened to come first.
 """
 
 import contextlib
+import logging
 import os
 import queue
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +18,9 @@ import numpy as np
 from netsim.child import Finished, Ready, Stop, commands, emit
 from netsim.config import ServerConfig
 from netsim.emulator import Emulator
+from netsim.logs import FRAME_LOG, SESSION_LOG
 from netsim.radio import ANSWER_LIMIT_S, advance_key, receive_key, transmit_key
 from netsim.record_log import RecordLog
-from netsim.logs import FRAME_LOG, SESSION_LOG
 from netsim.transport import Asker, Pending, Question, Transport
 from netsim.wire.messages import (
     Ack,
@@ -33,6 +33,8 @@ from netsim.wire.messages import (
     decode,
     encode,
 )
+
+logger = logging.getLogger(__name__)
 
 STREAM = 802
 """Sets the emulator's random streams apart from those of the run's other processes."""
@@ -50,10 +52,8 @@ class Server:
         self._submitted: list[TxBatch] = []
         self._malformed = 0
         self._silent: frozenset[Station] = frozenset()
-        self._logs = [
-            RecordLog(path, dtype) if path else None
-            for path, dtype in ((config.frame_log_path, FRAME_LOG), (config.session_log_path, SESSION_LOG))
-        ]
+        self._frame_log = _log(config.frame_log_path, FRAME_LOG)
+        self._session_log = _log(config.session_log_path, SESSION_LOG)
         self._transport = Transport.listen(config.host, config.port)
         self._receivers: list[Asker] = [
             self._transport.asker(receive_key(config.run_id, station), timeout_s=ANSWER_LIMIT_S)
@@ -83,7 +83,7 @@ class Server:
     def close(self) -> None:
         """End the session and the logs; harmless when repeated."""
         self._transport.close()
-        for log in self._logs:
+        for log in (self._frame_log, self._session_log):
             if log is not None:
                 log.close()
 
@@ -91,7 +91,7 @@ class Server:
         batch = decode(TxBatch, question.payload)
         if batch is None or batch.station >= self._config.stations:
             self._malformed += 1
-            print(f"radio: dropped {len(question.payload)} bytes that are no transmission", file=sys.stderr)
+            logger.warning("dropped %d bytes that are no transmission", len(question.payload))
             return
         if batch.items:
             self._submitted.append(batch)
@@ -118,9 +118,7 @@ class Server:
             q_ned_frd=np.array(request.q_ned_frd),
         )
         unresponsive = self._deliver(arrivals, request.release_us)
-        for log, records in zip(self._logs, (self._emulator.take_frames(), self._emulator.take_sessions()), strict=True):
-            if log is not None:
-                log.append(msgspec.structs.astuple(record) for record in records)
+        self._write_logs()
         return Advanced(
             to_us=request.to_us,
             quiet_until_us=self._emulator.next_event_us,
@@ -128,8 +126,18 @@ class Server:
             unresponsive=unresponsive,
         )
 
+    def _write_logs(self) -> None:
+        frames, sessions = self._emulator.take_frames(), self._emulator.take_sessions()
+        if self._frame_log is not None:
+            self._frame_log.append(msgspec.structs.astuple(frame) for frame in frames)
+        if self._session_log is not None:
+            self._session_log.append(msgspec.structs.astuple(session) for session in sessions)
+
     def _deliver(self, arrivals: list[tuple[Station, RxItem]], release_us: int) -> tuple[Station, ...]:
-        """Hand every station its arrivals, all at once, and wait; returns the stations that did not acknowledge."""
+        """Hand every station its arrivals, all at once, and wait.
+
+        Returns the stations that did not acknowledge.
+        """
         by_station: dict[Station, list[RxItem]] = {}
         for station, item in arrivals:
             if station not in self._silent:
@@ -139,6 +147,10 @@ class Server:
             batch = RxBatch(station=station, release_us=release_us, items=tuple(items))
             pending[station] = self._receivers[station].ask(encode(batch))
         return tuple(station for station, answer in pending.items() if answer.answer() is None)
+
+
+def _log(path: str | None, dtype: np.dtype[Any]) -> RecordLog | None:
+    return None if path is None else RecordLog(path, dtype)
 
 
 _ACK = encode(Ack())
@@ -151,7 +163,7 @@ def run(config_path: Path, *, supervised: bool) -> None:
     server = Server(config, inbox)
     with contextlib.closing(server):
         if supervised:
-            commands(Stop, inbox)  # type: ignore[arg-type]  # a queue of more takes a Stop as well
+            commands(Stop, inbox)
         emit(Ready(name="radio", pid=os.getpid(), details={"endpoint": server.endpoint}))
         details = server.serve()
     emit(Finished(name="radio", details=details))

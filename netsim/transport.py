@@ -1,8 +1,8 @@
 """Questions and answers over Zenoh: the one module that imports it.
 
-One process of a run listens (the 802.11 emulator, as router) and all others connect to it by an explicit endpoint;
-there is no scouting, so runs on one machine or network never meet. Everything is a query with a reply: nothing on the
-control path can be lost unnoticed.
+One process of a run listens (the 802.11 emulator, as router) and all others connect to it by an explicit
+endpoint; there is no scouting, so runs on one machine or network never meet. Everything is a query with a
+reply: nothing on the control path can be lost unnoticed.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,10 @@ class Pending:
         self._replies = replies
 
     def answer(self) -> bytes | None:
-        """Wait for the answer; None when none came within the question's time-out or nobody serves the key."""
+        """Wait for the answer.
+
+        None when none came within the question's time-out or nobody serves the key.
+        """
         result: bytes | None = None
         for reply in self._replies:  # until the query is over
             if reply.ok is not None and result is None:
@@ -51,7 +54,7 @@ class Question:
     def answer(self, payload: bytes) -> None:
         """Reply and end the question."""
         self._query.reply(self._query.key_expr, payload)
-        self._query.drop()
+        self._query.drop()  # type: ignore[no-untyped-call]
 
 
 class Transport:
@@ -88,13 +91,16 @@ class Transport:
         return Asker(self._session.declare_querier(key, timeout=timeout_s))
 
     def serve(self, key: str, handler: Callable[[Question], None]) -> None:
-        """Answer ``key``: the handler is called in a thread of Zenoh's and answers there or hands the question on."""
+        """Answer ``key``.
+
+        The handler is called in a thread of Zenoh's and answers there or hands the question on.
+        """
         self._session.declare_queryable(key, lambda query: handler(Question(query)), complete=True)
 
     def close(self) -> None:
         """End the session; harmless when repeated."""
         if not self._session.is_closed():
-            self._session.close()
+            self._session.close()  # type: ignore[no-untyped-call]
 
 
 def _config(mode: str, verb: str, endpoint: str) -> zenoh.Config:

@@ -31,7 +31,8 @@ class FlightController:
         self.rate_setpoint_frd_rad_s: Array = np.zeros(3)
         self.torque: Array = np.zeros(3)
         """(3,) normalised torque asked of the motors, FRD"""
-        self._position = PositionController(params.position)
+        share = params.disturbance.integral_share if params.disturbance.enabled else 1.0
+        self._position = PositionController(params.position, integral_share=share)
         self._disturbance = DisturbanceObserver(params.disturbance)
         self._hover = HoverThrustEstimator(params.hover_thrust, start=params.position.thr_hover)
         self._attitude = AttitudeController(params.attitude)

@@ -58,8 +58,8 @@ def _velocity_setpoint(
 @njit(cache=True)
 def _limited_thrust(
     acc: Array, hover: float, tilt_max: float, thr_min: float, thr_max: float, xy_margin: float
-) -> Array:
-    """(3,) NED thrust vector for an acceleration over ground.
+) -> tuple[Array, bool]:
+    """(3,) NED thrust vector for an acceleration over ground, and whether limits cut its horizontal part.
 
     The tilt gives the horizontal acceleration as if the thrust's vertical part were the weight
     (MPC_ACC_DECOUPLE), so a climb does not change it.
@@ -69,6 +69,7 @@ def _limited_thrust(
     tilt_tan = min(wanted_tan, steepest)
     cosine = 1.0 / math.sqrt(1.0 + tilt_tan * tilt_tan)
     up = max(hover * (1.0 - acc[2] / GRAVITY_M_S2), thr_min * cosine)
+    wanted = up * wanted_tan
     horizontal = up * tilt_tan
     up = min(up, math.sqrt(thr_max * thr_max - min(horizontal, xy_margin, thr_max) ** 2))
     horizontal = min(horizontal, math.sqrt(max(thr_max * thr_max - up * up, 0.0)), up * steepest)
@@ -76,7 +77,7 @@ def _limited_thrust(
     if wanted_tan > 0.0:
         north = horizontal * acc[0] / (GRAVITY_M_S2 * wanted_tan)
         east = horizontal * acc[1] / (GRAVITY_M_S2 * wanted_tan)
-    return np.array([north, east, -up])
+    return np.array([north, east, -up]), horizontal < wanted * (1.0 - 1e-9)
 
 
 @njit(cache=True)
@@ -115,19 +116,19 @@ def _control(
             acc_sp[i] += gains[1, i] * error[i] + integral[i] + gains[3, i] * (acc_sp[i] - acc_filtered[i])
     demand = acc_sp - disturbance
     thr_min, thr_max = thr_limits[0], thr_limits[1]
-    thrust = _limited_thrust(demand, hover, tilt_max, thr_min, thr_max, thr_limits[2])
+    thrust, cut = _limited_thrust(demand, hover, tilt_max, thr_min, thr_max, thr_limits[2])
 
-    # vertical anti-windup: hold the integral while a limit is reached and the error asks for more
+    # anti-windup: while a limit holds back thrust, the integral does not follow an error that asks for more
     collective = math.sqrt(thrust[0] ** 2 + thrust[1] ** 2 + thrust[2] ** 2)
     at_least = collective <= thr_min * (1.0 + 1e-9)
     at_most = collective >= thr_max * (1.0 - 1e-9)
     if (at_least and error[2] > 0.0) or (at_most and error[2] < 0.0):
         error[2] = 0.0
-    # horizontal anti-windup: back-calculation from what the thrust limit left (PX4: the gain 2 / P)
-    scale = GRAVITY_M_S2 / hover
-    if demand[0] ** 2 + demand[1] ** 2 > (thrust[0] ** 2 + thrust[1] ** 2) * scale * scale:
-        for i in range(2):
-            error[i] -= 2.0 / gains[1, i] * (demand[i] - thrust[i] * scale)
+    if cut:
+        along = error[0] * demand[0] + error[1] * demand[1]
+        more = max(along, 0.0) / (demand[0] ** 2 + demand[1] ** 2)
+        error[0] -= more * demand[0]
+        error[1] -= more * demand[1]
     for i in range(3):
         if mask[0, i] or mask[1, i]:
             integral[i] += error[i] * gains[2, i] * dt_s
@@ -149,9 +150,9 @@ class PositionOutput:
 
 
 class PositionController:
-    """Position P and velocity PID with limits and anti-windup."""
+    """Position P and velocity PID with limits and anti-windup; ``integral_share`` scales the I gains."""
 
-    def __init__(self, params: PositionParams) -> None:
+    def __init__(self, params: PositionParams, *, integral_share: float = 1.0) -> None:
         p = params
         self._params = p
         self._gains: Array = np.array(
@@ -162,6 +163,7 @@ class PositionController:
                 (p.xy_vel_d_acc, p.xy_vel_d_acc, p.z_vel_d_acc),
             )
         )
+        self._gains[2] *= integral_share
         self._thr_limits: Array = np.array((p.thr_min, p.thr_max, p.thr_xy_margin))
         self._integral: Array = np.zeros(3)
         self._acc_filtered: Array = np.zeros(3)

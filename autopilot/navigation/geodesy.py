@@ -46,8 +46,8 @@ def ned_to_geodetic(
 ) -> tuple[Array, Array, Array]:
     """Latitude, longitude (degrees) and altitude (metres), each (...), of positions (..., 3) from the origin.
 
-    One step of Bowring's formula ("Transformation from spatial to geographical coordinates", 1976) is below a
-    nanometre at flying altitudes.
+    By one step of Bowring's formula ("Transformation from spatial to geographical coordinates", 1976); there
+    and back stays within a micrometre up to 1 km from the origin.
     """
     origin_ecef_m = _geodetic_to_ecef(
         np.radians(origin_lat_deg), np.radians(origin_lon_deg), np.float64(origin_alt_m)

@@ -23,6 +23,8 @@ _VERTICAL = (False, False, True)
 _DESCEND_GAIN_1_S = 2.0
 _DESCEND_ACC_MAX_M_S2 = 2.0
 """Descent without a valid velocity, which the controller then leaves alone: a proportional law stands in."""
+_SETTLE_ACC_M_S2 = 8.0
+"""On the ground after such a descent no integral takes the thrust away; asking for most of gravity does."""
 
 IDLE = TrajectorySetpoint(vel_ned_m_s=np.zeros(3), vel_axes=_VERTICAL)
 """Armed on the ground and to stay there."""
@@ -91,7 +93,7 @@ class Navigator:
         if self._mode is FlightMode.LAND:
             return self._land(state, dt_s=dt_s, touching=touching, home_down_m=home_down_m)
         if self._mode is FlightMode.DESCEND:
-            return self._descend(state)
+            return self._descend(state, touching=touching)
         return self._follow(dt_s)
 
     def completed(self, state: EstimatorState) -> bool:
@@ -142,12 +144,14 @@ class Navigator:
             yaw_rad=self._yaw_rad,
         )
 
-    def _descend(self, state: EstimatorState) -> TrajectorySetpoint:
+    def _descend(self, state: EstimatorState, *, touching: bool) -> TrajectorySetpoint:
         speed_m_s = self._params.land_speed_m_s
         if state.velocity_valid:
             return TrajectorySetpoint(vel_ned_m_s=np.array([0.0, 0.0, speed_m_s]), yaw_rad=self._yaw_rad)
         acc_m_s2 = _DESCEND_GAIN_1_S * (speed_m_s - float(state.vel_ned_m_s[2]))
         acc_m_s2 = max(-_DESCEND_ACC_MAX_M_S2, min(_DESCEND_ACC_MAX_M_S2, acc_m_s2))
+        if touching:
+            acc_m_s2 = _SETTLE_ACC_M_S2
         return TrajectorySetpoint(acc_ned_m_s2=np.array([0.0, 0.0, acc_m_s2]), yaw_rad=self._yaw_rad)
 
     def _follow(self, dt_s: float) -> TrajectorySetpoint:

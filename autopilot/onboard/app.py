@@ -1,12 +1,13 @@
-"""The on-board application of one UAV: composes beacons, ranging, localisation and formation control into a flight.
+"""The on-board application of one UAV: beacons, ranging, localisation and formation control.
 
-Sans-IO. MAVLink messages from the own autopilot and items from the own radio go in, `OnboardOutput` comes out once per step. All
-times are on one clock that the formation shares.
+Sans-IO. MAVLink messages from the own autopilot and items from the own radio go in, `OnboardOutput` comes
+out once per step. All times are on one clock that the formation shares.
 
-Take-off is the autopilot's own, for its spool-up and its landed-state logic are made for leaving the ground; but it holds the
-uncorrected position, which drifts with the GPS bias, so at `HAND_OVER_HEIGHT_M`, while it still climbs, the application takes over in
-offboard with a setpoint that goes on climbing at the same speed over the corrected position. Nobody takes off before the
-shape of the formation on the ground is known to `SHAPE_STD_M`, or the wait for that has been in vain for `LOCALISE_TIMEOUT_US`.
+Take-off is the autopilot's own, for its spool-up and its landed-state logic are made for leaving the ground;
+but it holds the uncorrected position, which drifts with the GPS bias, so at `HAND_OVER_HEIGHT_M`, while it
+still climbs, the application takes over in offboard with a setpoint that goes on climbing at the same speed
+over the corrected position. Nobody takes off before the shape of the formation on the ground is known to
+`SHAPE_STD_M`, or the wait for that has been in vain for `LOCALISE_TIMEOUT_US`.
 """
 
 from collections.abc import Sequence
@@ -17,11 +18,11 @@ from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common
 
 from autopilot.config import OnboardConfig, Site
-from autopilot.navigation.geodesy import geodetic_to_ned
 from autopilot.onboard import beacon as wire
 from autopilot.onboard.commands import ARM, LAND, OFFBOARD, CommandSender, take_off
 from autopilot.onboard.formation import Correction, Reference, separation_radius_limit_m
 from autopilot.onboard.localisation import CLOCK_TOLERANCE_US, CooperativeLocalisation, LocalisationModel
+from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.phases import Phase
 from autopilot.onboard.ranging import RangingSchedule
 from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult, TxItem
@@ -31,7 +32,7 @@ Array = NDArray[np.float64]
 SETPOINT_PERIOD_US = 50_000
 HEARTBEAT_PERIOD_US = 1_000_000
 BEACON_JITTER = 0.02
-"""Half width of each beacon's random shift, in periods: two UAVs that happen to tick together do not go on doing so."""
+"""Half width of each beacon's random shift, in periods: two UAVs that tick together do not go on doing so."""
 SHAPE_STD_M = 0.35
 LOCALISE_TIMEOUT_US = 10_000_000
 TAKE_OFF_HEIGHT_M = 2.5
@@ -40,9 +41,9 @@ SILENCE_US = 3_000_000
 """A neighbour not heard for this long is neither ranged to nor kept clear of."""
 HEARTBEAT_LAG_US = 1_500_000
 """A HEARTBEAT (1 Hz) shows a change that a COMMAND_ACK announced after this at the latest."""
-TRIP_STD_M, TRIP_STD_TRIPS = 0.15, 8
-"""Expected error of a single round trip's distance at 80 MHz, and how many trips' evidence that expectation is worth beside the
-scatter of the session's own few."""
+TRIP_STD_M, TRIP_STD_TRIPS = 0.08, 8
+"""Expected error of a single round trip's distance at 80 MHz, and how many trips' evidence that expectation
+is worth beside the scatter of the session's own few."""
 OFFBOARD_MAIN_MODE = 6
 _SETPOINT_MASK = (
     common.POSITION_TARGET_TYPEMASK_AX_IGNORE
@@ -109,18 +110,17 @@ class OnboardApp:
         self._station = station
         self._count = len(places)
         self._place_ned_m = places[station]
-        self._site = site
         self._config = config
         self._rng = rng
+        self._model = LocalisationModel(
+            gps_bias_std_m=config.gps_bias_std_m,
+            gps_bias_time_constant_s=config.gps_bias_time_constant_s,
+            odometry_drift_m_sqrt_s=config.odometry_drift_m_sqrt_s,
+            range_floor_std_m=config.range_floor_std_m,
+            gather_s=2.0 * config.ftm_period_s + 0.5,
+        )
         if config.localisation == "ftm" and self._count > 1:
-            model = LocalisationModel(
-                gps_bias_std_m=config.gps_bias_std_m,
-                gps_bias_time_constant_s=config.gps_bias_time_constant_s,
-                odometry_drift_m_sqrt_s=config.odometry_drift_m_sqrt_s,
-                range_floor_std_m=config.range_floor_std_m,
-                gather_s=2.0 * config.ftm_period_s + 0.5,
-            )
-            self.localisation = CooperativeLocalisation(own=station, places_ned_m=places, model=model)
+            self.localisation = CooperativeLocalisation(own=station, places_ned_m=places, model=self._model)
         self._ranging = RangingSchedule(
             station=station, stations=self._count, period_us=round(config.ftm_period_s * 1e6), rng=rng
         )
@@ -129,18 +129,7 @@ class OnboardApp:
         self._commands = CommandSender(target_system=station + 1)
         self._correction = Correction()
         self._reference = Reference(climb_speed_m_s=config.climb_speed_m_s)
-        # What the autopilot said last.
-        self._boot_offset_us: int | None = None
-        self._position_us = -1
-        self._local_ned_m = np.zeros(3)
-        self._vel_ned_m_s = np.zeros(3)
-        self._odometry_ned_m = np.zeros(3)
-        self._origin_ned_m: Array | None = None
-        self._origin_alt_m = 0.0
-        self._fix: wire.Fix | None = None
-        self._armed = False
-        self._main_mode = 0
-        self._heartbeat_us = -1
+        self._own = OwnState(site=site, config=config)
         # What this application is doing.
         self._now_us = -1
         self._phase_since_us = 0
@@ -148,7 +137,6 @@ class OnboardApp:
         self._offboard_seen = False
         self._supported = False
         self._land_requested = False
-        self._news = False
         self._distances: dict[int, wire.Distance] = {}
         self._heard_us: dict[int, int] = {}
         self._radio_seq = 0
@@ -167,16 +155,23 @@ class OnboardApp:
         """Take a message of the own autopilot; those of no use here are ignored."""
         match msg.get_type():
             case "LOCAL_POSITION_NED":
-                self._on_local_position(msg, now_us)
+                if self._own.on_local_position(msg, now_us) and self.localisation is not None:
+                    odometry_ned_m, vel_ned_m_s = (
+                        self._own.odometry_ned_m.tolist(),
+                        self._own.vel_ned_m_s.tolist(),
+                    )
+                    self.localisation.on_odometry(
+                        self._station, self._own.time_us, odometry_ned_m, vel_ned_m_s
+                    )
             case "GPS_RAW_INT":
-                self._on_gps(msg)
+                if self._own.on_gps(msg) and self.localisation is not None and self._own.fix is not None:
+                    self.localisation.on_fix(
+                        self._station, self._own.fix.time_ms * 1_000, self._own.fix.pos_ned_m
+                    )
             case "GPS_GLOBAL_ORIGIN":
-                self._origin_alt_m = msg.altitude * 1e-3
-                self._origin_ned_m = self._site_ned_m(msg.latitude, msg.longitude, msg.altitude)
-            case "HEARTBEAT" if msg.autopilot != common.MAV_AUTOPILOT_INVALID:
-                self._armed = bool(msg.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED)
-                self._main_mode = msg.custom_mode >> 16 & 0xFF
-                self._heartbeat_us = now_us
+                self._own.on_origin(msg)
+            case "HEARTBEAT":
+                self._own.on_heartbeat(msg, now_us)
             case "COMMAND_ACK":
                 self._commands.on_ack(msg, now_us)
 
@@ -188,7 +183,8 @@ class OnboardApp:
         self._ranging.on_result(item.peer)
         if item.status != "ok" or item.round_trips < 1 or item.peer >= self._count:
             return
-        # Few trips tell their own scatter badly, so it is pooled with what is expected (a scaled inverse chi-square prior).
+        # Few trips tell their own scatter badly, so it is pooled with what is expected (a scaled inverse
+        # chi-square prior).
         degrees = item.round_trips - 1
         trip_var_m2 = (TRIP_STD_TRIPS * TRIP_STD_M**2 + degrees * item.distance_std_m**2) / (
             TRIP_STD_TRIPS + degrees
@@ -200,7 +196,6 @@ class OnboardApp:
             self.localisation.on_range(
                 self._station, item.peer, distance.time_ms * 1_000, item.distance_m, std_m, now_us=now_us
             )
-            self._news = True
 
     def request_landing(self) -> None:
         """Land where the UAV is, at the next step, in whatever phase of the flight."""
@@ -209,13 +204,10 @@ class OnboardApp:
     # ---- output
 
     def on_timer(self, now_us: int) -> OnboardOutput:
-        """Everything to send in the step that begins at ``now_us``; called once per step, after its inputs."""
+        """Return all to send in the step that begins at ``now_us``; called once per step."""
         step_us = min(max(now_us - self._now_us, 1_000), 20_000)
         self._now_us = now_us
-        if self._news and self.localisation is not None:
-            self.localisation.update(now_us)
-        self._news = False
-        if now_us >= self._setpoint_us and self._position_us >= 0:
+        if now_us >= self._setpoint_us and self._own.time_us >= 0:
             self._correct(now_us)
             phase = self._next_phase(now_us)
             if phase is not self.phase:
@@ -251,54 +243,9 @@ class OnboardApp:
         if self.localisation is not None and self._supported:
             std_ned_m = self.localisation.std_ned_m()
             shape_std_m = self.localisation.shape_std_m(self._now_us)
-        return Estimate(self._autopilot_ned_m() - correction_ned_m, std_ned_m, correction_ned_m, shape_std_m)
-
-    # ---- the autopilot's messages
-
-    def _on_local_position(self, msg: common.MAVLink_local_position_ned_message, now_us: int) -> None:
-        boot_us = msg.time_boot_ms * 1_000
-        # Messages can only be late, so the least difference of the clocks that was ever seen is the best one.
-        self._boot_offset_us = min(now_us - boot_us, self._boot_offset_us or now_us - boot_us)
-        time_us = boot_us + self._boot_offset_us
-        if time_us <= self._position_us:
-            return
-        vel_ned_m_s = np.array((msg.vx, msg.vy, msg.vz))
-        if self._position_us >= 0:
-            dt_s = (time_us - self._position_us) * 1e-6
-            self._odometry_ned_m[:2] += (0.5 * dt_s) * (vel_ned_m_s[:2] + self._vel_ned_m_s[:2])
-        self._odometry_ned_m[2] = msg.z
-        self._local_ned_m[:] = (msg.x, msg.y, msg.z)
-        self._vel_ned_m_s = vel_ned_m_s
-        self._position_us = time_us
-        if self.localisation is not None:
-            odometry_ned_m, velocity = self._odometry_ned_m.tolist(), vel_ned_m_s.tolist()
-            self.localisation.on_odometry(self._station, time_us, odometry_ned_m, velocity)
-
-    def _on_gps(self, msg: common.MAVLink_gps_raw_int_message) -> None:
-        if msg.fix_type < common.GPS_FIX_TYPE_3D_FIX or self._boot_offset_us is None:
-            return
-        time_ms = (msg.time_usec + self._boot_offset_us) // 1_000 - self._config.gps_delay_ms
-        if time_ms < 0 or (self._fix is not None and time_ms <= self._fix.time_ms):
-            return
-        north_m, east_m, down_m = self._site_ned_m(msg.lat, msg.lon, msg.alt).tolist()
-        std_m = self._config.gps_bias_std_m if msg.eph in {0, 0xFFFF} else msg.eph * 1e-2
-        self._fix = wire.Fix(time_ms, (north_m, east_m, down_m), std_m)
-        if self.localisation is not None:
-            self.localisation.on_fix(self._station, time_ms * 1_000, self._fix.pos_ned_m)
-
-    def _site_ned_m(self, lat_deg_e7: int, lon_deg_e7: int, alt_mm: int) -> Array:
-        return geodetic_to_ned(
-            lat_deg_e7 * 1e-7, lon_deg_e7 * 1e-7, alt_mm * 1e-3,
-            origin_lat_deg=self._site.latitude_deg, origin_lon_deg=self._site.longitude_deg,
-            origin_alt_m=self._site.altitude_m,
-        )  # fmt: skip
-
-    def _autopilot_ned_m(self) -> Array:
-        """(3,) the autopilot's position in the site's frame; down from the ground it started on, by its barometer."""
-        position_ned_m = self._local_ned_m.copy()
-        if self._origin_ned_m is not None:
-            position_ned_m[:2] += self._origin_ned_m[:2]
-        return position_ned_m
+        return Estimate(
+            self._own.autopilot_ned_m - correction_ned_m, std_ned_m, correction_ned_m, shape_std_m
+        )
 
     # ---- the radio
 
@@ -323,12 +270,16 @@ class OnboardApp:
             self.localisation.on_fix(beacon.station, beacon.fix.time_ms * 1_000, beacon.fix.pos_ned_m)
         for distance in beacon.distances:
             self.localisation.on_range(
-                beacon.station, distance.peer, distance.time_ms * 1_000, distance.distance_m, distance.std_m, now_us=now_us
+                beacon.station,
+                distance.peer,
+                distance.time_ms * 1_000,
+                distance.distance_m,
+                distance.std_m,
+                now_us=now_us,
             )
-        self._news = True
 
     def _radio_items(self, now_us: int, until_us: int) -> tuple[TxItem, ...]:
-        if self._position_us < 0:
+        if self._own.time_us < 0:
             return ()
         items: list[TxItem] = []
         if self._beacon_slot_us is None:
@@ -354,11 +305,11 @@ class OnboardApp:
     def _beacon(self) -> wire.Beacon:
         self._beacon_sequence += 1
         oldest_ms = (self._now_us - self._range_silence_us) // 1_000
-        odo_n, odo_e, odo_d = self._odometry_ned_m.tolist()
-        vel_n, vel_e, vel_d = self._vel_ned_m_s.tolist()
+        odo_n, odo_e, odo_d = self._own.odometry_ned_m.tolist()
+        vel_n, vel_e, vel_d = self._own.vel_ned_m_s.tolist()
         return wire.Beacon(
-            self._station, self._beacon_sequence & 0xFFFF, int(self.phase), self._position_us,
-            (odo_n, odo_e, odo_d), (vel_n, vel_e, vel_d), self._fix,
+            self._station, self._beacon_sequence & 0xFFFF, int(self.phase), self._own.time_us,
+            (odo_n, odo_e, odo_d), (vel_n, vel_e, vel_d), self._own.fix,
             tuple(item for item in self._distances.values() if item.time_ms >= oldest_ms),
         )  # fmt: skip
 
@@ -372,6 +323,7 @@ class OnboardApp:
         """Bring the correction up to date with what localisation knows."""
         if self.localisation is None:
             return
+        self.localisation.update(now_us)
         range_us = self.localisation.own_range_us
         supported = (
             bool(self.localisation.located[self._station])
@@ -383,20 +335,20 @@ class OnboardApp:
             self._supported = supported
             if in_air:
                 self._say("ranging is back" if supported else "ranging lost: correction frozen, then fading")
-        drift_ne_m = self._autopilot_ned_m()[:2] - self._odometry_ned_m[:2]
+        drift_ne_m = self._own.autopilot_ned_m[:2] - self._own.odometry_ned_m[:2]
         offset_ne_m = self.localisation.offset_ne_m() if supported else None
         self._correction.update(drift_ne_m, offset_ne_m, SETPOINT_PERIOD_US * 1e-6, at_once=not in_air)
 
     def _next_phase(self, now_us: int) -> Phase:
-        """The phase that the facts of now lead to, and the command that it wants of the autopilot."""
+        """Decide the phase that the facts of now lead to, and want the command that it needs."""
         if self._land_requested and Phase.ARMING <= self.phase < Phase.LANDING:
             self._land_requested = False
             return Phase.LANDING
         known_us = self._phase_since_us + HEARTBEAT_LAG_US
-        disarmed = not self._armed and self._heartbeat_us > known_us
-        height_m = -float(self._local_ned_m[2])
+        disarmed = not self._own.armed and self._own.heartbeat_us > known_us
+        height_m = -float(self._own.local_ned_m[2])
         match self.phase:
-            case Phase.WAITING if self._origin_ned_m is not None and self._fix is not None:
+            case Phase.WAITING if self._own.origin_ned_m is not None and self._own.fix is not None:
                 return Phase.ARMING if self.localisation is None else Phase.LOCALISING
             case Phase.LOCALISING if self.localisation is not None:
                 if self.localisation.located.all() and self.localisation.shape_std_m(now_us) < SHAPE_STD_M:
@@ -414,7 +366,7 @@ class OnboardApp:
                 return self._in_formation(now_us, disarmed=disarmed)
             case Phase.YIELDED:
                 self._commands.want(None, now_us)
-                if self._main_mode == OFFBOARD_MAIN_MODE:
+                if self._own.main_mode == OFFBOARD_MAIN_MODE:
                     return Phase.JOINING
                 return Phase.LANDED if disarmed else self.phase
             case Phase.LANDING:
@@ -430,7 +382,7 @@ class OnboardApp:
         if disarmed:
             return Phase.ARMING
         if height_m < min(HAND_OVER_HEIGHT_M, 0.5 * take_off_height_m) and not self._commands.wants(OFFBOARD):
-            self._commands.want(take_off(self._origin_alt_m + take_off_height_m), now_us)
+            self._commands.want(take_off(self._own.origin_alt_m + take_off_height_m), now_us)
             return Phase.TAKE_OFF
         self._commands.want(OFFBOARD, now_us)
         self._offboard_seen = False
@@ -439,7 +391,7 @@ class OnboardApp:
     def _in_formation(self, now_us: int, *, disarmed: bool) -> Phase:
         if disarmed:
             return Phase.LANDED
-        if self._main_mode == OFFBOARD_MAIN_MODE:
+        if self._own.main_mode == OFFBOARD_MAIN_MODE:
             self._offboard_seen = True
         elif self._offboard_seen:
             self._offboard_seen = False
@@ -456,14 +408,14 @@ class OnboardApp:
 
     def _own_ned_m(self) -> Array:
         """(3,) where the UAV believes itself to be, site NED."""
-        position_ned_m = self._autopilot_ned_m()
+        position_ned_m = self._own.autopilot_ned_m
         position_ned_m[:2] -= self._correction.ne_m
         return position_ned_m
 
     def _setpoint(self, now_us: int) -> list[common.MAVLink_message]:
-        """The offboard setpoint of now; before offboard it is where the UAV is, so that taking over changes nothing."""
+        """Form the offboard setpoint; before offboard it is where the UAV is, for a smooth start."""
         if (
-            self._origin_ned_m is None
+            self._own.origin_ned_m is None
             or not Phase.ARMING <= self.phase <= Phase.YIELDED
             or self.phase is Phase.LANDING
         ):
@@ -477,10 +429,10 @@ class OnboardApp:
                     silence_us=SILENCE_US,
                 )  # fmt: skip
         else:
-            climb_ned_m_s = np.array((0.0, 0.0, self._vel_ned_m_s[2]))
+            climb_ned_m_s = np.array((0.0, 0.0, self._own.vel_ned_m_s[2]))
             self._reference.reset(self._own_ned_m(), climb_ned_m_s)
         target_ne_m = (
-            target_ne_m + self._reference.pos_ned_m[:2] + self._correction.ne_m - self._origin_ned_m[:2]
+            target_ne_m + self._reference.pos_ned_m[:2] + self._correction.ne_m - self._own.origin_ned_m[:2]
         )
         return [
             common.MAVLink_set_position_target_local_ned_message(

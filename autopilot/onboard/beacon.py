@@ -1,14 +1,15 @@
 """The beacon: what every UAV broadcasts to the formation, and its bytes.
 
-A beacon carries the sender's newest GPS position with its error estimate, its odometry, and the newest distance that
-it measured to each neighbour. Repeating the newest values in every beacon makes one that is lost cost latency alone:
-the time stamps tell a receiver what it has already used.
+A beacon carries the sender's newest GPS position with its error estimate, its odometry, and the newest
+distance that it measured to each neighbour. Repeating the newest values in every beacon makes one that is
+lost cost latency alone: the time stamps tell a receiver what it has already used.
 
-Odometry is the integral of the autopilot's velocity since the sender started, so the difference of any two beacons of
-a sender is its displacement between them, however many were lost in between. Its down component is the autopilot's
-barometric height.
+Odometry is the integral of the autopilot's velocity since the sender started, so the difference of any two
+beacons of a sender is its displacement between them, however many were lost in between. Its down component
+is the autopilot's barometric height.
 
-Layout, little-endian, `HEADER_BYTES` + `RANGE_BYTES` per distance (58 + 11 n: 135 bytes in a formation of eight):
+Layout, little-endian, `HEADER_BYTES` + `RANGE_BYTES` per distance (58 + 11 n: 135 bytes in a formation of
+eight):
 
     u8 version   u8 station   u16 sequence   u8 phase   u8 number of distances
     u64 time_us   3 f32 odometry_ned_m   3 f32 vel_ned_m_s
@@ -74,15 +75,17 @@ class Beacon:
 def encode(beacon: Beacon) -> bytes:
     """Bytes of a beacon.
 
-    Raises struct.error for a number that its field cannot hold, ValueError for more than `MAX_RANGES` distances.
+    Raises struct.error for a number that its field cannot hold, ValueError for more than `MAX_RANGES`
+    distances.
     """
     if len(beacon.distances) > MAX_RANGES:
         raise ValueError(f"{len(beacon.distances)} distances do not fit a beacon")
     fix = beacon.fix or Fix(_NO_FIX, (0.0, 0.0, 0.0), 0.0)
     parts = [
         _HEADER.pack(
-            VERSION, beacon.station, beacon.sequence & 0xFFFF, beacon.phase, len(beacon.distances), beacon.time_us,
-            *beacon.odometry_ned_m, *beacon.vel_ned_m_s, fix.time_ms, *fix.pos_ned_m, fix.std_m,
+            VERSION, beacon.station, beacon.sequence & 0xFFFF, beacon.phase, len(beacon.distances),
+            beacon.time_us, *beacon.odometry_ned_m, *beacon.vel_ned_m_s,
+            fix.time_ms, *fix.pos_ned_m, fix.std_m,
         )
     ]  # fmt: skip
     parts += [
@@ -93,17 +96,17 @@ def encode(beacon: Beacon) -> bytes:
 
 
 def decode(buffer: bytes) -> Beacon | None:
-    """Beacon in these bytes, or None if they are not one: wrong version or length, or a number that cannot be."""
+    """Beacon in these bytes; None for another version or length, or a number that cannot be."""
     if (
         len(buffer) < HEADER_BYTES
         or buffer[0] != VERSION
         or len(buffer) != HEADER_BYTES + buffer[5] * RANGE_BYTES
     ):
         return None
-    (_, station, sequence, phase, _, time_us,
-     odo_n, odo_e, odo_d, vel_n, vel_e, vel_d, fix_ms, fix_n, fix_e, fix_d, fix_std_m) = _HEADER.unpack_from(buffer)  # fmt: skip
-    numbers = (odo_n, odo_e, odo_d, vel_n, vel_e, vel_d, fix_n, fix_e, fix_d)
-    if time_us >= 2**63 or not sum(map(abs, numbers)) < _FAR_M:  # NaN is not below anything
+    _, station, sequence, phase, _, time_us, *numbers = _HEADER.unpack_from(buffer)
+    odo_n, odo_e, odo_d, vel_n, vel_e, vel_d, fix_ms, fix_n, fix_e, fix_d, fix_std_m = numbers
+    size = sum(map(abs, (odo_n, odo_e, odo_d, vel_n, vel_e, vel_d, fix_n, fix_e, fix_d)))
+    if time_us >= 2**63 or not size < _FAR_M:  # NaN is not below anything
         return None
     fix = None
     if fix_ms != _NO_FIX:

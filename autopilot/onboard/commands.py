@@ -1,11 +1,11 @@
-"""One MAVLink command at a time to the own autopilot, repeated until it is acknowledged, and again later if refused."""
+"""One MAVLink command at a time to the own autopilot, repeated until acknowledged, again later if refused."""
 
 from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import common
 
 SILENCE_US = 500_000
-"""No COMMAND_ACK within this: sent again, with the confirmation counter raised as MAVLink's command protocol asks."""
+"""No COMMAND_ACK within this: sent again with the confirmation counter raised, as MAVLink asks."""
 REFUSAL_US = 1_000_000
 """A refused command is tried anew after this: reasons such as a missing GPS fix pass."""
 
@@ -51,7 +51,7 @@ class CommandSender:
         self._confirmation = 0
 
     def want(self, command: Command | None, now_us: int) -> None:
-        """Make this the command to get accepted; None wants nothing. Wanting the same again changes nothing."""
+        """Make this the command to get accepted; None wants nothing, the same again changes nothing."""
         if command == self._wanted:
             return
         self._wanted = command

@@ -1,7 +1,8 @@
 """Formation control: from what the UAV knows of its true position to where it asks its autopilot to be.
 
 The autopilot holds position in an estimate that follows its GPS bias. To stand truly at r it must be told
-``r + correction``, the correction being its own position estimate less the true position as localisation knows it.
+``r + correction``, the correction being its own position estimate less the true position as localisation
+knows it.
 """
 
 import numpy as np
@@ -14,8 +15,8 @@ OFFSET_TIME_CONSTANT_S = 0.5
 OFFSET_RATE_M_S = 0.5
 """Fastest that a new estimate may move the vehicle."""
 COAST_S = 10.0
-"""With the default odometry drift of 0.1 m in a second, what odometry has lost after this time (0.3 m) is still a fraction of
-what GPS bias moves (0.8 m per axis at 1.5 m and 60 s)."""
+"""With the default odometry drift of 0.1 m in a second, what odometry has lost after this time (0.3 m) is
+still a fraction of what GPS bias moves (0.8 m per axis at 1.5 m and 60 s)."""
 FADE_TIME_CONSTANT_S = 20.0
 JOIN_SPEED_M_S = 1.0
 ACCELERATION_M_S2 = 0.8
@@ -25,9 +26,10 @@ ACCELERATION_M_S2 = 0.8
 class Correction:
     """The correction's course over time, horizontal.
 
-    While distances come, it is the autopilot's drift against odometry, known exactly and passed on at once, less the
-    estimated offset of odometry, smoothed and bounded in rate. When they stop, the offset is frozen and the vehicle coasts on its
-    odometry for `COAST_S`; after that nothing known here is better than GPS, and the correction fades to zero.
+    While distances come, it is the autopilot's drift against odometry, known exactly and passed on at once,
+    less the estimated offset of odometry, smoothed and bounded in rate. When they stop, the offset is frozen
+    and the vehicle coasts on its odometry for `COAST_S`; after that nothing known here is better than GPS,
+    and the correction fades to zero.
 
     Attributes:
         ne_m: (2,) the correction, NED north and east.
@@ -97,7 +99,8 @@ class Reference:
         for axes, speed_m_s in ((slice(0, 2), JOIN_SPEED_M_S), (slice(2, 3), self._climb_speed_m_s)):
             gap_m = target_ned_m[axes] - self.pos_ned_m[axes]
             distance_m = float(np.sqrt(gap_m @ gap_m))
-            # Braking on v^2 = 2 a s with a third of the acceleration in reserve keeps the point from overshooting.
+            # Braking on v^2 = 2 a s with a third of the acceleration in reserve keeps the point from
+            # overshooting.
             wanted_m_s = min(
                 speed_m_s, np.sqrt(4.0 / 3.0 * ACCELERATION_M_S2 * distance_m), distance_m / dt_s
             )
@@ -111,7 +114,8 @@ class Reference:
 def separation_radius_limit_m(places_ned_m: Array, own: int) -> float:
     """Largest distance at which a neighbour may be pushed off: 0.6 of the own place's nearest spacing.
 
-    At their places, and with errors of a fifth of the spacing, UAVs then do not push each other; inf for a lone one.
+    At their places, and with errors of a fifth of the spacing, UAVs then do not push each other; inf for a
+    lone one.
     """
     distances_m = np.linalg.norm(np.delete(places_ned_m, own, axis=0) - places_ned_m[own], axis=1)
     return 0.6 * float(distances_m.min()) if len(distances_m) else float("inf")

@@ -1,14 +1,16 @@
-"""Numerics of the cooperative localisation: a Kalman filter over the offsets and GPS biases of a whole formation.
+"""Numerics of the cooperative localisation: a Kalman filter over a whole formation.
 
-State of UAV j, at `STATES` * j: offset (north, east, down), GPS bias (north, east). The true position at time t is
-``odometry_j(t) + offset_j``, odometry being known, so that a delayed measurement is compared with the odometry of its own
-time stamp and nothing has to be propagated back. Horizontal offsets walk randomly (the error of the autopilot's velocity), the
-vertical offset (the barometer's error) and the GPS biases are first-order Gauss-Markov.
+State of UAV j, at `STATES` * j: offset (north, east, down), GPS bias (north, east). The true position at
+time t is ``odometry_j(t) + offset_j``, odometry being known, so that a delayed measurement is compared with
+the odometry of its own time stamp and nothing has to be propagated back. Horizontal offsets walk randomly
+(the error of the autopilot's velocity), the vertical offset (the barometer's error) and the GPS biases are
+first-order Gauss-Markov.
 
-Every measurement is scalar with a row h of few entries: with g = P h', s = h P h' + r, the update P - g g'/s is symmetric to the
-bit, because both triangles are the same products. Outliers: a measurement whose normalised innovation squared is d2 is
-taken with variance r / w, w = (nu + 1) / (nu + d2) at most 1, the weight of a Student-t likelihood (Lange, Little and Taylor, "Robust
-statistical modeling using the t distribution", 1989). Its pull falls with its size, so that a wrong one has bounded effect.
+Every measurement is scalar with a row h of few entries: with g = P h', s = h P h' + r, the update P - g g'/s
+is symmetric to the bit, because both triangles are the same products. Outliers: a measurement whose
+normalised innovation squared is d2 is taken with variance r / w, w = (nu + 1) / (nu + d2) at most 1, the
+weight of a Student-t likelihood (Lange, Little and Taylor, "Robust statistical modeling using the t
+distribution", 1989). Its pull falls with its size, so that a wrong one has bounded effect.
 
 Arrays are changed in place. Nothing here allocates on the per-measurement path but one row.
 """
@@ -29,7 +31,7 @@ BACK_LIMIT_US = 500_000
 """How far before the first known odometry it may be extrapolated, by its velocity."""
 
 NEAR_COSINE = 0.87
-"""Of 30 degrees: how far the line between two UAVs may turn from the reference's and still be taken for it."""
+"""Of 30 degrees: how far the line between two UAVs may turn from the reference's to be taken for it."""
 
 KNOWN, NOT_YET, TOO_OLD = 0, 1, 2
 
@@ -38,8 +40,9 @@ KNOWN, NOT_YET, TOO_OLD = 0, 1, 2
 def odometry_at(times_us: Times, samples: Array, pushed: int, time_us: int, out_ned_m: Array) -> int:
     """Odometry of one UAV at a time, by cubic Hermite interpolation of a ring of samples.
 
-    times_us (L,), samples (L, 6) position and velocity NED, ``pushed`` samples so far; fills out_ned_m (3,). Returns KNOWN,
-    NOT_YET when the newest sample is older, TOO_OLD when the ring does not reach back far enough.
+    times_us (L,), samples (L, 6) position and velocity NED, ``pushed`` samples so far; fills out_ned_m (3,).
+    Returns KNOWN, NOT_YET when the newest sample is older, TOO_OLD when the ring does not reach back far
+    enough.
     """
     length = times_us.shape[0]
     held = min(pushed, length)
@@ -76,7 +79,7 @@ def predict(
     state: Array, cov: Array, active: NDArray[np.bool_], dt_s: float, drift_m2_s: float,
     height_var_m2: float, height_tau_s: float, bias_var_m2: float, bias_tau_s: float,
 ) -> None:  # fmt: skip
-    """Propagate state (5N,) and cov (5N, 5N) by dt_s >= 0: random walk and exactly discretised Gauss-Markov."""
+    """Propagate state (5N,) and cov (5N, 5N) by dt_s >= 0: random walk, exactly discretised Gauss-Markov."""
     size = state.shape[0]
     height_decay = np.exp(-dt_s / height_tau_s)
     bias_decay = np.exp(-dt_s / bias_tau_s)
@@ -116,9 +119,10 @@ def _scalar_update(state: Array, cov: Array, gain_row: Array, variance: float, i
 
 @njit(cache=True)
 def fuse_fix(state: Array, cov: Array, j: int, fix_less_odometry_m: Array, variance_m2: float) -> None:
-    """GPS position of UAV j: z_a = odometry_a + offset_a + bias_a + noise for a = north, east; the first two are used.
+    """GPS position of UAV j: z_a = odometry_a + offset_a + bias_a + noise for a = north, east.
 
-    fix_less_odometry_m (2,) is the fix minus the odometry of the fix's own time; variance_m2 is that of its white part.
+    fix_less_odometry_m (2,) is the fix minus the odometry of the fix's own time; variance_m2 is that of its
+    white part.
     """
     for a in range(2):
         off = STATES * j + a
@@ -145,16 +149,17 @@ def fuse_range(
 ) -> float:
     """Distance between UAVs i and j: z = |odometry_i - odometry_j + offset_i - offset_j| + noise.
 
-    Distances say nothing of the heading of the formation as a whole. A filter that takes each derivative at its newest
-    estimate believes otherwise, because the unobservable direction turns with the estimate: it becomes sure of a
-    heading that wanders, and each UAV's wanders differently. Derivatives at a fixed geometry avoid that (Huang,
-    Mourikis and Roumeliotis, "Observability-based rules for designing consistent EKF SLAM estimators", IJRR 2010). So
-    the horizontal direction of the derivative is that between the reference positions, as long as it is near the
-    estimated one; its elevation and the expected distance are the estimate's.
+    Distances say nothing of the heading of the formation as a whole. A filter that takes each derivative at
+    its newest estimate believes otherwise, because the unobservable direction turns with the estimate: it
+    becomes sure of a heading that wanders, and each UAV's wanders differently. Derivatives at a fixed
+    geometry avoid that (Huang, Mourikis and Roumeliotis, "Observability-based rules for designing consistent
+    EKF SLAM estimators", IJRR 2010). So the horizontal direction of the derivative is that between the
+    reference positions, as long as it is near the estimated one; its elevation and the expected distance are
+    the estimate's.
 
     Args:
-        state: (5N,) and ``cov`` (5N, 5N), changed in place.
-        linearised_at: (5N,) where the distance is expanded: the state itself in running use, another in the passes
+        state: (5N,) and ``cov`` (5N, 5N), changed in place. linearised_at: (5N,) where the distance is
+        expanded: the state itself in running use, another in the passes
             of a Gauss-Newton iteration.
         reference_ne_m: (N, 2) the fixed geometry; all zero for none.
         i: one end, and ``j`` the other.
@@ -204,10 +209,11 @@ def fuse_range(
 
 @njit(cache=True)
 def shape_variance(pos_ned_m: Array, cov: Array, members: Times) -> float:
-    """Expected squared horizontal error of the shape, m^2 per UAV, after the best rigid alignment.
+    """Mean squared horizontal error to expect of the shape, m^2, after the best rigid alignment.
 
-    The trace of the covariance of all horizontal positions less its parts along the two translations and the rotation about the
-    vertical, which are what an alignment to first order removes. pos_ned_m (N, 3); members (m,) indices of the UAVs that count.
+    The trace of the covariance of all horizontal positions less its parts along the two translations and the
+    rotation about the vertical, which are what an alignment to first order removes. pos_ned_m (N, 3);
+    members (m,) indices of the UAVs that count.
     """
     m = members.shape[0]
     centre_n, centre_e = 0.0, 0.0
@@ -232,7 +238,8 @@ def shape_variance(pos_ned_m: Array, cov: Array, members: Times) -> float:
             turn += turn_e * (cov[bi + 1, bj] * other_n + cov[bi + 1, bj + 1] * other_e)
     if spread > 0.0:
         total -= turn / spread
-    return max(total - shift_n - shift_e, 0.0) / m
+    mean: float = max(total - shift_n - shift_e, 0.0) / m
+    return mean
 
 
 @njit(cache=True)
@@ -245,10 +252,11 @@ def separation_push(
     radius_limit_m: float,
     out_ne_m: Array,
 ) -> None:
-    """Horizontal way, metres, to shift the own setpoint off neighbours that are too near; fills out_ne_m (2,).
+    """Find the way, metres, to shift the own setpoint off neighbours too near; fills out_ne_m (2,).
 
-    A neighbour counts as too near within ``radius_m`` plus one standard deviation of the relative position along the line between the two,
-    at most ``radius_limit_m``, in three dimensions. Each pushes by what is missing, away from itself.
+    A neighbour counts as too near within ``radius_m`` plus one standard deviation of the relative position
+    along the line between the two, at most ``radius_limit_m``, in three dimensions. Each pushes by what is
+    missing, away from itself.
     """
     out_ne_m[:] = 0.0
     bo = STATES * own

@@ -1,13 +1,15 @@
-"""Cooperative localisation at one UAV: where everybody in the formation is, from everybody's GPS, odometry and distances.
+"""Cooperative localisation at one UAV: where everybody in the formation is.
 
-A Kalman filter (`kernels`) over the offset between each UAV's odometry and its true position, and each UAV's GPS bias. GPS of all
-holds the formation as a whole, the distances hold its shape. Measurements come in any order and late; each is compared with the
-odometry of its own time, waits until both ends' odometry covers that time, and is used once.
+A Kalman filter (`kernels`) over the offset between each UAV's odometry and its true position, and each UAV's
+GPS bias. GPS of all holds the formation as a whole, the distances hold its shape. Measurements come in any
+order and late; each is compared with the odometry of its own time, waits until both ends' odometry covers
+that time, and is used once.
 
-Distances alone do not tell a formation from its mirror image, and GPS errors are as large as the spacing, so a filter that
-linearised about GPS could lock onto a wrong arrangement. UAVs therefore join the filter in a batch: distances are held until enough of
-them are there, then solved together by Gauss-Newton iteration from the layout of the formation's places, below which the UAVs are put
-on the ground. The places serve as the starting point alone: no weight of theirs is in the result.
+Distances alone do not tell a formation from its mirror image, and GPS errors are as large as the spacing, so
+a filter that linearised about GPS could lock onto a wrong arrangement. UAVs therefore join the filter in a
+batch: distances are held until enough of them are there, then solved together by Gauss-Newton iteration from
+the layout of the formation's places, below which the UAVs are put on the ground. The places serve as the
+starting point alone: no weight of theirs is in the result.
 """
 
 from collections.abc import Sequence
@@ -19,7 +21,6 @@ from numpy.typing import NDArray
 from autopilot.onboard.kernels import (
     BIAS,
     KNOWN,
-    NOT_YET,
     STATES,
     Array,
     fuse_fix,
@@ -37,14 +38,18 @@ CLOCK_TOLERANCE_US = 10_000
 PENDING_LIMIT_US = 1_000_000
 """A distance whose ends' odometry does not arrive within this is given up."""
 WEIGHT_WIDTHS_M = (2.0, 1.0, 0.5, 0.25, 0.0, 0.0)
-"""Extra standard deviation with which each Gauss-Newton pass judges outliers: wide while the geometry is still wrong."""
+"""Extra standard deviation by which each Gauss-Newton pass judges outliers: wide at first."""
 MISFIT_MEMORY = 30
 """Distances of a UAV over which the share of badly fitting ones is averaged."""
 MISFIT_WEIGHT = 0.2
 """A distance that gets less weight than this fits badly: beyond about 4.6 sigma."""
 MISFIT_LIMIT = 0.7
-"""Above this share a UAV is not where the filter has it, and is solved for afresh. A UAV that itself measures wrongly spoils
-half of the distances that it is an end of, and a seventh of another's."""
+"""Above this share a UAV is not where the filter has it, and is solved for afresh. A UAV that itself
+measures wrongly spoils half of the distances that it is an end of, and a seventh of another's."""
+AGREE_WEIGHT, AGREE_LIMIT = 0.5, 0.3
+"""A UAV does not join when more than 0.3 of its distances get less weight than 0.5 (beyond 2.4 sigma, where
+1.4 % of right ones lie): a place that a bare majority agrees on exists even for distances that are all
+wrong."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,7 +131,7 @@ class CooperativeLocalisation:
     def on_odometry(
         self, station: int, time_us: int, odometry_ned_m: Sequence[float], vel_ned_m_s: Sequence[float]
     ) -> None:
-        """Odometry (north, east integrated from the velocity, down the barometer's) of a UAV; old news is ignored."""
+        """Take odometry of a UAV (north, east integrated velocity, down the barometer's); old is ignored."""
         if time_us <= self._newest_odometry_us[station]:
             return
         slot = self._track_pushed[station] % TRACK_SAMPLES
@@ -136,7 +141,7 @@ class CooperativeLocalisation:
         self._newest_odometry_us[station] = time_us
 
     def on_fix(self, station: int, time_us: int, pos_ned_m: Sequence[float]) -> None:
-        """GPS position (site NED) of a UAV at ``time_us``; each is used once, and only with odometry of that time."""
+        """Take a GPS position (site NED) at ``time_us``; used once, and only with odometry of that time."""
         if time_us <= self._newest_fix_us[station]:
             return
         odometry_m = np.empty(3)
@@ -155,7 +160,7 @@ class CooperativeLocalisation:
     def on_range(
         self, initiator: int, responder: int, time_us: int, distance_m: float, std_m: float, *, now_us: int
     ) -> None:
-        """Take a distance that ``initiator`` measured; it is told by (initiator, responder, time), and used once.
+        """Take a distance that ``initiator`` measured; told by (initiator, responder, time), and used once.
 
         One that is not newer than what is known of the two is ignored, as is one from the future, which would
         hide the right ones that follow, and one of which an end is no UAV of the formation.
@@ -185,7 +190,7 @@ class CooperativeLocalisation:
         return self.state[base : base + 2]
 
     def positions_ned_m(self, now_us: int) -> Array:
-        """(N, 3) estimated positions, site NED; neighbours' carried on by their newest velocity, 1 s at most."""
+        """(N, 3) estimated positions, site NED; neighbours' extrapolated by their velocity, 1 s at most."""
         offsets_m = self.state.reshape(-1, STATES)[:, :3]
         age_s = np.minimum((now_us - self._newest_odometry_us) * 1e-6, 1.0)
         positions_ned_m: Array = self._newest[:, :3] + self._newest[:, 3:] * age_s[:, None] + offsets_m
@@ -197,7 +202,7 @@ class CooperativeLocalisation:
         return np.sqrt(np.diag(self.cov)[base : base + 3])
 
     def shape_std_m(self, now_us: int) -> float:
-        """Expected horizontal rms error of the located UAVs' shape after rigid alignment; inf with fewer than two."""
+        """Horizontal rms error to expect of the located UAVs' shape, aligned; inf with fewer than two."""
         members = np.flatnonzero(self.located)
         if len(members) < 2:
             return float("inf")
@@ -234,7 +239,7 @@ class CooperativeLocalisation:
         return max(ahead_us, 0) * 1e-6
 
     def _activate(self, station: int) -> None:
-        """Begin a UAV with its GPS alone: offset = fix - bias - noise, where the bias has its stationary spread."""
+        """Begin a UAV with its GPS alone: offset = fix - bias - noise, the bias at its stationary spread."""
         base = STATES * station
         bias_var_m2 = self._model.gps_bias_std_m**2
         self.state[base : base + STATES] = 0.0
@@ -250,15 +255,17 @@ class CooperativeLocalisation:
 
     def _take(self, item: _Range, now_us: int) -> bool:
         """Use or hold a distance; False when it must wait for odometry."""
+        newest_us = self._newest_odometry_us
+        if item.time_us > newest_us[item.initiator] or item.time_us > newest_us[item.responder]:
+            return now_us - item.time_us > PENDING_LIMIT_US
         far_m = np.empty(3)
         known = self._odometry_at(item.initiator, item.time_us, item.odometry_between_m)
         if known == KNOWN:
             known = self._odometry_at(item.responder, item.time_us, far_m)
-        active = self.active[item.initiator] and self.active[item.responder]
-        if known == NOT_YET or (known == KNOWN and not active):
-            return now_us - item.time_us > PENDING_LIMIT_US
         if known != KNOWN:
             return True
+        if not (self.active[item.initiator] and self.active[item.responder]):
+            return now_us - item.time_us > PENDING_LIMIT_US
         item.odometry_between_m -= far_m
         if self.located[item.initiator] and self.located[item.responder]:
             self._fuse(item)
@@ -271,8 +278,8 @@ class CooperativeLocalisation:
     def _fuse(self, item: _Range) -> None:
         lag_s = self._advance(item.time_us)
         weight = fuse_range(
-            self.state, self.cov, self.state, self._reference_ne_m, item.initiator, item.responder, item.odometry_between_m, item.distance_m,
-            item.variance_m2 + 2.0 * self._drift_m2_s * lag_s, -1.0,
+            self.state, self.cov, self.state, self._reference_ne_m, item.initiator, item.responder,
+            item.odometry_between_m, item.distance_m, item.variance_m2 + 2.0 * self._drift_m2_s * lag_s, -1.0,
         )  # fmt: skip
         self._count(item, weight)
         for station in (item.initiator, item.responder):
@@ -293,43 +300,62 @@ class CooperativeLocalisation:
         linked = np.zeros((self.count, self.count), bool)
         for i, j in self._held:
             linked[i, j] = linked[j, i] = True
-        newcomers = self.active & ~self.located
-        known = self.active  # whose mutual distances would complete the picture
-        complete = bool(self.active.all()) and all(
-            linked[i, j] for i in np.flatnonzero(newcomers) for j in np.flatnonzero(known) if i != j
-        )
+        joining = self.active & ~self.located
+        complete = self.active.all() and (linked | np.eye(self.count, dtype=bool))[joining].all()
         if not complete and now_us - self._held_since_us < self._model.gather_s * 1e6:
             return
-        # Three distances to others settle a point in the plane once its side of them is known from the layout.
+        # Three distances to others settle a point in the plane once its side of them is known from the
+        # layout.
         enough = min(3, int(self.active.sum()) - 1)
-        joining = newcomers & (linked[:, self.active].sum(axis=1) >= enough)
-        members = self.located | joining
-        batch = [item for (i, j), item in sorted(self._held.items()) if members[i] and members[j]]
+        joining &= linked[:, self.active].sum(axis=1) >= enough
+        held = [item for _, item in sorted(self._held.items())]
         self._held.clear()
-        if not batch:
-            return
-        self._advance(max(item.time_us for item in batch))
+        if held:
+            self._advance(max(item.time_us for item in held))
+        prior_state, prior_cov = self.state.copy(), self.cov.copy()
+        while joining.any():
+            members = self.located | joining
+            batch = [item for item in held if members[item.initiator] and members[item.responder]]
+            weights = self._solve(batch, joining, members)
+            badly = np.zeros((self.count, 2))
+            for item, weight in zip(batch, weights, strict=True):
+                for station in (item.initiator, item.responder):
+                    badly[station] += (weight < AGREE_WEIGHT, 1.0)
+            contradictory = joining & (badly[:, 0] > AGREE_LIMIT * badly[:, 1])
+            if not contradictory.any():
+                self.located = members
+                self._reference_ne_m[joining] = self.positions_ned_m(now_us)[joining, :2]
+                for item, weight in zip(batch, weights, strict=True):
+                    self._count(item, weight)
+                return
+            # Nowhere do the distances of these agree with each other: the rest is solved without them.
+            joining &= ~contradictory
+            self.state[:], self.cov[:] = prior_state, prior_cov
+
+    def _solve(
+        self, batch: list[_Range], joining: NDArray[np.bool_], members: NDArray[np.bool_]
+    ) -> list[float]:
+        """Fuse the batch by Gauss-Newton: every pass starts from the prior, expanded about the last."""
         prior_state, prior_cov = self.state.copy(), self.cov.copy()
         linearised_at = self._from_layout(joining, members)
         no_reference = np.zeros((self.count, 2))
+        weights: list[float] = []
         for width_m in WEIGHT_WIDTHS_M:
             self.state[:], self.cov[:] = prior_state, prior_cov
-            weights = [
-                fuse_range(
-                    self.state, self.cov, linearised_at, no_reference, item.initiator, item.responder, item.odometry_between_m,
-                    item.distance_m,
-                    item.variance_m2 + 2.0 * self._drift_m2_s * (self._time_us - item.time_us) * 1e-6, width_m**2,
-                )
-                for item in batch
-            ]  # fmt: skip
+            weights.clear()
+            for item in batch:
+                lag_s = (self._time_us - item.time_us) * 1e-6
+                variance_m2 = item.variance_m2 + 2.0 * self._drift_m2_s * lag_s
+                weight = fuse_range(
+                    self.state, self.cov, linearised_at, no_reference, item.initiator, item.responder,
+                    item.odometry_between_m, item.distance_m, variance_m2, width_m**2,
+                )  # fmt: skip
+                weights.append(weight)
             linearised_at = self.state.copy()
-        self.located = members
-        self._reference_ne_m[joining] = self.positions_ned_m(now_us)[joining, :2]
-        for item, weight in zip(batch, weights, strict=True):
-            self._count(item, weight)
+        return weights
 
     def _from_layout(self, joining: NDArray[np.bool_], members: NDArray[np.bool_]) -> Array:
-        """State to start the iteration from: those who join stand as the places do, about where GPS has the whole."""
+        """State to start from: those who join stand as the places do, about where GPS has the whole."""
         start = self.state.copy()
         offsets_m = start.reshape(-1, STATES)
         from_places_m = self._places_ned_m[:, :2] - self._newest[:, :2]
@@ -338,7 +364,7 @@ class CooperativeLocalisation:
         return start
 
     def _restart(self, station: int) -> None:
-        """Forget where a UAV is thought to be, for it does not fit: back to its GPS, and gather distances again."""
+        """Forget where a UAV is thought to be, for it does not fit: back to its GPS."""
         self.restarts += 1
         self._misfit[station] = 0.0
         self.located[station] = False

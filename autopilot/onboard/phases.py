@@ -19,6 +19,6 @@ class Phase(IntEnum):
     """Has been at the own place for long enough; kept from then on."""
     LANDING = 6
     YIELDED = 7
-    """Somebody else chose another mode. The application goes on with beacons and ranging, and takes over again if that somebody
-    sets the mode to offboard."""
+    """Somebody else chose another mode. The application goes on with beacons and ranging, and takes over
+    again if that somebody sets the mode to offboard."""
     LANDED = 8

@@ -70,8 +70,7 @@ class CommandService:
                 float(message.x), float(message.y), message.z,
             )  # fmt: skip
         elif kind == common.MAVLINK_MSG_ID_SET_MODE:
-            refusal = self._commander.set_mode(mode_from_custom(message.custom_mode))
-            return [_refusal_text("Mode", refusal)] if refusal else []
+            return self._enter(mode_from_custom(message.custom_mode), "Mode").messages
         else:
             return ()
         action = self._actions.get(message.command)
@@ -108,16 +107,18 @@ class CommandService:
 
     def _take_off(self, params: Params, now_us: int) -> Answer:  # noqa: ARG002
         altitude_m = params[6]
-        answer = self._enter(FlightMode.TAKEOFF, "Takeoff")
-        if answer.result == common.MAV_RESULT_ACCEPTED:
-            self._takeoff_altitude.amsl_m = altitude_m if math.isfinite(altitude_m) else None
-        return answer
+        return self._enter(
+            FlightMode.TAKEOFF, "Takeoff", amsl_m=altitude_m if math.isfinite(altitude_m) else None
+        )
 
     def _land(self, params: Params, now_us: int) -> Answer:  # noqa: ARG002
         return self._enter(FlightMode.LAND, "Landing")
 
-    def _enter(self, mode: FlightMode | None, what: str) -> Answer:
-        return _answer(what, self._commander.set_mode(mode))
+    def _enter(self, mode: FlightMode | None, what: str, *, amsl_m: float | None = None) -> Answer:
+        refusal = self._commander.set_mode(mode)
+        if refusal is None:
+            self._takeoff_altitude.amsl_m = amsl_m
+        return _answer(what, refusal)
 
     def _set_message_interval(self, params: Params, now_us: int) -> Answer:
         if not all(map(math.isfinite, params[:2])):

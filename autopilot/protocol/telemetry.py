@@ -172,7 +172,8 @@ class Telemetry:
         north_m, east_m, down_m = state.pos_std_m.tolist()
         return common.MAVLink_estimator_status_message(
             self._flight.now_us, flags, fit.velocity.test_ratio, fit.position.test_ratio,
-            fit.height.test_ratio, fit.heading.test_ratio, math.nan, math.nan, math.hypot(north_m, east_m), down_m,
+            fit.height.test_ratio, fit.heading.test_ratio, math.nan, math.nan,
+            math.hypot(north_m, east_m), down_m,
         )  # fmt: skip
 
     def highres_imu(self) -> Message | None:

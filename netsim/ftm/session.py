@@ -74,6 +74,8 @@ class Ranging(Struct, frozen=True, kw_only=True):
     status: str
     ended_ns: int
     measured_ns: int
+    true_distance_m: float
+    """Mean true distance over the round trips that were used; at the end if there were none."""
     distance_m: float = 0.0
     distance_std_m: float = 0.0
     rssi_dbm: float = 0.0
@@ -85,6 +87,7 @@ class _Arrival(Struct):
     t3_ps: int
     rate_ratio: float
     at_ns: int
+    true_distance_m: float
     power_mw: float
 
 
@@ -107,14 +110,13 @@ class _Initiated:
 class _Answered:
     """A session of the responder's."""
 
-    __slots__ = ("burst_end_ns", "followed", "initiator", "number", "sent_ns", "token")
+    __slots__ = ("burst_end_ns", "followed", "initiator", "number", "token")
 
     def __init__(self, number: int, initiator: int, burst_end_ns: int) -> None:
         self.number = number
         self.initiator = initiator
         self.burst_end_ns = burst_end_ns
         self.token = 0
-        self.sent_ns = 0
         self.followed: tuple[int, int, int] = (0, 0, 0)
 
 
@@ -217,6 +219,7 @@ class FtmRadio:
             t3_ps=self._clock.stamp_ps(1_000 * (end_ns + SIFS_NS)),
             rate_ratio=true_ratio + ratio_std * float(self._generator.standard_normal()),
             at_ns=end_ns,
+            true_distance_m=self._true_distance_m(frame.source),
             power_mw=power_mw,
         )
         arrival = session.arrivals.get(body.followed)
@@ -252,6 +255,7 @@ class FtmRadio:
                     status=failure,
                     ended_ns=now,
                     measured_ns=now,
+                    true_distance_m=self._true_distance_m(session.peer),
                 )
             )
             return
@@ -267,12 +271,18 @@ class FtmRadio:
                 status="ok",
                 ended_ns=now,
                 measured_ns=sum(arrival.at_ns for _, arrival in round_trips) // count,
+                true_distance_m=sum(arrival.true_distance_m for _, arrival in round_trips) / count,
                 distance_m=mean_m,
                 distance_std_m=sqrt(squares_m2 / (count - 1)) if count > 1 else 0.0,
                 rssi_dbm=10.0 * log10(sum(arrival.power_mw for _, arrival in round_trips) / count),
                 round_trips=count,
             )
         )
+
+    def _true_distance_m(self, peer: int) -> float:
+        if not 0 <= peer < self._stations:
+            return 0.0
+        return self._environment.trajectories.distance_m(self._index, peer, self._queue.now_ns)
 
     # --- responder
 
@@ -300,7 +310,6 @@ class FtmRadio:
             t1_ps=t1_ps,
             t4_ps=t4_ps,
         )
-        session.sent_ns = self._queue.now_ns
         self._send_measurement(
             session.initiator, body, lambda job, outcome: self._on_measurement_done(session, job, outcome)
         )
@@ -308,15 +317,17 @@ class FtmRadio:
     def _on_measurement_done(self, session: _Answered, job: Job, outcome: Outcome) -> None:
         if self._answered.get(session.initiator) is not session:
             return
+        sent = job.transmission
+        if sent is None or session.token == self._config.ftms_per_burst:
+            del self._answered[session.initiator]
+            return
         session.followed = (0, 0, 0)
-        if outcome is Outcome.ACKNOWLEDGED and job.transmission is not None and job.ack is not None:
-            t1_ps = self._clock.stamp_ps(1_000 * job.transmission.start_ns)
+        if outcome is Outcome.ACKNOWLEDGED and job.ack is not None:
+            t1_ps = self._clock.stamp_ps(1_000 * sent.start_ns)
             t4_ps = self._arrival_stamp_ps(job.ack, job.ack.powers_mw[self._index])
             session.followed = (session.token, t1_ps, t4_ps)
-        sent_ns = job.transmission.start_ns if job.transmission is not None else session.sent_ns
-        next_ns = max(self._queue.now_ns, sent_ns + 1_000 * self._config.min_delta_us)
-        dropped = outcome in {Outcome.EXPIRED, Outcome.OVERFLOW}
-        if dropped or session.token == self._config.ftms_per_burst or next_ns > session.burst_end_ns:
+        next_ns = max(self._queue.now_ns, sent.start_ns + 1_000 * self._config.min_delta_us)
+        if next_ns > session.burst_end_ns:
             del self._answered[session.initiator]
         else:
             self._queue.at(next_ns, self._next_measurement, session)

@@ -5,8 +5,8 @@ it lasts.
 
 Group frames after RTS, which the standard does not have: the RTS goes to the neighbour heard loudest within
 the last second, the CTS of that neighbour clears the way, and the group frame follows after SIFS; a station
-that has heard nobody for a second sends without. No CTS means a collision: the window doubles, up to the
-retry limit; then the frame is dropped and the neighbour forgotten until it is heard again.
+that has heard nobody for a second sends without. No CTS means a collision: the window doubles, and the next
+RTS goes to the next loudest, for the first may be gone; after the retry limit the frame is dropped.
 
 Left out: fragmentation, several frames in one TXOP, power save, aggregation.
 """
@@ -82,7 +82,6 @@ class Station:
         self._wait_until_ns = 0
         self._sequence = 0
         self._heard: dict[int, tuple[int, float]] = {}
-        self._asked: int | None = None
         self._last_sequence: dict[int, int] = {}
 
     # --- the host's side
@@ -230,7 +229,6 @@ class Station:
             frame_bytes=RTS_BYTES,
             nav_ns=nav_ns,
         )
-        self._asked = target
         self._phase = Phase.AWAITING_CTS
         self._send(rts, timeout=True)
 
@@ -238,10 +236,8 @@ class Station:
         if job.destination != GROUP:
             return job.destination
         oldest_ns = self._queue.now_ns - HEARD_WITHIN_NS
-        heard = [
-            (power_mw, -station) for station, (at_ns, power_mw) in self._heard.items() if at_ns >= oldest_ns
-        ]
-        return -max(heard)[1] if heard else None
+        heard = [(-power_mw, other) for other, (at_ns, power_mw) in self._heard.items() if at_ns >= oldest_ns]
+        return sorted(heard)[job.failures % len(heard)][1] if heard else None
 
     def _answer_ns(self, job: Job) -> int:
         if job.destination == GROUP:
@@ -312,8 +308,6 @@ class Station:
         job.failures += 1
         if job.failures > job.retry_limit:
             contender.succeeded()
-            if self._asked is not None:
-                self._heard.pop(self._asked, None)
             self._give_up(contender, Outcome.RETRY_LIMIT)
         else:
             contender.collided()
@@ -397,7 +391,6 @@ class Station:
             if self._phase is Phase.AWAITING_CTS and contender is not None:
                 self._stop_waiting()
                 self._phase = Phase.SENDING
-                self._asked = None
                 self._queue.at(end_ns + SIFS_NS, self._send_job, contender)
         elif frame.kind is FrameKind.ACK:
             if self._phase is Phase.AWAITING_ACK and contender is not None:

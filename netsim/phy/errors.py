@@ -3,6 +3,9 @@
 Non-HT modes take the hard-decision bound of the NIST model (Pei and Henderson, "Validation of OFDM error rate
 model in ns-3", 2010), VHT modes the soft-decision bound of the same code: real VHT receivers, and the link
 simulations behind ns-3's tables, decode softly and gain the 2 to 3 dB that lie between the two.
+
+Against ns-3 3.37, at a packet error rate of 0.1: non-HT is within 0.01 dB of its NIST model; VHT lies 0.3 dB
+(MCS 0) to 1.6 dB (MCS 8) above its tables.
 """
 
 from functools import cache

@@ -18,7 +18,7 @@ from netsim.config import RadioConfig
 from netsim.frames import GROUP, Frame
 from netsim.kernel import EventQueue
 from netsim.phy.errors import error_model
-from netsim.phy.modes import NON_HT_PREAMBLE_NS, PhyMode, phy_mode
+from netsim.phy.modes import NON_HT_PREAMBLE_NS, phy_mode
 from netsim.phy.propagation import LinkRow, Links, RicianFading, thermal_noise_mw
 from netsim.streams import Model, Streams, Uniforms
 
@@ -140,7 +140,6 @@ class Medium:
         self.noise_mw = thermal_noise_mw(config.bandwidth_mhz, config.noise_figure_db)
         self._preamble_mw = max(10.0 ** (config.cca_preamble_dbm / 10.0), PREAMBLE_SINR * self.noise_mw)
         self._signal_errors = error_model(phy_mode("ofdm6", config.bandwidth_mhz))
-        self._clean_snr: dict[PhyMode, float] = {}
         self._active: list[Transmission] = []
         self._busy_ns = 0
         self._busy_until_ns = 0
@@ -249,6 +248,7 @@ class Medium:
     def _end(self, transmission: Transmission) -> None:
         self._active.remove(transmission)
         frame = transmission.frame
+        destination = frame.destination
         powers_mw, delays_ns = transmission.powers_mw, transmission.delays_ns
         for receiver in self._listening:
             r = receiver.index
@@ -256,7 +256,7 @@ class Medium:
                 continue
             end_ns = transmission.end_ns + delays_ns[r]
             locked = receiver.lock is transmission
-            intended = frame.destination in {GROUP, r}
+            intended = destination in (GROUP, r)
             if not (locked or intended):
                 receiver.listener.on_air_changed()
                 continue

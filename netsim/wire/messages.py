@@ -1,4 +1,6 @@
-"""Messages between the radio's users, the emulator and the time master: versioned, typed, MessagePack on the wire.
+"""Messages between the radio's users, the emulator and the time master.
+
+Versioned, typed, MessagePack on the wire.
 
 Decoding never raises: bytes that are no message of this version give None, and the caller counts them.
 Times are simulated: integer microseconds (``_us``) at the host's side, nanoseconds (``_ns``) on the air.
@@ -134,22 +136,22 @@ class Advanced(Struct, frozen=True, kw_only=True, array_like=True):
     """Stations that did not acknowledge what they were delivered."""
 
 
+Message = TxBatch | RxBatch | Ack | Advance | Advanced
 M = TypeVar("M", TxBatch, RxBatch, Ack, Advance, Advanced)
 _encoder = msgspec.msgpack.Encoder()
 _decoders = {kind: msgspec.msgpack.Decoder(kind) for kind in (TxBatch, RxBatch, Ack, Advance, Advanced)}
 
 
-def encode(message: TxBatch | RxBatch | Ack | Advance | Advanced) -> bytes:
+def encode(message: Message) -> bytes:
     """Bytes of a message."""
     return _encoder.encode(message)
 
 
 def decode(kind: type[M], buffer: bytes) -> M | None:
     """Message of that kind, or None if the bytes are not one of this version."""
+    decoder: msgspec.msgpack.Decoder[M] = _decoders[kind]  # type: ignore[assignment]  # each under its own kind
     try:
-        message = _decoders[kind].decode(buffer)
+        message = decoder.decode(buffer)
     except (msgspec.DecodeError, ValueError, OverflowError, RecursionError):
         return None
-    if message.version != VERSION:
-        return None
-    return message  # type: ignore[return-value]
+    return message if message.version == VERSION else None

@@ -94,7 +94,8 @@ def physics(config: dict[str, Any], listeners: list[socket.socket]) -> None:
         truth = tuple(vehicle(time_us, alive=i not in lost) for i in vehicles)
         emit(Progress(time_us=time_us, wall_s=time.monotonic(), channel_busy_fraction=0.125, vehicles=truth))
         emit(Paused(time_us=time_us, reason=reason, vehicles=truth))
-        if fault == "interrupted" and time_us == FORMED_US:
+        if fault == "interrupted" and time_us >= FORMED_US:
+            fault = ""
             os.kill(os.getppid(), signal.SIGINT)
     emit(Finished(name="physics", details={"time_us": time_us, "formed": time_us >= FORMED_US}))
 

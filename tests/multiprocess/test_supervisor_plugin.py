@@ -1,4 +1,4 @@
-"""The pytest plugin, in a pytest of its own: what its user sees when a test passes, fails, or leaves something."""
+"""The pytest plugin, in a pytest of its own: what its user sees of tests that pass, fail or leave things."""
 
 import subprocess
 import sys
@@ -114,8 +114,8 @@ def test_process_that_is_left_fails_the_test(tmp_path: Path) -> None:
 
 
 def test_plugin_is_light(tmp_path: Path) -> None:
-    code = "import sys, harness.pytest_plugin; print([m for m in ('numpy', 'msgspec', 'psutil') if m in sys.modules])"
+    code = "import sys, harness.pytest_plugin; print({'numpy', 'msgspec', 'psutil'} & sys.modules.keys())"
     loaded = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True
     )
-    assert loaded.stdout.strip() == "[]"
+    assert loaded.stdout.strip() == "set()"

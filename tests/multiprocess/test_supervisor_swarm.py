@@ -93,7 +93,10 @@ def test_killed_vehicle_is_gone_when_kill_returns_and_the_others_go_on(launch: L
         assert [(event.instance, event.time_us) for event in lost] == [(1, 1_000_000)]
         swarm.kill(0)
         swarm.kill(2)
-        with pytest.raises(SwarmError, match=r"^no vehicle is left at 2\.000 s$"):
+        ending = (
+            rf"^no vehicle is left at 2\.000 s; uav 2 \(pid {swarm.pids['uav 2']}\) was killed by SIGKILL$"
+        )
+        with pytest.raises(SwarmError, match=ending):
             swarm.run_for(1.0)
 
 

@@ -55,7 +55,7 @@ def test_garbage_between_messages_costs_only_itself(garbage):
     # enough good bytes behind it to complete any frame that the garbage pretends to begin
     parser = Parser()
     good = frames(4 + 20)
-    stream = b"".join(g + f for g, f in zip(garbage, good[:4] + [b""], strict=True)) + b"".join(good[4:])
+    stream = b"".join(g + f for g, f in zip(garbage, [*good[:4], b""], strict=True)) + b"".join(good[4:])
     assert numbers(parser.push(stream)) == list(range(24))
     assert parser.bad_bytes == sum(map(len, garbage))
 
@@ -77,7 +77,9 @@ def test_mutated_frames_give_the_original_or_nothing():
     original = frames(1)[0]
     for _ in range(3_000):
         frame = bytearray(original)
-        frame[rng.integers(1, len(frame))] ^= 1 << rng.integers(8)  # a checksum catches every single wrong bit
+        frame[rng.integers(1, len(frame))] ^= 1 << rng.integers(
+            8
+        )  # a checksum catches every single wrong bit
         assert Parser().push_datagram(bytes(frame)) == []
 
 
@@ -112,7 +114,7 @@ def test_modes_have_px4s_numbers_and_come_back(mode):
 
 
 def test_modes_as_seen_on_the_wire_of_px4():
-    # facts: hold 4/3, take-off 4/2, land 4/6, offboard 6/0; base_mode 29 disarmed, 157 armed auto, 145 armed offboard
+    # PX4 v1.17: hold 4/3; base_mode 29 disarmed, 157 armed in auto modes, 145 armed in offboard
     assert FlightMode.HOLD.custom_mode == 4 << 16 | 3 << 24
     assert FlightMode.HOLD.base_mode == 29
     assert FlightMode.TAKEOFF.base_mode | common.MAV_MODE_FLAG_SAFETY_ARMED == 157
@@ -120,6 +122,8 @@ def test_modes_as_seen_on_the_wire_of_px4():
     assert FlightMode.DESCEND.custom_mode == FlightMode.LAND.custom_mode
 
 
-@pytest.mark.parametrize(("main", "sub"), [(9.0, 0.0), (float("nan"), 0.0), (4.0, float("inf")), (-1.0, 3.0), (4.0, 3e9)])
+@pytest.mark.parametrize(
+    ("main", "sub"), [(9.0, 0.0), (float("nan"), 0.0), (4.0, float("inf")), (-1.0, 3.0), (4.0, 3e9)]
+)
 def test_numbers_that_are_no_mode_give_none(main, sub):
     assert mode_from_main_sub(main, sub) is None

@@ -22,7 +22,12 @@ A, B, C, D = range(4)
 class GivenLinks:
     """Powers and delays by (from, to); -50 dBm and no delay where nothing else is said."""
 
-    def __init__(self, stations: int, powers_dbm: Mapping[tuple[int, int], float], delays_ns: Mapping[tuple[int, int], int]):
+    def __init__(
+        self,
+        stations: int,
+        powers_dbm: Mapping[tuple[int, int], float],
+        delays_ns: Mapping[tuple[int, int], int],
+    ):
         self._rows = []
         for source in range(stations):
             powers_mw = [10 ** (powers_dbm.get((source, to), -50.0) / 10) for to in range(stations)]

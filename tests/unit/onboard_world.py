@@ -1,7 +1,8 @@
-"""A small world for tests of the on-board application: N apps, each with a scripted autopilot, joined by a lossy radio.
+"""A small world for tests of the on-board application: N apps with scripted autopilots on a lossy radio.
 
-Truth obeys a position and velocity loop disturbed by gusts. Each autopilot's position follows its GPS bias with a lag,
-its velocity has a coloured error, its height a slow one: the errors that the real estimator shows, without its cost.
+Truth obeys a position and velocity loop disturbed by gusts. Each autopilot's position follows its GPS bias
+with a lag, its velocity has a coloured error, its height a slow one: the errors that the real estimator
+shows, without its cost.
 """
 
 from dataclasses import dataclass, field
@@ -124,7 +125,7 @@ class ScriptedAutopilot:
 
 
 class SwarmWorld:
-    """N applications in lockstep; `run` advances, `log` holds (time_s, truth (N, 3), estimates (N, 3)) at 10 Hz."""
+    """N applications in lockstep; `log` holds (time_s, truth (N, 3), estimates (N, 3)) at 10 Hz."""
 
     def __init__(self, *, places_ned_m, seed, errors=None, config=None, boot_offset_us=0):
         self.places = np.asarray(places_ned_m, float)

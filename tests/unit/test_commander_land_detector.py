@@ -22,7 +22,7 @@ class Timeline:
         self.now_us = 0
 
     def run(self, duration_us, *, armed=True, down_m=-2.0, rotation_rad_s=0.0, **motion):
-        """Returns when each new stage was reached, from the beginning of this piece."""
+        """Give when each new stage was reached, from the beginning of this piece."""
         begin_us, reached = self.now_us, {}
         for _ in range(duration_us // STEP):
             self.now_us += STEP

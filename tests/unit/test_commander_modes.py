@@ -133,13 +133,17 @@ def test_without_position_the_vehicle_descends(mode):
     commander = flying(mode)
     step(commander, 2 * STEP, conditions=ALL & ~(Condition.POSITION | Condition.VELOCITY), landed=False)
     assert commander.mode is FlightMode.DESCEND
-    assert step(commander, 3 * STEP, conditions=0, landed=False) == ()  # nothing better is left, and it is said once
+    assert (
+        step(commander, 3 * STEP, conditions=0, landed=False) == ()
+    )  # nothing better is left, and it is said once
 
 
 @pytest.mark.parametrize("mode", list(FALLBACKS))
 def test_after_any_loss_the_mode_has_what_it_needs_or_is_descend(mode):
     flags = [c for c in Condition if c not in ARMING_NEEDS]
-    for lost in itertools.chain.from_iterable(itertools.combinations(flags, n) for n in range(len(flags) + 1)):
+    for lost in itertools.chain.from_iterable(
+        itertools.combinations(flags, n) for n in range(len(flags) + 1)
+    ):
         commander = ready()
         commander.arm(0)
         commander.mode = mode

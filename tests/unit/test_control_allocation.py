@@ -26,7 +26,7 @@ def body_torque_nm(controls):
 
 
 def demanded_torque_nm(torque):
-    """What a normalised demand stands for: the mixer's share of the thrust range of each rotor."""
+    """Translate a normalised demand: the mixer's share of the thrust range of each rotor."""
     return effectiveness(PARAMS)[1:] @ (mixer(PARAMS) @ torque) * RANGE_N
 
 
@@ -37,13 +37,13 @@ def test_motor_curve_is_inverted_exactly():
 
 
 def test_hover_control_of_the_iris():
-    """1.55 kg: 3.80 N per rotor is w = 806.7 rad/s, control 0.707, (806.7^2 - 100^2) / 1.2e6 = 0.534 of full."""
+    """1.55 kg: 3.80 N per rotor, w = 806.7 rad/s, control 0.707, (806.7^2 - 100^2) / 1.2e6 = 0.534."""
     controls = Allocator(PARAMS).allocate(0.534, np.zeros(3), airmode=True)
     assert controls == pytest.approx(0.707, abs=1e-3)
 
 
 def test_signs_of_torque():
-    """Roll right: more thrust on the left. Pitch up: more in front. Yaw right: more counter-clockwise rotors."""
+    """Roll right: more thrust on the left. Pitch up: more in front. Yaw right: more counter-clockwise."""
     for axis, more in ((0, (1, 2)), (1, (0, 2)), (2, (0, 1))):
         torque = np.zeros(3)
         torque[axis] = 0.1
@@ -88,7 +88,8 @@ def test_reports_what_was_given(thrust, roll, pitch, yaw, airmode):
     given_nm = demanded_torque_nm(torque - allocator.unallocated)
     np.testing.assert_allclose(body_torque_nm(controls), given_nm, atol=1e-9)
     assert np.mean(rotor_thrust_n(controls)) == pytest.approx(
-        IDLE_N + RANGE_N * (allocator.thrust + (mixer(PARAMS) @ (torque - allocator.unallocated)).mean()), abs=1e-9
+        IDLE_N + RANGE_N * (allocator.thrust + (mixer(PARAMS) @ (torque - allocator.unallocated)).mean()),
+        abs=1e-9,
     )
 
 
@@ -121,7 +122,9 @@ def test_yaw_gives_way_before_roll_and_thrust_pays_its_margin():
 
 
 def test_frames_that_cannot_fly_are_refused():
-    in_line = tuple(Rotor(pos_frd_m=(x, 0.0, 0.0), torque_ratio_m=k) for x, k in ((1, 1), (2, -1), (-1, 1), (-2, -1)))
+    in_line = tuple(
+        Rotor(pos_frd_m=(x, 0.0, 0.0), torque_ratio_m=k) for x, k in ((1, 1), (2, -1), (-1, 1), (-2, -1))
+    )
     with pytest.raises(ValueError, match="independently"):
         Allocator(AllocationParams(rotors=in_line))
     shifted = tuple(

@@ -52,7 +52,9 @@ def test_tilt_error_never_grows_from_any_attitude_to_any_other(yaw_weight):
             tilt = tilt_error_rad(q, q_wanted)
             for _ in range(250):
                 q = quat_normalise(
-                    quat_multiply(q, quat_from_rotation_vector(DT_S * controller.update(q, setpoint(q_wanted))))
+                    quat_multiply(
+                        q, quat_from_rotation_vector(DT_S * controller.update(q, setpoint(q_wanted)))
+                    )
                 )
                 now = tilt_error_rad(q, q_wanted)
                 assert now <= tilt + 1e-7
@@ -124,7 +126,9 @@ def test_rate_terms():
 
 
 def test_derivative_opposes_acceleration_and_is_filtered():
-    controller = RateController(RateParams(roll_k=1.0, roll_p=0.0, roll_i=0.0, roll_d=0.01, derivative_cutoff_hz=30.0))
+    controller = RateController(
+        RateParams(roll_k=1.0, roll_p=0.0, roll_i=0.0, roll_d=0.01, derivative_cutoff_hz=30.0)
+    )
     rate_update(controller, rate=0.0)
     alpha = DT_S / (DT_S + 1.0 / (2.0 * math.pi * 30.0))
     assert rate_update(controller, rate=0.1)[0] == pytest.approx(-0.01 * alpha * 0.1 / DT_S)

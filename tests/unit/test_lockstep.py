@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot.mavlink.codec import Encoder, Parser
 from harness.lockstep import ConnectTimeout, Lockstep
-from harness.patience import REPORT_AFTER_S, Patience
+from harness.patience import LOOK_AFTER_S, REPORT_AFTER_S, Patience
 
 
 class Vehicles:
@@ -35,7 +35,10 @@ class Vehicles:
         self.lockstep.connect(5.0, keep_waiting=lambda: True)
 
     def answering(self, i, *, lag=0, before=()):
-        """A thread that answers each HIL_SENSOR with its time stamp, after other messages and a stale answer if asked."""
+        """A thread that answers each HIL_SENSOR with its time stamp.
+
+        After other messages and a stale answer if asked.
+        """
 
         def run():
             parser, encoder = Parser(), Encoder(system=i + 1, component=1)
@@ -116,7 +119,7 @@ def test_a_sleeping_vehicle_is_reported_and_given_up_after_its_limit(vehicles):
     assert one.silent == [0]
     assert one.lost[0][0] == 0
     assert "has not answered" in one.lost[0][1]
-    assert REPORT_AFTER_S <= time.monotonic() - before
+    assert time.monotonic() - before >= REPORT_AFTER_S
 
 
 def test_a_stopped_process_is_given_up_within_a_second_whatever_the_limit(vehicles):
@@ -136,7 +139,10 @@ def test_who_does_not_connect_is_named():
     listeners = [socket.create_server(("127.0.0.1", 0)) for _ in range(3)]
     nothing = {"on_message": None, "on_silent": None, "on_lost": None}
     lockstep = Lockstep(listeners, patience=Patience(1.0), **nothing)
-    with socket.create_connection(listeners[1].getsockname()), pytest.raises(ConnectTimeout, match="uav 0, 2 within"):
+    with (
+        socket.create_connection(listeners[1].getsockname()),
+        pytest.raises(ConnectTimeout, match="uav 0, 2 within"),
+    ):
         lockstep.connect(0.2, keep_waiting=lambda: True)
     lockstep.close()
 
@@ -167,8 +173,10 @@ def test_a_starved_process_is_waited_for_and_a_sleeping_or_spinning_one_is_not()
     starved = [(psutil.STATUS_RUNNING, 0.001 * k) for k in range(looks)]
     assert judge(Patience(2.0), starved) is None
     sleeping = [(psutil.STATUS_SLEEPING, 0.0)] * looks
-    assert judge(Patience(2.0), sleeping) == pytest.approx(2.1, abs=0.15)
+    assert judge(Patience(2.0), sleeping) == pytest.approx(2.4, abs=0.25)
     spinning = [(psutil.STATUS_RUNNING, 0.1 * k) for k in range(looks)]
-    assert judge(Patience(2.0), spinning) == pytest.approx(2.5, abs=0.25)
+    assert judge(Patience(2.0), spinning) == pytest.approx(2.4, abs=0.25)
     assert judge(Patience(2.0), sleeping, starting=True) is None
-    assert judge(Patience(2.0), [(psutil.STATUS_ZOMBIE, 0.0)] * looks) == pytest.approx(REPORT_AFTER_S, abs=0.15)
+    assert judge(Patience(2.0), [(psutil.STATUS_ZOMBIE, 0.0)] * looks) == pytest.approx(
+        LOOK_AFTER_S, abs=0.11
+    )

@@ -42,7 +42,10 @@ def test_the_past_cannot_be_scheduled():
 
 def test_streams_differ_by_model_and_link_and_not_by_order_of_use():
     streams = Streams(np.random.SeedSequence(7))
-    first = {key: streams.generator(*key).random() for key in ((Model.FADING, 0, 1), (Model.FADING, 1, 0), (Model.HOST, 0))}
+    first = {
+        key: streams.generator(*key).random()
+        for key in ((Model.FADING, 0, 1), (Model.FADING, 1, 0), (Model.HOST, 0))
+    }
     again = {key: Streams(np.random.SeedSequence(7)).generator(*key).random() for key in reversed(first)}
     assert first == again
     assert len(set(first.values())) == 3

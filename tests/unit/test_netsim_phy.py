@@ -137,7 +137,9 @@ def test_received_power_falls_with_the_exponent_and_follows_the_vehicles():
     assert at_10_m.delays_ns == [0, 33]
     trajectories.set(1_000_000_000, [(0.0, 0.0, 0.0), (100.0, 0.0, 0.0)])
     assert trajectories.distance_m(0, 1, 500_000_000) == pytest.approx(55.0)
-    assert 10 * np.log10(budget.row(0, 1_000_000_000).powers_mw[1]) == pytest.approx(16.0 - 46.73 - 52.0, abs=0.01)
+    assert 10 * np.log10(budget.row(0, 1_000_000_000).powers_mw[1]) == pytest.approx(
+        16.0 - 46.73 - 52.0, abs=0.01
+    )
 
 
 def test_extra_attenuation_comes_and_goes():
@@ -154,7 +156,9 @@ def test_shadowing_is_reciprocal_and_has_its_deviation():
     stations = 60
     budget, trajectories = links(stations, shadowing_std_db=4.0)
     trajectories.set(0, [(0.0, 0.0, 0.0)] * stations)
-    power_dbm = 10 * np.log10(np.array([budget.row(i, 0).powers_mw for i in range(stations)]) + np.eye(stations))
+    power_dbm = 10 * np.log10(
+        np.array([budget.row(i, 0).powers_mw for i in range(stations)]) + np.eye(stations)
+    )
     assert np.array_equal(power_dbm, power_dbm.T)
     # 1770 draws: the deviation's own standard error is 1.7 %
     assert np.std(power_dbm[np.triu_indices(stations, 1)]) == pytest.approx(4.0, rel=0.06)
@@ -195,7 +199,7 @@ def test_losses_have_the_reason_that_the_ratio_gives():
 
 
 def test_a_short_overlap_costs_less_than_a_long_one():
-    # 24 Mbit/s 10 dB over an interferer that reaches only C: the less of the frame is hit, the likelier it lives
+    # 24 Mbit/s 13 dB over an interferer that reaches only C: the less of it is hit, the likelier it lives
     survived = []
     for interferer_bytes in (1, 30, 400):
         hidden = {(A, B): -200.0, (B, A): -200.0, (A, C): -60.0, (B, C): -73.2}

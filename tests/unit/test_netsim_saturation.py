@@ -1,4 +1,4 @@
-"""Saturated stations against Bianchi's model, with the finite window's correction, of which the values are ns-3's."""
+"""Saturated stations against Bianchi's model, corrected for finite windows; the values are ns-3's."""
 
 import pytest
 from netsim_air import Air

@@ -179,11 +179,11 @@ def test_beacons_are_a_period_apart_with_jitter_and_stations_are_out_of_step():
 @pytest.mark.parametrize(
     "spoil",
     [
-        lambda beacon: b"",
-        lambda beacon: b"\xff" * 135,
+        lambda _: b"",
+        lambda _: b"\xff" * 135,
         lambda beacon: wire.encode(wire.Beacon(0, 1, 2, beacon.time_us, (0.0,) * 3, (0.0,) * 3, None, ())),
         lambda beacon: wire.encode(wire.Beacon(200, 1, 2, beacon.time_us, (0.0,) * 3, (0.0,) * 3, None, ())),
-        lambda beacon: wire.encode(wire.Beacon(1, 1, 2, 2**62, (0.0,) * 3, (0.0,) * 3, None, ())),
+        lambda _: wire.encode(wire.Beacon(1, 1, 2, 2**62, (0.0,) * 3, (0.0,) * 3, None, ())),
     ],
     ids=["empty", "noise", "own number", "no such station", "from the future"],
 )

@@ -1,8 +1,8 @@
-"""Formation control: the correction's course when distances come and go, the moving reference, keeping clear."""
+"""Formation control: the correction when distances come and go, the reference, keeping clear."""
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from onboard_world import article_places_ned_m
 
@@ -23,7 +23,7 @@ ZERO = np.zeros(2)
 
 
 def settled_correction(offset_ne_m=(-1.2, 0.5)):
-    """A correction on the ground whose autopilot agrees with odometry: it is minus the offset."""
+    """Make a correction on the ground whose autopilot agrees with odometry: it is minus the offset."""
     correction = Correction()
     correction.update(ZERO, np.array(offset_ne_m), DT_S, at_once=True)
     return correction
@@ -83,6 +83,7 @@ def test_after_fading_it_returns_without_a_jump():
     assert correction.ne_m == pytest.approx((1.3, -0.5), abs=1e-3)
 
 
+@settings(deadline=None, max_examples=15)  # 150 s of simulated motion each
 @given(
     st.tuples(st.floats(-30, 30), st.floats(-30, 30), st.floats(-20, 0)),
     st.tuples(st.floats(-30, 30), st.floats(-30, 30), st.floats(-20, 0)),

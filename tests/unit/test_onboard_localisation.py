@@ -1,4 +1,4 @@
-"""The cooperative localisation against what theory allows: the Cramer-Rao bound, the batch optimum, its own covariance."""
+"""The cooperative localisation against the Cramer-Rao bound, the batch optimum and its own covariance."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ FIXES = 25
 
 
 class StaticCase:
-    """UAVs at rest for 5 s near their places: fixes at 5 Hz with a constant bias, five rounds of distances."""
+    """UAVs at rest for 5 s near their places: fixes at 5 Hz with constant bias, five rounds of distances."""
 
     def __init__(self, seed, *, rounds=5, placement_std_m=0.5, mirrored=False):
         rng = np.random.default_rng(seed)
@@ -76,7 +76,7 @@ def positions(filter_):
 
 
 def bound(pos, rounds):
-    """(16, 16) inverse Fisher information of horizontal positions: GPS with its bias as prior, and the distances."""
+    """(16, 16) inverse Fisher information of horizontal positions: GPS as prior, and the distances."""
     fix_var = STATIC.gps_bias_std_m**2 + STATIC.gps_white_std_m**2 / FIXES
     information = np.eye(2 * N) / fix_var
     for i, j in PAIRS:
@@ -119,7 +119,7 @@ def test_shape_error_is_within_a_tenth_of_the_cramer_rao_bound(monte_carlo):
 
 
 def test_errors_are_consistent_with_the_covariance(monte_carlo):
-    """Shape and pose apart: a turn of the whole is an arc, which no Gaussian in Cartesian coordinates can describe."""
+    """Shape and pose apart: a turn of the whole is an arc, which no Cartesian Gaussian can describe."""
     shape_nees, pose_nees = [], []
     for case, filter_ in monte_carlo:
         keep = (np.arange(N)[:, None] * kernels.STATES + np.arange(2)).ravel()
@@ -147,7 +147,8 @@ def test_it_agrees_with_the_batch_optimum(monte_carlo):
         optimum = case.batch()
         apart.append(rms(np.linalg.norm(positions(filter_) - optimum, axis=1)))
         shape_apart.append(rms(shape_errors_m(positions(filter_), optimum)))
-    # Sequential and weighted for outliers, it loses less than a third of the 0.07 m that the optimum itself is off by.
+    # Sequential and weighted for outliers, it loses less than a third of the 0.07 m that the optimum itself
+    # is off by.
     assert rms(shape_apart) < 0.025
     assert rms(apart) < 0.1
 
@@ -215,7 +216,7 @@ def test_a_distance_from_the_future_is_refused_and_hides_nothing():
 
 
 def moving_filter():
-    """Two UAVs, the second flying east at 3 m/s; odometry of both every 100 ms from 0 to 2 s; located by GPS and ranges."""
+    """Two UAVs, the second flying east at 3 m/s, with odometry every 100 ms from 0 to 2 s, located."""
     model = LocalisationModel(gps_bias_std_m=0.02, gps_white_std_m=0.01, odometry_drift_m_sqrt_s=0.01)
     filter_ = CooperativeLocalisation(
         own=0, places_ned_m=np.array([(0.0, 0.0, -5.0), (0.0, 10.0, -5.0)]), model=model

@@ -1,4 +1,4 @@
-"""The ranging policy: everybody once per period, evenly, out of step with the others, and gentle when the air is full."""
+"""The ranging policy: everybody once per period, evenly, out of step, gentle when the air is full."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ PERIOD_US = 1_000_000
 
 
 def run(schedule, *, until_us, start_us=0, answer_after_us=12_000, reachable=None):
-    """Requests (at_us, peer) of a schedule whose sessions take ``answer_after_us``; None never answers."""
+    """List the requests (at_us, peer) of a schedule whose sessions take ``answer_after_us``."""
     requests, open_sessions = [], []
     for now_us in range(start_us, until_us, STEP_US):
         for item in [item for item in open_sessions if item[0] <= now_us]:
@@ -42,7 +42,8 @@ def test_requests_are_a_seventh_of_the_period_apart_and_lie_in_their_step():
 
 
 def test_stations_are_not_in_step():
-    # 8 phases uniform over a slot of 142.9 ms: all within a quarter of it by chance has probability 8 * 0.25^7 < 0.0005.
+    # 8 phases uniform over a slot of 142.9 ms: all within a quarter of it by chance has probability 8 *
+    # 0.25^7 < 0.0005.
     firsts_us = np.array([run(schedule_of(i, 3), until_us=200_000)[0][0] for i in range(8)])
     assert np.ptp(firsts_us) > PERIOD_US / 7 / 4
     assert len({at_us % STEP_US for at_us in firsts_us}) == 8

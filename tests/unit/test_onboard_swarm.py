@@ -1,4 +1,4 @@
-"""Eight applications through a lossy radio: what ranging does for the formation, and what trouble does to it."""
+"""Eight applications through a lossy radio: what ranging does for it, and what trouble does."""
 
 import numpy as np
 import pytest

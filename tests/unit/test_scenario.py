@@ -54,7 +54,15 @@ def test_fewer_agents_take_the_first_places_and_more_extend_the_grid():
 
 
 def test_overrides_take_numbers_strings_words_and_new_tables():
-    scenario = load(ARTICLE, ["wind.mean_n=2", 'sensors.profile="gazebo"', "onboard.localisation=gps", "autopilot.params.MPC_XY_P=1.1"])
+    scenario = load(
+        ARTICLE,
+        [
+            "wind.mean_n=2",
+            'sensors.profile="gazebo"',
+            "onboard.localisation=gps",
+            "autopilot.params.MPC_XY_P=1.1",
+        ],
+    )
     assert scenario.wind.mean_n == 2.0
     assert scenario.sensors.profile == "gazebo"
     assert scenario.onboard.localisation == "gps"

@@ -11,7 +11,7 @@ ZURICH = {"origin_lat_deg": 47.397742, "origin_lon_deg": 8.545594, "origin_alt_m
 
 
 def test_a_degree_of_arc_has_the_ellipsoids_length():
-    # meridian radius of curvature at the equator a(1 - e^2) = 6 335 439.327 m, radius of the equator 6 378 137 m
+    # meridian radius of curvature at the equator a(1 - e^2) = 6 335 439.327 m, the equator's 6 378 137 m
     step_deg = 1e-3
     north = geodetic_to_ned(step_deg, 0.0, 0.0, origin_lat_deg=0.0, origin_lon_deg=0.0, origin_alt_m=0.0)
     east = geodetic_to_ned(0.0, step_deg, 0.0, origin_lat_deg=0.0, origin_lon_deg=0.0, origin_alt_m=0.0)

@@ -21,19 +21,36 @@ from netsim.wire.messages import (
 )
 
 MESSAGES = [
-    TxBatch(station=3, now_us=4000, items=(Broadcast(seq=1, at_us=4100, payload=b"\x00\xff"), FtmRequest(seq=2, at_us=4200, peer=5))),
+    TxBatch(
+        station=3,
+        now_us=4000,
+        items=(Broadcast(seq=1, at_us=4100, payload=b"\x00\xff"), FtmRequest(seq=2, at_us=4200, peer=5)),
+    ),
     RxBatch(
         station=0,
         release_us=8000,
         items=(
             Delivery(source=1, seq=7, received_ns=4_123_456, rssi_dbm=-61.5, payload=b"abc"),
             FtmResult(
-                peer=2, seq=9, status="ok", measured_ns=5_000_000, distance_m=8.5, distance_std_m=0.1, rssi_dbm=-60.0, round_trips=7
+                peer=2,
+                seq=9,
+                status="ok",
+                measured_ns=5_000_000,
+                distance_m=8.5,
+                distance_std_m=0.1,
+                rssi_dbm=-60.0,
+                round_trips=7,
             ),
         ),
     ),
     Ack(),
-    Advance(to_us=4000, release_us=8000, pos_ned_m=((0.0, 1.0, -2.0),), vel_ned_m_s=((0.0, 0.0, 0.0),), q_ned_frd=((1.0, 0.0, 0.0, 0.0),)),
+    Advance(
+        to_us=4000,
+        release_us=8000,
+        pos_ned_m=((0.0, 1.0, -2.0),),
+        vel_ned_m_s=((0.0, 0.0, 0.0),),
+        q_ned_frd=((1.0, 0.0, 0.0, 0.0),),
+    ),
     Advanced(to_us=4000, quiet_until_us=2**60, busy_ns=12, unresponsive=(3,)),
 ]
 

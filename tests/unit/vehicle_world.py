@@ -1,4 +1,6 @@
-"""One whole `Vehicle` over the real physics, sensors and simulator messages, in one process and without sockets."""
+"""One whole `Vehicle` over the real physics, sensors and simulator messages, in one process, no sockets."""
+
+from typing import Self
 
 import numpy as np
 from pymavlink.dialects.v20 import common
@@ -39,7 +41,11 @@ class Flight:
             step_us=STEP_US,
         )
         self._sensors = SensorSuite(
-            config=SensorsConfig(), site=config.site, vehicles=1, step_us=STEP_US, seed=np.random.SeedSequence(3)
+            config=SensorsConfig(),
+            site=config.site,
+            vehicles=1,
+            step_us=STEP_US,
+            seed=np.random.SeedSequence(3),
         )
         self._hil = SensorEncoder()
         self._parser = Parser()
@@ -53,7 +59,7 @@ class Flight:
         """(time_us, mode, armed) of heartbeats to the simulator, at each change."""
         self._to_send: list[common.MAVLink_message] = []
 
-    def __enter__(self) -> "Flight":
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -106,7 +112,10 @@ class Flight:
         (answer,) = self._from_vehicle.push(self._encoder.encode(output.actuators))
         motors, armed = controls(answer, 4)
         self.world.step(
-            np.array([motors]), np.array([armed]), np.zeros((1, 3)), rotors_stopped=np.zeros(1, dtype=np.bool_)
+            np.array([motors]),
+            np.array([armed]),
+            np.zeros((1, 3)),
+            rotors_stopped=np.zeros(1, dtype=np.bool_),
         )
         return output
 

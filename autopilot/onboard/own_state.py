@@ -1,0 +1,106 @@
+"""What the own autopilot says of the vehicle: odometry, position, GPS, mode, from its MAVLink messages.
+
+Horizontal odometry is the integral of the autopilot's velocity from the first message on. The autopilot's
+position itself would not do: it follows the GPS bias, which is what localisation has to take out. Vertically
+it is the autopilot's height above the ground it started on, the barometer's.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from pymavlink.dialects.v20 import common
+
+from autopilot.config import OnboardConfig, Site
+from autopilot.navigation.geodesy import geodetic_to_ned
+from autopilot.onboard.beacon import Fix
+
+Array = NDArray[np.float64]
+
+
+class OwnState:
+    """Newest state of the own vehicle.
+
+    Attributes:
+        time_us: of the position, on the formation's clock; -1 before the first.
+        odometry_ned_m: (3,) horizontal from where the application started, down from the ground.
+        vel_ned_m_s: (3,)
+        local_ned_m: (3,) the autopilot's position from its own origin.
+        origin_ned_m: (3,) the autopilot's origin in the site's frame, or None.
+        origin_alt_m: its altitude above mean sea level, as the autopilot has it.
+        fix: newest GPS position.
+        armed, main_mode, heartbeat_us: by the newest HEARTBEAT and when that came.
+
+    """
+
+    def __init__(self, *, site: Site, config: OnboardConfig) -> None:
+        self.time_us = -1
+        self.odometry_ned_m = np.zeros(3)
+        self.vel_ned_m_s = np.zeros(3)
+        self.local_ned_m = np.zeros(3)
+        self.origin_ned_m: Array | None = None
+        self.origin_alt_m = 0.0
+        self.fix: Fix | None = None
+        self.armed = False
+        self.main_mode = 0
+        self.heartbeat_us = -1
+        self._site = site
+        self._config = config
+        self._boot_offset_us: int | None = None
+
+    @property
+    def autopilot_ned_m(self) -> Array:
+        """(3,) the autopilot's position in the site's frame; down from the ground that it started on."""
+        position_ned_m = self.local_ned_m.copy()
+        if self.origin_ned_m is not None:
+            position_ned_m[:2] += self.origin_ned_m[:2]
+        return position_ned_m
+
+    def on_local_position(self, msg: common.MAVLink_local_position_ned_message, now_us: int) -> bool:
+        """Take a LOCAL_POSITION_NED; False if it is no news."""
+        boot_us = msg.time_boot_ms * 1_000
+        # Messages can only be late, so the least difference of the clocks that was ever seen is the best one.
+        if self._boot_offset_us is None or now_us - boot_us < self._boot_offset_us:
+            self._boot_offset_us = now_us - boot_us
+        time_us = boot_us + self._boot_offset_us
+        if time_us <= self.time_us:
+            return False
+        vel_ned_m_s = np.array((msg.vx, msg.vy, msg.vz))
+        if self.time_us >= 0:
+            half_s = 0.5e-6 * (time_us - self.time_us)
+            self.odometry_ned_m[:2] += half_s * (vel_ned_m_s[:2] + self.vel_ned_m_s[:2])
+        self.odometry_ned_m[2] = msg.z
+        self.local_ned_m[:] = (msg.x, msg.y, msg.z)
+        self.vel_ned_m_s = vel_ned_m_s
+        self.time_us = time_us
+        return True
+
+    def on_gps(self, msg: common.MAVLink_gps_raw_int_message) -> bool:
+        """Take a GPS_RAW_INT; False if it holds no new 3-D position."""
+        if msg.fix_type < common.GPS_FIX_TYPE_3D_FIX or self._boot_offset_us is None:
+            return False
+        time_ms = (msg.time_usec + self._boot_offset_us) // 1_000 - self._config.gps_delay_ms
+        if time_ms < 0 or (self.fix is not None and time_ms <= self.fix.time_ms):
+            return False
+        north_m, east_m, down_m = self._site_ned_m(msg.lat, msg.lon, msg.alt).tolist()
+        std_m = self._config.gps_bias_std_m if msg.eph in {0, 0xFFFF} else msg.eph * 1e-2
+        self.fix = Fix(time_ms, (north_m, east_m, down_m), std_m)
+        return True
+
+    def on_origin(self, msg: common.MAVLink_gps_global_origin_message) -> None:
+        """Take a GPS_GLOBAL_ORIGIN."""
+        self.origin_alt_m = msg.altitude * 1e-3
+        self.origin_ned_m = self._site_ned_m(msg.latitude, msg.longitude, msg.altitude)
+
+    def on_heartbeat(self, msg: common.MAVLink_heartbeat_message, now_us: int) -> None:
+        """Take a HEARTBEAT; only an autopilot's counts."""
+        if msg.autopilot == common.MAV_AUTOPILOT_INVALID:
+            return
+        self.armed = bool(msg.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED)
+        self.main_mode = msg.custom_mode >> 16 & 0xFF
+        self.heartbeat_us = now_us
+
+    def _site_ned_m(self, lat_deg_e7: int, lon_deg_e7: int, alt_mm: int) -> Array:
+        return geodetic_to_ned(
+            lat_deg_e7 * 1e-7, lon_deg_e7 * 1e-7, alt_mm * 1e-3,
+            origin_lat_deg=self._site.latitude_deg, origin_lon_deg=self._site.longitude_deg,
+            origin_alt_m=self._site.altitude_m,
+        )  # fmt: skip

@@ -1,0 +1,34 @@
+"""Runs every numerical kernel of the physics and the sensors once, so that all are compiled and on disk."""
+
+import numpy as np
+
+from autopilot.config import Site
+from harness.physics.model import IRIS
+from harness.physics.world import World
+from harness.sensors.config import SensorsConfig
+from harness.sensors.suite import SensorSuite
+
+STEPS = 100
+_STEP_US = 4_000
+
+
+def rehearse() -> None:
+    """Two vehicles lift off and are measured, for a fraction of a second."""
+    spawn_ned_m = np.array([[0.0, 0.0, -IRIS.standing_height_m], [0.0, 5.0, -IRIS.standing_height_m]])
+    vehicles = len(spawn_ned_m)
+    sensors = SensorSuite(
+        config=SensorsConfig(),
+        site=Site(),
+        vehicles=vehicles,
+        step_us=_STEP_US,
+        seed=np.random.SeedSequence(0),
+    )
+    with World(model=IRIS, spawn_pos_ned_m=spawn_ned_m, spawn_yaw_rad=0.0, step_us=_STEP_US) as world:
+        for step in range(STEPS):
+            sensors.sample(step * _STEP_US, world.truth)
+            world.step(
+                np.full((vehicles, 4), 0.8),
+                np.ones(vehicles, dtype=bool),
+                np.ones((vehicles, 3)),
+                rotors_stopped=np.zeros(vehicles, dtype=bool),
+            )

@@ -1,0 +1,45 @@
+"""A real swarm through the `swarm` fixture: a vehicle is killed, a ground station looks in."""
+
+import time
+from collections.abc import Callable
+
+import pytest
+
+from harness.messages import VehicleLost
+from harness.supervisor import Exited
+from harness.swarm import Swarm
+
+pytestmark = pytest.mark.multiprocess
+
+Factory = Callable[..., Swarm]
+
+
+def test_killed_vehicle_falls_and_the_others_fly_on(swarm: Factory) -> None:
+    flight = swarm("scenarios/article.toml", agents=3, overrides=["wind.mean_n=1"])
+    flight.run_until(lambda truth: bool(truth.height_m.min() > 4.0), timeout_s=30.0)
+    began_us, wall_began_s = flight.truth.time_us, time.monotonic()
+    flight.kill(1)
+    exited = [event for event in flight.events if isinstance(event, Exited)]
+    assert time.monotonic() - wall_began_s < 1.0
+    assert [event.describe() for event in exited] == [f"uav 1 (pid {exited[0].pid}) was killed by SIGKILL"]
+    # from 4 m, with its rotors stopped, it needs about a second to the ground; its box is some 0.1 m high
+    truth = flight.run_until(lambda truth: bool(truth.height_m[1] < 0.3), timeout_s=3.0)
+    assert truth.alive.tolist() == [True, False, True]
+    assert truth.height_m[[0, 2]].min() > 3.5
+    lost = [event for event in flight.events if isinstance(event, VehicleLost)]
+    assert [(event.instance, event.time_us) for event in lost] == [(1, began_us)]
+    flight.stop()
+    assert flight.forced == ()
+
+
+def test_ground_station_hears_its_vehicle(swarm: Factory) -> None:
+    flight = swarm("scenarios/article.toml", agents=2)
+    links = [flight.mavlink(i) for i in range(2)]
+    flight.run_for(3.0)
+    for i, link in enumerate(links):
+        kinds = set()
+        while (message := link.recv_match(blocking=False)) is not None:
+            assert message.get_srcSystem() == i + 1
+            kinds.add(message.get_type())
+        assert kinds >= {"HEARTBEAT", "ATTITUDE", "LOCAL_POSITION_NED", "GLOBAL_POSITION_INT"}
+    assert flight.summary(draw=False)["deterministic"] is False

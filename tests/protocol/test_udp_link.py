@@ -1,0 +1,131 @@
+"""The UDP edge over loopback sockets on free ports. Waiting is select with a deadline, never a sleep."""
+
+import contextlib
+import select
+import socket
+
+import pytest
+from pymavlink.dialects.v20 import common
+
+from autopilot.mavlink.codec import Encoder, Parser
+from autopilot.mavlink.links import MAX_DATAGRAM_BYTES, MAX_PARTNERS, UdpLink
+
+DEADLINE_S = 5.0
+
+
+@pytest.fixture
+def sockets():
+    with contextlib.ExitStack() as stack:
+        yield stack
+
+
+def partner(stack):
+    sock = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+    sock.bind(("127.0.0.1", 0))
+    sock.settimeout(DEADLINE_S)
+    return sock
+
+
+def link_to(stack, remote_port):
+    encoder = Encoder(system=1, component=1)
+    link = UdpLink(host="127.0.0.1", local_port=0, remote_port=remote_port, encoder=encoder)
+    return stack.enter_context(contextlib.closing(link))
+
+
+def heartbeat():
+    return common.MAVLink_heartbeat_message(2, 12, 29, 0, 3, 3)
+
+
+def greet(sock, link):
+    frame = Encoder(system=255, component=190).encode(heartbeat())
+    sock.sendto(frame, ("127.0.0.1", link.local_port))
+    assert select.select([link], [], [], DEADLINE_S)[0]
+    return link.receive()
+
+
+def test_the_default_partner_is_spoken_to_first_and_counts_as_listening(sockets):
+    ground = partner(sockets)
+    link = link_to(sockets, ground.getsockname()[1])
+    assert not link.active
+    link.send([heartbeat()])
+    assert link.active
+    data, address = ground.recvfrom(2048)
+    assert address == ("127.0.0.1", link.local_port)
+    assert [m.get_type() for m in Parser().push_datagram(data)] == ["HEARTBEAT"]
+
+
+def test_nobody_at_the_default_port_is_no_error_and_is_noticed(sockets):
+    ground = partner(sockets)
+    port = ground.getsockname()[1]
+    ground.close()
+    link = link_to(sockets, port)
+    for _ in range(5):
+        link.send([heartbeat()])
+        assert link.receive() == []
+        assert not link.active
+    late = sockets.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+    late.settimeout(DEADLINE_S)
+    late.bind(("127.0.0.1", port))
+    link.send([heartbeat()])
+    assert link.active
+    assert late.recvfrom(2048)
+
+
+def test_whoever_speaks_is_answered_until_it_closes(sockets):
+    link = link_to(sockets, 0)
+    link.send([heartbeat()])
+    assert not link.active
+    first, second = partner(sockets), partner(sockets)
+    (message,) = greet(first, link)
+    assert message.get_srcSystem() == 255
+    greet(second, link)
+    link.send([heartbeat()])
+    assert first.recvfrom(2048)[0] == second.recvfrom(2048)[0]
+    first.close()
+    link.send([heartbeat()])  # refused by the one, and not lost for the other
+    assert second.recvfrom(2048)
+    second.close()
+    link.send([heartbeat()])
+    link.send([heartbeat()])
+    assert not link.active
+
+
+def test_a_step_goes_out_in_few_datagrams(sockets):
+    ground = partner(sockets)
+    link = link_to(sockets, ground.getsockname()[1])
+    link.send([heartbeat() for _ in range(200)])
+    sizes, heard = [], 0
+    while heard < 200:
+        data = ground.recvfrom(4096)[0]
+        sizes.append(len(data))
+        heard += len(Parser().push_datagram(data))
+    assert max(sizes) <= MAX_DATAGRAM_BYTES
+    assert len(sizes) == -(-200 // (MAX_DATAGRAM_BYTES // 21))  # a heartbeat is 9 + 12 bytes
+
+
+def test_partners_are_bounded_and_garbage_makes_none(sockets):
+    link = link_to(sockets, 0)
+    stranger = partner(sockets)
+    stranger.sendto(b"\xfd garbage", ("127.0.0.1", link.local_port))
+    assert select.select([link], [], [], DEADLINE_S)[0]
+    assert link.receive() == []
+    assert link.bad_bytes == 9
+    assert not link.active
+    partners = [partner(sockets) for _ in range(MAX_PARTNERS + 1)]
+    for sock in partners:
+        greet(sock, link)
+    link.send([heartbeat()])
+    for sock in partners[1:]:
+        assert sock.recvfrom(2048)
+    assert not select.select([partners[0]], [], [], 0.0)[0]
+
+
+def test_a_port_in_use_is_an_error(sockets):
+    link = link_to(sockets, 0)
+    with pytest.raises(OSError, match="in use"):
+        UdpLink(
+            host="127.0.0.1",
+            local_port=link.local_port,
+            remote_port=0,
+            encoder=Encoder(system=1, component=1),
+        )

@@ -1,0 +1,54 @@
+"""An emulator with stations in given places, stepped like the time master does."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from netsim.config import RadioConfig
+from netsim.emulator import Emulator
+from netsim.wire.messages import Broadcast, FtmRequest, RxItem, TxBatch, TxItem
+
+STEP_US = 4_000
+Place = tuple[float, float, float]
+
+
+class Swarm:
+    """Stations that hand items over; ``run`` advances in steps and gathers the arrivals."""
+
+    def __init__(self, places_ned_m: Sequence[Place], *, seed: int = 1, **settings: object) -> None:
+        self.places = np.array(places_ned_m)
+        count = len(places_ned_m)
+        config = RadioConfig(**{"host_latency_us": 0, "host_jitter_us": 0, **settings})
+        self.emulator = Emulator(config=config, stations=count, seed=np.random.SeedSequence(seed))
+        self.now_us = 0
+        self.received: list[tuple[int, RxItem]] = []
+        self._seqs = [0] * count
+
+    def submit(self, station: int, *items: TxItem) -> None:
+        self.emulator.submit(TxBatch(station=station, now_us=self.now_us, items=items))
+
+    def broadcast(self, station: int, at_us: int, payload: bytes = b"x" * 100) -> int:
+        self.submit(station, Broadcast(seq=self._next(station), at_us=at_us, payload=payload))
+        return self._seqs[station]
+
+    def request(self, station: int, peer: int, at_us: int) -> int:
+        self.submit(station, FtmRequest(seq=self._next(station), at_us=at_us, peer=peer))
+        return self._seqs[station]
+
+    def _next(self, station: int) -> int:
+        self._seqs[station] += 1
+        return self._seqs[station]
+
+    def run(self, until_us: int) -> list[tuple[int, RxItem]]:
+        count = len(self.places)
+        arrived = []
+        while self.now_us < until_us:
+            self.now_us += STEP_US
+            arrived += self.emulator.advance(
+                to_us=self.now_us,
+                pos_ned_m=self.places,
+                vel_ned_m_s=np.zeros((count, 3)),
+                q_ned_frd=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
+            )
+        self.received += arrived
+        return arrived
