@@ -12,6 +12,7 @@ import hashlib
 import importlib.metadata
 import importlib.util
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -21,6 +22,8 @@ from pathlib import Path
 PACKAGES = ("antenna", "netsim", "autopilot", "harness")
 VARIABLE = "NUMBA_CACHE_DIR"
 COMPILE_LIMIT_S = 600.0
+KEPT_STATES = 8
+"""Enough for someone who goes back and forth between branches."""
 _COMPLETE = "complete"
 _COMPILERS = {
     "the vehicles'": "from autopilot.rehearsal import rehearse; rehearse()",
@@ -66,6 +69,16 @@ def prepare(note: Callable[[str], None]) -> None:
         if not complete.exists():
             _compile()
             complete.touch()
+            _forget_old()
+
+
+def _forget_old() -> None:
+    """Remove the caches of all but the latest states of the sources."""
+    if VARIABLE in os.environ:
+        return  # somebody else's folder
+    by_age = sorted(folder().parent.glob(f"*/{_COMPLETE}"), key=lambda mark: mark.stat().st_mtime)
+    for mark in by_age[:-KEPT_STATES]:
+        shutil.rmtree(mark.parent, ignore_errors=True)
 
 
 def _compile() -> None:

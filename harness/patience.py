@@ -14,8 +14,10 @@ LOOK_AFTER_S = 0.25
 REPORT_AFTER_S = 0.5
 STARTING_LIMIT_S = 120.0
 """Before its first answer a vehicle may be compiling its kernels; that is no news either."""
+COMPUTING_LIMIT_S = 30.0
+"""One that computes may come to an end: what loops forever cannot be told from what takes long."""
 LEAST_SHARE = 0.25
-"""A runnable process that got less of a processor than this is starved."""
+"""Part of a processor that tells computing from waiting, and below which a runnable process is starved."""
 _GONE = {psutil.STATUS_STOPPED, psutil.STATUS_TRACING_STOP, psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD}
 
 
@@ -35,9 +37,10 @@ class _Looked:
 
     wall_s: float
     cpu_s: float
-    counted_s: float
-    """Silence that counts against it."""
-    reported: bool
+    waiting_s: float = 0.0
+    computing_s: float = 0.0
+    """Silence that counts against it, by what it did."""
+    reported: bool = False
 
 
 class Patience:
@@ -74,16 +77,20 @@ class Patience:
             return Verdict(wall_silence_s=silence_s, newly_silent=True, give_up=f"its process is {status}")
         looked = self._looked.get(instance)
         if looked is None:
-            self._looked[instance] = _Looked(wall_s=wall_s, cpu_s=cpu_s, counted_s=0.0, reported=False)
+            self._looked[instance] = _Looked(wall_s=wall_s, cpu_s=cpu_s)
             return Verdict(wall_silence_s=silence_s, newly_silent=False, give_up=None)
         elapsed_s = wall_s - looked.wall_s
-        starved = status == psutil.STATUS_RUNNING and cpu_s - looked.cpu_s < LEAST_SHARE * elapsed_s
+        share = (cpu_s - looked.cpu_s) / elapsed_s if elapsed_s > 0.0 else 0.0
         looked.wall_s, looked.cpu_s = wall_s, cpu_s
-        if not starved:
-            looked.counted_s += elapsed_s
+        starved = status == psutil.STATUS_RUNNING and share < LEAST_SHARE
+        if share >= LEAST_SHARE:
+            looked.computing_s += elapsed_s
+        elif not starved:
+            looked.waiting_s += elapsed_s
         newly = not looked.reported and not starved and not starting and silence_s >= REPORT_AFTER_S
         looked.reported |= newly
-        over = looked.counted_s > (STARTING_LIMIT_S if starting else self._limit_s)
+        limit_s = STARTING_LIMIT_S if starting else self._limit_s
+        over = looked.waiting_s > limit_s or looked.computing_s > max(limit_s, COMPUTING_LIMIT_S)
         reason = f"it has not answered for {silence_s:.1f} s" if over else None
         return Verdict(wall_silence_s=silence_s, newly_silent=newly, give_up=reason)
 

@@ -156,12 +156,9 @@ class OnboardApp:
         match msg.get_type():
             case "LOCAL_POSITION_NED":
                 if self._own.on_local_position(msg, now_us) and self.localisation is not None:
-                    odometry_ned_m, vel_ned_m_s = (
-                        self._own.odometry_ned_m.tolist(),
-                        self._own.vel_ned_m_s.tolist(),
-                    )
+                    odometry_ned_m, vel_ned_m_s = self._own.odometry_ned_m, self._own.vel_ned_m_s
                     self.localisation.on_odometry(
-                        self._station, self._own.time_us, odometry_ned_m, vel_ned_m_s
+                        self._station, self._own.time_us, odometry_ned_m.tolist(), vel_ned_m_s.tolist()
                     )
             case "GPS_RAW_INT":
                 if self._own.on_gps(msg) and self.localisation is not None and self._own.fix is not None:
@@ -198,14 +195,15 @@ class OnboardApp:
             )
 
     def request_landing(self) -> None:
-        """Land where the UAV is, at the next step, in whatever phase of the flight."""
+        """Land where the UAV is, at the next setpoint, unless it has been yielded to somebody else."""
         self._land_requested = True
 
     # ---- output
 
     def on_timer(self, now_us: int) -> OnboardOutput:
         """Return all to send in the step that begins at ``now_us``; called once per step."""
-        step_us = min(max(now_us - self._now_us, 1_000), 20_000)
+        # The coming step is taken to be as long as the last, and the first as short as steps can be.
+        step_us = min(max(now_us - self._now_us, 1_000), 20_000) if self._now_us >= 0 else 1_000
         self._now_us = now_us
         if now_us >= self._setpoint_us and self._own.time_us >= 0:
             self._correct(now_us)
@@ -237,7 +235,7 @@ class OnboardApp:
         """The present estimate; arrays are the caller's."""
         correction_ned_m = np.array((*self._correction.ne_m, 0.0))
         std_ned_m = np.array(
-            (self._config.gps_bias_std_m, self._config.gps_bias_std_m, LocalisationModel().height_std_m)
+            (self._model.gps_bias_std_m, self._model.gps_bias_std_m, self._model.height_std_m)
         )
         shape_std_m = float("inf")
         if self.localisation is not None and self._supported:
