@@ -177,6 +177,7 @@ def main() -> int:
             config = lone_vehicle(arguments.instance, arguments.connect_timeout_s)
         if arguments.supervised:
             end_with_parent()
+            _yield_to_the_simulator()
         with contextlib.ExitStack() as stack:
             Process(config, stack).run()
     except (OSError, msgspec.DecodeError, ParameterError) as error:  # unreachable simulators and radios too
@@ -185,6 +186,16 @@ def main() -> int:
     except KeyboardInterrupt:
         return 130
     return 0
+
+
+def _yield_to_the_simulator() -> None:
+    """Do not preempt the processes that serve everybody when this one wakes up.
+
+    Otherwise the first vehicle that gets its sensors takes the processor from the physics server, which has yet
+    to send the others theirs.
+    """
+    if sys.platform == "linux":
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
 def lone_vehicle(instance: int, connect_timeout_s: float) -> VehicleConfig:
