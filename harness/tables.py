@@ -97,8 +97,8 @@ def _array(values: NDArray[Any]) -> pa.Array:
 def _labels(name: str, count: int) -> tuple[str, ...]:
     if name.startswith("q_") or "_q_" in name:
         return ("w", "x", "y", "z")
-    if "ned" in name:
-        return ("n", "e", "d")
     if "frd" in name:
         return ("f", "r", "d")
+    if count == 3:
+        return ("n", "e", "d")
     return tuple(str(k) for k in range(count))

@@ -29,6 +29,7 @@ from netsim.wire.messages import (
     FtmResult,
     decode,
     encode,
+    pack_rows,
 )
 
 pytestmark = pytest.mark.multiprocess
@@ -69,9 +70,9 @@ class Radio:
         request = Advance(
             to_us=to_us,
             release_us=to_us + 4000,
-            pos_ned_m=POSES_M,
-            vel_ned_m_s=((0.0, 0.0, 0.0),) * 3,
-            q_ned_frd=((1.0, 0.0, 0.0, 0.0),) * 3,
+            pos_ned_m=pack_rows(np.array(POSES_M)),
+            vel_ned_m_s=pack_rows(np.zeros((3, 3))),
+            q_ned_frd=pack_rows(np.array([[1.0, 0.0, 0.0, 0.0]] * 3)),
             **changes,
         )
         return decode(Advanced, self.asker.ask(encode(request)).answer())
@@ -156,7 +157,7 @@ def test_hostile_bytes_change_nothing_and_are_counted(radio):
         asker = stranger.asker(advance_key(RUN), timeout_s=0.05)
         assert (
             asker.ask(
-                encode(Advance(to_us=1, release_us=2, pos_ned_m=(), vel_ned_m_s=(), q_ned_frd=()))
+                encode(Advance(to_us=1, release_us=2, pos_ned_m=b"", vel_ned_m_s=b"", q_ned_frd=b""))
             ).answer()
             is None
         )

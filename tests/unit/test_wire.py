@@ -1,6 +1,9 @@
 """Wire messages: what is sent is what arrives, and hostile bytes are None."""
 
+import struct
+
 import msgspec
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -18,6 +21,8 @@ from netsim.wire.messages import (
     TxBatch,
     decode,
     encode,
+    pack_rows,
+    unpack_rows,
 )
 
 MESSAGES = [
@@ -47,9 +52,9 @@ MESSAGES = [
     Advance(
         to_us=4000,
         release_us=8000,
-        pos_ned_m=((0.0, 1.0, -2.0),),
-        vel_ned_m_s=((0.0, 0.0, 0.0),),
-        q_ned_frd=((1.0, 0.0, 0.0, 0.0),),
+        pos_ned_m=pack_rows(np.array([[0.0, 1.0, -2.0]])),
+        vel_ned_m_s=pack_rows(np.array([[0.0, 0.0, 0.0]])),
+        q_ned_frd=pack_rows(np.array([[1.0, 0.0, 0.0, 0.0]])),
     ),
     Advanced(to_us=4000, quiet_until_us=2**60, busy_ns=12, unresponsive=(3,)),
 ]
@@ -82,3 +87,20 @@ def test_out_of_range_fields_are_none():
     assert decode(TxBatch, raw) is None
     raw = msgspec.msgpack.encode([VERSION, -3, 4000, []])
     assert decode(TxBatch, raw) is None
+
+
+def test_rows_are_little_endian_doubles_row_after_row():
+    matrix = np.array([[1.0, -2.0, 3.5], [4.0, 5.0, -0.0]])
+    for each in (matrix, np.asfortranarray(matrix), matrix.astype(">f8")):
+        assert pack_rows(each) == struct.pack("<6d", 1.0, -2.0, 3.5, 4.0, 5.0, -0.0)
+
+
+@given(st.lists(st.tuples(*[st.floats()] * 4), min_size=1, max_size=5))
+def test_rows_round_trip_to_the_last_bit(rows):
+    packed = pack_rows(np.array(rows))
+    assert unpack_rows(packed, stations=len(rows), columns=4).tobytes() == np.array(rows).tobytes()
+
+
+@pytest.mark.parametrize("size", [0, 1, 8, 23, 47, 49, 72])
+def test_rows_of_another_number_are_none(size):
+    assert unpack_rows(bytes(size), stations=2, columns=3) is None

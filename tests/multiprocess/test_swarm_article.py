@@ -1,0 +1,125 @@
+"""The article's scenario, whole: eight vehicles, their radio, their antenna, and what is left on disk."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pyarrow.parquet as pq
+import pytest
+
+from harness import kernel_cache
+from harness.messages import Collision, Formed, VehicleLost
+from harness.swarm import Swarm
+
+pytestmark = pytest.mark.multiprocess
+
+ARTICLE = Path(__file__).parents[2] / "scenarios" / "article.toml"
+HOLD_S = 8.0
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    """Fly it once, for all tests: the summary, the folder, and what was seen in flight."""
+    folder = tmp_path_factory.mktemp("article") / "run"
+    with Swarm(ARTICLE, out=folder, wall_limit_s=280.0) as swarm:
+        kernels = sorted(kernel_cache.folder().rglob("*.nb?"))
+        swarm.run_until_formed(timeout_s=60.0)
+        names = {name: psutil.Process(pid).cmdline() for name, pid in swarm.pids.items()}
+        pids = swarm.pids
+        swarm.run_for(HOLD_S)
+        swarm.stop()
+        summary = swarm.summary()
+        compiled = set(kernel_cache.folder().rglob("*.nb?")) - set(kernels)
+        return {
+            "summary": summary,
+            "folder": folder,
+            "pids": pids,
+            "commands": names,
+            "events": swarm.events,
+            "forced": swarm.forced,
+            "leftovers": swarm.leftovers(),
+            "compiled": compiled,
+        }
+
+
+def test_eight_autopilots_and_the_emulator_were_processes_of_their_own(flown):
+    manifest = json.loads((flown["folder"] / "manifest.json").read_text())
+    listed = {process["name"]: process["pid"] for process in manifest["processes"]}
+    assert listed == flown["pids"]
+    assert set(listed) == {"physics", "radio", *(f"uav {i}" for i in range(8))}
+    assert len(set(listed.values())) == 10
+    for i in range(8):
+        assert "autopilot" in flown["commands"][f"uav {i}"]
+    assert all(process["ending"].endswith("ended with status 0") for process in manifest["processes"])
+
+
+def test_it_forms_and_holds_without_touching_and_leaves_nothing_behind(flown):
+    kinds = [type(event) for event in flown["events"]]
+    assert kinds.count(Formed) == 1
+    assert Collision not in kinds
+    assert VehicleLost not in kinds
+    assert flown["forced"] == ()
+    assert flown["leftovers"] == []
+
+
+def test_the_summary_says_what_a_user_wants_to_know(flown):
+    summary = flown["summary"]
+    assert summary == json.loads((flown["folder"] / "summary.json").read_text())
+    assert summary["status"] == "completed"
+    assert summary["agents"] == 8
+    assert summary["formation_s"] == pytest.approx(HOLD_S, abs=0.1)
+    assert summary["real_time_factor"] == pytest.approx(summary["simulated_s"] / summary["wall_s"], rel=1e-3)
+    assert summary["collisions"] == 0
+    assert summary["deterministic"] is True
+    # metre-level GPS, yet the shape is a fraction of it: the distances have come through the channel
+    assert 0.0 < summary["formation_rms_m"]["shape"] < 0.4
+    assert summary["formation_rms_m"]["shape"] < summary["formation_rms_m"]["absolute"] < 3.0
+    assert [vehicle["uav"] for vehicle in summary["vehicles"]] == list(range(8))
+    assert all(vehicle["alive"] for vehicle in summary["vehicles"])
+    frames = summary["frames"]
+    assert frames["sent"] > 1000
+    assert frames["delivered"] > frames["collided"] > 0
+    assert 0.02 < summary["channel_busy_fraction"] < 0.15
+    ftm = summary["ftm"]
+    assert ftm["requested"] == ftm["completed"] + ftm["failed"]
+    assert ftm["completed"] > 0.95 * ftm["requested"] > 0
+    assert abs(ftm["error_mean_m"]) < 0.02
+    assert ftm["error_std_m"] == pytest.approx(0.0808 / np.sqrt(7), rel=0.15)  # 80 MHz, seven round trips
+    gain = summary["max_gain_dbi"]
+    assert gain["ideal"] == pytest.approx(13.26, abs=0.01)
+    assert gain["ideal"] - 1.0 < gain["mean"] < gain["ideal"] + 0.1
+    assert len(summary["log_sha256"]) == 64
+
+
+def test_the_tables_hold_truth_and_estimates_side_by_side(flown):
+    flight = pq.read_table(flown["folder"] / "flight.parquet").to_pydict()
+    time_us = np.array(flight["time_us"]).reshape(-1, 8)
+    assert (np.diff(time_us[:, 0]) == 20_000).all()
+    hold = time_us[:, 0] > time_us[-1, 0] - int(HOLD_S * 1e6)
+    positions = [
+        np.stack([np.array(flight[f"{name}.{axis}"]).reshape(-1, 8)[hold] for axis in "ne"], axis=2)
+        for name in ("pos_ned_m", "estimator_pos_ned_m", "onboard_pos_ned_m")
+    ]
+    # of the distances between vehicles the applications know far more than the autopilots, who have GPS alone
+    truth, autopilots, applications = (np.linalg.norm(p[:, :, None] - p[:, None], axis=3) for p in positions)
+    assert np.std(applications - truth) < 0.2 * np.std(autopilots - truth)
+    radio = pq.read_table(flown["folder"] / "radio.parquet")
+    kinds = set(radio.column("kind").to_pylist())
+    assert {"rts", "cts", "ack", "data"} < kinds
+    assert radio.num_rows == flown["summary"]["frames"]["sent"]
+    sessions = pq.read_table(flown["folder"] / "ftm.parquet").to_pydict()
+    assert {(a, b) for a, b in zip(sessions["initiator"], sessions["peer"], strict=True)} == {
+        (a, b) for a in range(8) for b in range(8) if a != b
+    }
+
+
+def test_every_figure_is_drawn(flown):
+    names = {path.name for path in (flown["folder"] / "figures").iterdir()}
+    expected = ("channel", "formation_error", "ftm_error", "gain_density", "patterns", "tracks")
+    assert names == {f"{name}.png" for name in expected}
+    assert not (flown["folder"] / "raw").exists()
+
+
+def test_nothing_was_compiled_in_flight(flown):
+    assert flown["compiled"] == set()

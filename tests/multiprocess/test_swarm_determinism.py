@@ -1,0 +1,68 @@
+"""The same scenario and seed give the same bytes in every log, whatever else the machine has to do."""
+
+import contextlib
+import hashlib
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from harness.report import LOGS
+from harness.swarm import Swarm
+
+pytestmark = pytest.mark.multiprocess
+
+ARTICLE = Path(__file__).parents[2] / "scenarios" / "article.toml"
+UNTIL_S = 9.0
+"""On the ground, take-off, and under way in offboard; beacons and distances from second two."""
+
+
+@contextlib.contextmanager
+def burners(count):
+    """Processes that want every processor all the time."""
+    command = [sys.executable, "-c", "print(flush=True)\nwhile True: pass"]
+    with contextlib.ExitStack() as stack:
+        for _ in range(count):
+            process = stack.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE))
+            stack.callback(process.kill)
+            process.stdout.readline()
+        yield
+
+
+def fly(folder, *, seed, results):
+    with Swarm(ARTICLE, agents=4, seed=seed, out=folder, wall_limit_s=280.0) as swarm:
+        swarm.run(until_s=4.0)
+        swarm.degrade_channel(30.0)  # what a program does between run calls belongs to the run
+        swarm.run(until_s=UNTIL_S)
+        summary = swarm.summary(draw=False)
+    results[folder.name] = summary
+    return summary
+
+
+def hashes(folder):
+    return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in LOGS}
+
+
+def test_equal_runs_are_equal_byte_for_byte_and_two_at_once_do_not_disturb_each_other(tmp_path):
+    results = {}
+    fly(tmp_path / "alone", seed=5, results=results)
+    with burners(3):  # on two processors, with twelve processes of ours
+        threads = [
+            threading.Thread(target=fly, args=(tmp_path / name,), kwargs={"seed": seed, "results": results})
+            for name, seed in (("loaded", 5), ("other", 6))
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    assert results["alone"]["deterministic"]
+    assert results["loaded"]["deterministic"]
+    assert hashes(tmp_path / "alone") == hashes(tmp_path / "loaded")
+    assert results["alone"]["log_sha256"] == results["loaded"]["log_sha256"]
+    assert results["alone"]["frames"]["sent"] > 100
+    other = hashes(tmp_path / "other")
+    assert all(
+        other[name] != value for name, value in hashes(tmp_path / "alone").items() if "events" not in name
+    )
