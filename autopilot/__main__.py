@@ -7,6 +7,7 @@ hangs up.
 
 import argparse
 import contextlib
+import gc
 import logging
 import os
 import socket
@@ -17,7 +18,8 @@ from pathlib import Path
 import msgspec
 
 from autopilot.config import VehicleConfig, VehiclePorts
-from autopilot.mavlink.codec import Encoder, Message, Parser
+from autopilot.mavlink.codec import Encoder, Message
+from autopilot.mavlink.hil import HilEncoder, HilParser, HilSensor
 from autopilot.mavlink.links import UdpLink
 from autopilot.params import ParameterError
 from autopilot.recording import VEHICLE_RECORD, record
@@ -30,7 +32,9 @@ from netsim.wire.messages import TxItem
 logger = logging.getLogger(__name__)
 
 RETRY_S = 0.1
-_RECEIVE_BYTES = 65_536
+LINK_PERIOD_US = 20_000
+"""How often the links are looked at: two system calls that mostly find nothing."""
+_RECEIVE_BYTES = 4096
 
 
 class SimulatorUnreachable(ConnectionError):
@@ -88,9 +92,10 @@ class Process:
         self._log: RecordLog | None = None
         if config.log_path is not None:
             self._log = stack.enter_context(contextlib.closing(RecordLog(config.log_path, VEHICLE_RECORD)))
-        self._parser = Parser()
-        self._encoder = Encoder(system=system, component=1)
+        self._parser = HilParser(HilSensor)
+        self._encoder = HilEncoder(system=system, component=1)
         self._link_messages = 0
+        self._poll_us = 0
         self._simulator = stack.enter_context(
             connect_simulator(ports.host, ports.simulator_tcp, config.connect_timeout_s)
         )
@@ -107,6 +112,9 @@ class Process:
                 },
             )
         )
+        # What lives now lives to the end: no full collection need walk it in flight.
+        gc.collect()
+        gc.freeze()
         waiting: list[Message] = []
         with contextlib.suppress(ConnectionError):
             while data := self._simulator.recv(_RECEIVE_BYTES):
@@ -129,21 +137,26 @@ class Process:
     def _step(self, simulator_messages: list[Message]) -> bytes:
         """One step for a HIL_SENSOR and what came before it; returns what goes back to the simulator."""
         now_us: int = simulator_messages[-1].time_usec
-        incoming = [(i, message) for i, link in enumerate(self._links) for message in link.receive()]
-        self._link_messages += len(incoming)
+        incoming: list[tuple[int, Message]] = []
+        if now_us >= self._poll_us:
+            self._poll_us = now_us + LINK_PERIOD_US
+            incoming = [(i, message) for i, link in enumerate(self._links) for message in link.receive()]
+            self._link_messages += len(incoming)
         output = self._vehicle.step(
             sim_messages=simulator_messages,
             link_messages=incoming,
             radio_items=self._radio.receive(now_us) if self._radio is not None else (),
             link_active=tuple(link.active for link in self._links),
         )
-        for i, link in enumerate(self._links):
-            link.send(message for to, message in output.links if to == i)
+        actuators = output.actuators
+        if output.links:
+            for i, link in enumerate(self._links):
+                link.send(message for to, message in output.links if to == i)
         if output.radio and self._radio is not None and self._transmit(self._radio, now_us, output.radio):
-            output.actuators.flags |= BATCH_HANDED_OVER
+            actuators = actuators._replace(flags=actuators.flags | BATCH_HANDED_OVER)
         if self._log is not None and now_us % self._config.record_period_us == 0:
             self._log.append([record(self._vehicle)])
-        return b"".join(self._encoder.encode(message) for message in (*output.simulator, output.actuators))
+        return b"".join(self._encoder.encode(message) for message in (*output.simulator, actuators))
 
     def _transmit(self, radio: RadioClient, now_us: int, items: tuple[TxItem, ...]) -> bool:
         """Hand transmissions over, or say that the radio is lost and fly on without.
@@ -191,8 +204,8 @@ def main() -> int:
 def _yield_to_the_simulator() -> None:
     """Do not preempt the processes that serve everybody when this one wakes up.
 
-    Otherwise the first vehicle that gets its sensors takes the processor from the physics server, which has yet
-    to send the others theirs.
+    Otherwise the first vehicle that gets its sensors takes the processor from the physics server, which has
+    yet to send the others theirs.
     """
     if sys.platform == "linux":
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))

@@ -82,8 +82,11 @@ def record(vehicle: "Vehicle") -> tuple[Any, ...]:
     state = flight.state
     origin_ned_m = vehicle.site.origin_ned_m(state) if flight.origin_known else _UNKNOWN
     setpoint_ned_m = _UNKNOWN
-    if flight.setpoint is not None and flight.setpoint.pos_ned_m is not None:
-        setpoint_ned_m = np.where(flight.setpoint.pos_axes, flight.setpoint.pos_ned_m, np.nan) + origin_ned_m
+    setpoint = flight.setpoint
+    if setpoint is not None and setpoint.pos_ned_m is not None:
+        setpoint_ned_m = setpoint.pos_ned_m + origin_ned_m
+        if not all(setpoint.pos_axes):
+            setpoint_ned_m[[not axis for axis in setpoint.pos_axes]] = np.nan
     estimate = app.estimate if app is not None and flight.origin_known else None
     return (
         flight.now_us,
@@ -92,8 +95,8 @@ def record(vehicle: "Vehicle") -> tuple[Any, ...]:
         int(app.phase) if app is not None else NO_PHASE,
         flight.commander.landed,
         state.pos_ned_m + origin_ned_m,
-        state.vel_ned_m_s,
-        state.q_ned_frd,
+        state.vel_ned_m_s.copy(),
+        state.q_ned_frd.copy(),
         vehicle.site.fix_ned_m(flight.gps),
         estimate.pos_ned_m if estimate is not None else _UNKNOWN,
         estimate.std_ned_m if estimate is not None else _UNKNOWN,

@@ -5,9 +5,9 @@ come in as objects and go out as objects, and time is the sensor's.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from msgspec.structs import replace
 from pymavlink.dialects.v20 import common
 
@@ -18,10 +18,11 @@ from autopilot.config import VehicleConfig
 from autopilot.control import FlightController
 from autopilot.estimation.estimator import Estimator
 from autopilot.mavlink.codec import Message, stamp
+from autopilot.mavlink.hil import HilActuatorControls
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.navigation.setpoints import IDLE, Navigator, down_demand_m_s
-from autopilot.onboard.app import OnboardApp
+from autopilot.onboard.app import NOTHING, OnboardApp
 from autopilot.params import INDEX_OF, TABLE, ParameterError, ParameterSet, Settings
 from autopilot.protocol.command import CommandService, TakeoffAltitude
 from autopilot.protocol.flight_data import FlightData, Home
@@ -57,12 +58,11 @@ def is_clock(message: Message) -> bool:
     return bool(message.get_msgId() == common.MAVLINK_MSG_ID_HIL_SENSOR and message.id == 0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StepOutput:
+class StepOutput(Struct, frozen=True, kw_only=True):
     """What a step sends."""
 
     now_us: int
-    actuators: Message
+    actuators: HilActuatorControls
     """HIL_ACTUATOR_CONTROLS, stamped as the sensor data that it answers."""
     simulator: list[Message]
     """Other messages to the simulator; those of the application carry its component as source."""
@@ -77,22 +77,37 @@ class _Link:
         self.streams = Streams(vehicle.telemetry.builders, rates_hz)
         self._commands = CommandService(vehicle.commander, vehicle.takeoff_altitude, self.streams)
         self._parameters = ParameterService(vehicle.parameters.get, vehicle.set_parameter)
-        self._offboard = vehicle.offboard
+        self._services = (vehicle.offboard, self._commands, self._parameters)
+        self.deadline_us = 0
+        """When `on_timer` next has something to do."""
+
+    def set_active(self, *, active: bool) -> None:
+        """Say whether somebody listens; without, only the heartbeat is formed."""
+        if active is not self.streams.active:
+            self.streams.active = active
+            self._note_deadline()
+
+    def on_new_data(self, message_id: int) -> None:
+        """Note that a message has something new to say."""
+        self.streams.on_new_data(message_id)
+        self._note_deadline()
 
     def on_message(self, message: Message, now_us: int) -> list[Message]:
         """Answers to a message that is meant for the autopilot."""
-        return [
-            answer
-            for service in (self._offboard, self._commands, self._parameters)
-            for answer in service.on_message(message, now_us)
-        ]
+        answers = [answer for service in self._services for answer in service.on_message(message, now_us)]
+        self._note_deadline()
+        return answers
 
     def on_timer(self, now_us: int) -> list[Message]:
         """Whatever is due."""
         messages = list(self.streams.on_timer(now_us))
         if now_us >= self._parameters.next_deadline_us():
             messages += self._parameters.on_timer(now_us)
+        self._note_deadline()
         return messages
+
+    def _note_deadline(self) -> None:
+        self.deadline_us = min(self.streams.next_deadline_us(), self._parameters.next_deadline_us())
 
 
 class Vehicle:
@@ -157,7 +172,7 @@ class Vehicle:
         self._sense(now_us)
         if new_fix:
             for link in (*self._links, self._app_link):
-                link.streams.on_new_data(_GPS_RAW_INT)
+                link.on_new_data(_GPS_RAW_INT)
         outgoing: list[tuple[int, Message]] = []
         simulator = [_greeting()] if first else []
         for notice in self.commander.update(
@@ -172,8 +187,9 @@ class Vehicle:
         radio = self._run_app(radio_items, outgoing, simulator, now_us)
         self._control(dt_s)
         for number, link in enumerate(self._links):
-            link.streams.active = link_active[number]
-            outgoing += [(number, message) for message in link.on_timer(now_us)]
+            link.set_active(active=link_active[number])
+            if now_us >= link.deadline_us:
+                outgoing += [(number, message) for message in link.on_timer(now_us)]
         self._announce(simulator, now_us)
         return StepOutput(
             now_us=now_us, actuators=self._actuators(now_us), simulator=simulator, links=outgoing, radio=radio
@@ -206,7 +222,7 @@ class Vehicle:
         sensors = self._sensors
         flight.sensor, flight.baro = sensors.sensor, sensors.baro
         flight.gps, flight.gps_us = sensors.gps, sensors.gps_us
-        state = flight.state = self.estimator.state
+        state = flight.state = self.estimator.live
         conditions = sensors.conditions(now_us)
         if state.attitude_valid:
             conditions |= _ATTITUDE
@@ -258,11 +274,14 @@ class Vehicle:
         app = self.app
         if app is None:
             return ()
-        for message in self._app_link.on_timer(now_us):
-            app.on_mavlink(message, now_us)
+        if now_us >= self._app_link.deadline_us:
+            for message in self._app_link.on_timer(now_us):
+                app.on_mavlink(message, now_us)
         for item in radio_items:
             app.on_radio(item, now_us)
         output = app.on_timer(now_us)
+        if output is NOTHING:
+            return ()
         for message in output.mavlink:
             stamp(message, system=self._system, component=APPLICATION_COMPONENT)
             kind = message.get_msgId()
@@ -304,7 +323,7 @@ class Vehicle:
         flight.setpoint = setpoint
         flight.motors = self._controller.update(state, setpoint, dt_s=dt_s, landed=landed)
         flight.attitude_setpoint = self._controller.attitude_setpoint
-        self._controls = [*flight.motors.tolist(), *_NO_CONTROLS[4:]]
+        self._controls = flight.motors.tolist() + _NO_CONTROLS[4:]
 
     def _change(self, *, was_armed: bool) -> None:
         """Begin what follows from a new mode, from arming, or from an estimate that jumped."""
@@ -333,9 +352,9 @@ class Vehicle:
 
     # ---- pieces
 
-    def _actuators(self, now_us: int) -> Message:
+    def _actuators(self, now_us: int) -> HilActuatorControls:
         mode = _MODE_ARMED if self.commander.armed else _MODE_DISARMED
-        return common.MAVLink_hil_actuator_controls_message(now_us, self._controls, mode, _LOCKSTEP_FLAG)
+        return HilActuatorControls(now_us, self._controls, mode, _LOCKSTEP_FLAG)
 
     def _tell_everybody(self, text: Message, outgoing: list[tuple[int, Message]], now_us: int) -> None:
         outgoing += [(number, text) for number in range(len(self._links))]

@@ -1,17 +1,20 @@
 """The simulator's side of PX4's simulator API.
 
-Sensor readings to MAVLink bytes, a vehicle's bytes to messages.
+Sensor readings to MAVLink bytes, and what a vehicle's answer says.
 
 Pure: sockets are `harness.lockstep`'s. Units on the wire are those that PX4 decodes (facts of HIL_SENSOR,
 HIL_GPS): gauss, hPa, degC; degE7, mm, cm/s; eph and epv in cm.
 """
 
 import math
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import repeat
 
 from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot.estimation.atmosphere import altitude_m
 from autopilot.mavlink.codec import Message
+from autopilot.mavlink.hil import HilActuatorControls, HilSensor, pack
 from harness.sensors.suite import BaroSamples, GpsFixes, SensorFrame
 
 SIMULATOR_SYSTEM_ID = 0
@@ -23,39 +26,52 @@ _BARO = 0x1A00
 _COURSE_UNKNOWN = 65_535
 _COURSE_LEAST_SPEED_M_S = 0.1
 _SATELLITES = 10
+_NO_FIELD = (0.0, 0.0, 0.0)
+_NO_AIR = (0.0, 0.0, 0.0, 0.0)
 
 
 class SensorEncoder:
-    """Bytes that one vehicle gets in one step."""
+    """Bytes that the vehicles get in one step. The same kinds go to all, so their links count alike."""
 
     def __init__(self) -> None:
         self._mav = mavlink.MAVLink(None, srcSystem=SIMULATOR_SYSTEM_ID, srcComponent=SIMULATOR_COMPONENT_ID)
+        self._sequence = 0
 
-    def encode(self, vehicle: int, time_us: int, frame: SensorFrame) -> bytes:
-        """HIL_GPS when a fix is due, then HIL_SENSOR, which is what lets the vehicle's clock go on."""
-        gps = b"" if frame.gps is None else _gps(vehicle, time_us, frame.gps).pack(self._mav)
-        return bytes(gps + _sensor(vehicle, time_us, frame).pack(self._mav))
+    def encode(self, time_us: int, frame: SensorFrame) -> Iterator[bytes]:
+        """Frames for one vehicle after the other, each made when it is asked for.
+
+        HIL_GPS when a fix is due, then HIL_SENSOR, which is what lets a vehicle's clock go on.
+        """
+        fix_sequence, sequence = self._sequence, (self._sequence + (frame.gps is not None)) % 256
+        self._sequence = (sequence + 1) % 256
+        self._mav.seq = fix_sequence
+        fields = _IMU
+        inertial = zip(frame.accel_frd_m_s2.tolist(), frame.gyro_frd_rad_s.tolist(), strict=True)
+        mag: Iterable[Sequence[float]] = repeat(_NO_FIELD)
+        if frame.mag_frd_gauss is not None:
+            fields |= _MAG
+            mag = frame.mag_frd_gauss.tolist()
+        baro: Iterable[Sequence[float]] = repeat(_NO_AIR)
+        if frame.baro is not None:
+            fields |= _BARO
+            baro = _baro(frame.baro)
+        for vehicle, ((accel, gyro), field, air) in enumerate(zip(inertial, mag, baro, strict=False)):
+            sensor = pack(
+                HilSensor._make((time_us, *accel, *gyro, *field, *air, fields, 0)),
+                sequence=sequence,
+                system=SIMULATOR_SYSTEM_ID,
+                component=SIMULATOR_COMPONENT_ID,
+            )
+            yield sensor if frame.gps is None else _gps(vehicle, time_us, frame.gps).pack(self._mav) + sensor
 
 
-def _sensor(vehicle: int, time_us: int, frame: SensorFrame) -> Message:
-    accel = frame.accel_frd_m_s2[vehicle].tolist()
-    gyro = frame.gyro_frd_rad_s[vehicle].tolist()
-    fields = _IMU
-    mag = [0.0, 0.0, 0.0]
-    if frame.mag_frd_gauss is not None:
-        fields |= _MAG
-        mag = frame.mag_frd_gauss[vehicle].tolist()
-    baro = (0.0, 0.0, 0.0, 0.0)
-    if frame.baro is not None:
-        fields |= _BARO
-        baro = _baro(vehicle, frame.baro)
-    return mavlink.MAVLink_hil_sensor_message(time_us, *accel, *gyro, *mag, *baro, fields, 0)
-
-
-def _baro(vehicle: int, baro: BaroSamples) -> tuple[float, float, float, float]:
-    """Absolute and differential pressure, pressure altitude, temperature."""
-    pressure_hpa = float(baro.pressure_hpa[vehicle])
-    return pressure_hpa, 0.0, float(altitude_m(pressure_hpa * 100.0)), float(baro.temperature_degc[vehicle])
+def _baro(baro: BaroSamples) -> list[tuple[float, float, float, float]]:
+    """Absolute and differential pressure, pressure altitude, temperature of each vehicle."""
+    pressures_hpa, temperatures_degc = baro.pressure_hpa.tolist(), baro.temperature_degc.tolist()
+    return [
+        (pressure_hpa, 0.0, altitude_m(pressure_hpa * 100.0), temperature_degc)
+        for pressure_hpa, temperature_degc in zip(pressures_hpa, temperatures_degc, strict=True)
+    ]
 
 
 def _gps(vehicle: int, time_us: int, fixes: GpsFixes) -> Message:
@@ -79,13 +95,9 @@ def _gps(vehicle: int, time_us: int, fixes: GpsFixes) -> Message:
     )
 
 
-def controls(message: Message, rotors: int) -> tuple[list[float], bool]:
-    """Rotor commands in 0..1 of HIL_ACTUATOR_CONTROLS, and whether it says armed.
-
-    A NaN is a rotor at rest.
-    """
-    values = [min(max(value, 0.0), 1.0) if value == value else 0.0 for value in message.controls[:rotors]]
-    return values, bool(message.mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+def is_armed(answer: HilActuatorControls) -> bool:
+    """Whether a vehicle's answer says that it is armed."""
+    return bool(answer.mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
 
 
 def _u16(value: float) -> int:

@@ -8,16 +8,17 @@ stays silent. What a silence means is told from outside by `harness.patience`.
 
 import selectors
 import socket
+import struct
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
-from pymavlink.dialects.v20 import common as mavlink
-
-from autopilot.mavlink.codec import Message, Parser
+from autopilot.mavlink.codec import Message
+from autopilot.mavlink.hil import HilActuatorControls, HilParser
 from harness.patience import Patience
 
 POLL_S = 0.1
-_RECEIVE_BYTES = 65_536
+_RECEIVE_BYTES = 4096
+_POLL_TIMEVAL = struct.pack("ll", 0, round(POLL_S * 1e6))
 
 
 class Seat:
@@ -26,8 +27,8 @@ class Seat:
     def __init__(self, instance: int) -> None:
         self.instance = instance
         self.connection: socket.socket | None = None
-        self.parser = Parser()
-        self.answer: Message | None = None
+        self.parser = HilParser(HilActuatorControls)
+        self.answer: HilActuatorControls | None = None
         """HIL_ACTUATOR_CONTROLS of the present step, once it is there."""
         self.answered_ever = False
 
@@ -61,7 +62,13 @@ class Lockstep:
         self._listeners = list(listeners)
         self._patience = patience
         self._on_message, self._on_silent, self._on_lost = on_message, on_silent, on_lost
-        self._selector = selectors.DefaultSelector()
+        self._pending: list[Seat] = []
+        """Seats that were sent this step's sensors."""
+
+    @property
+    def living(self) -> int:
+        """How many vehicles are in the run."""
+        return sum(seat.connection is not None for seat in self.seats)
 
     def connect(self, wall_timeout_s: float, *, keep_waiting: Callable[[], bool]) -> None:
         """Wait until every vehicle has connected. Raises ConnectTimeout.
@@ -76,44 +83,48 @@ class Lockstep:
             for key, _ in waiting.select(POLL_S):
                 connection, _ = self._listeners[key.data].accept()
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                # the kernel's time limit, for Python's own costs a system call more each time
+                connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _POLL_TIMEVAL)
                 self.seats[key.data].connection = connection
-                self._selector.register(connection, selectors.EVENT_READ, self.seats[key.data])
                 waiting.unregister(key.fileobj)
             if time.monotonic() > wall_deadline_s:
                 absent = ", ".join(str(seat.instance) for seat in self.seats if not seat.alive)
                 raise ConnectTimeout(f"no connection from uav {absent} within {wall_timeout_s:g} s")
         waiting.close()
 
-    def exchange(self, time_us: int, frames: Sequence[bytes | None]) -> list[Message | None]:
-        """Send every living vehicle its sensors of ``time_us``.
+    def send(self, frames: Iterable[bytes | None]) -> None:
+        """Send every living vehicle its sensors.
 
-        Returns each one's answer, None for those that are gone.
+        Each frame is asked for when it is that vehicle's turn, so the first computes while others' are made.
         """
-        pending: set[int] = set()
+        self._pending.clear()
         for seat, frame in zip(self.seats, frames, strict=True):
             seat.answer = None
             if seat.connection is None or frame is None:
                 continue
             try:
                 seat.connection.sendall(frame)
-                pending.add(seat.instance)
+                self._pending.append(seat)
             except OSError:
                 self.lose(seat.instance, "its connection broke")
         self._patience.begin(time.monotonic())
-        while pending:
-            events = self._selector.select(POLL_S)
-            for key, _ in events:
-                self._receive(key.data, time_us)
-            pending = {i for i in pending if self.seats[i].alive and self.seats[i].answer is None}
-            if pending and not events:
-                self._judge(pending)
+
+    def answers(self, time_us: int) -> list[HilActuatorControls | None]:
+        """Wait until every vehicle has answered the sensors of ``time_us`` that were sent; None: it is gone.
+
+        They are waited for one by one, the last first: as they are served in turn, the others' answers are
+        there by then, and this process is woken once instead of for each.
+        """
+        for seat in reversed(self._pending):
+            while seat.connection is not None and seat.answer is None:
+                if not self._receive(seat, time_us):
+                    self._look_around(time_us)
         return [seat.answer for seat in self.seats]
 
     def lose(self, instance: int, reason: str) -> None:
         """Take a vehicle out of the run."""
         seat = self.seats[instance]
         if seat.connection is not None:
-            self._selector.unregister(seat.connection)
             seat.connection.close()
             seat.connection = None
             seat.answer = None
@@ -123,36 +134,43 @@ class Lockstep:
         """Close every connection and listener; the vehicles end when they notice."""
         for seat in self.seats:
             if seat.connection is not None:
-                self._selector.unregister(seat.connection)
                 seat.connection.close()
                 seat.connection = None
         for listener in self._listeners:
             listener.close()
-        self._selector.close()
 
-    def _receive(self, seat: Seat, time_us: int) -> None:
+    def _receive(self, seat: Seat, time_us: int, flags: int = 0) -> bool:
+        """Take what a vehicle has said, waiting `POLL_S` at most; False if that was nothing."""
         if seat.connection is None:
-            return
+            return False
         try:
-            data = seat.connection.recv(_RECEIVE_BYTES)
+            data = seat.connection.recv(_RECEIVE_BYTES, flags)
+        except BlockingIOError:
+            return False
         except OSError:
             data = b""
         if not data:
             self.lose(seat.instance, "its connection closed")
-            return
+            return True
         for message in seat.parser.push(data):
-            if message.get_msgId() != mavlink.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS:
+            if not isinstance(message, HilActuatorControls):
                 self._on_message(seat.instance, message)
             elif message.time_usec == time_us:  # a late answer to an earlier step is none to this
                 seat.answer = message
                 seat.answered_ever = True
+        return True
 
-    def _judge(self, pending: set[int]) -> None:
-        for instance in sorted(pending):
-            verdict = self._patience.judge(
-                instance, time.monotonic(), starting=not self.seats[instance].answered_ever
-            )
-            if verdict.newly_silent:
-                self._on_silent(instance, verdict.wall_silence_s)
-            if verdict.give_up is not None:
-                self.lose(instance, verdict.give_up)
+    def _look_around(self, time_us: int) -> None:
+        """Somebody is silent: take what the others have said, and judge whoever has not answered."""
+        for seat in self._pending:
+            while seat.connection is not None and seat.answer is None:
+                if not self._receive(seat, time_us, socket.MSG_DONTWAIT):
+                    self._judge(seat)
+                    break
+
+    def _judge(self, seat: Seat) -> None:
+        verdict = self._patience.judge(seat.instance, time.monotonic(), starting=not seat.answered_ever)
+        if verdict.newly_silent:
+            self._on_silent(seat.instance, verdict.wall_silence_s)
+        if verdict.give_up is not None:
+            self.lose(seat.instance, verdict.give_up)

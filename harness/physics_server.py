@@ -12,18 +12,19 @@ import queue
 import socket
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot.mavlink.codec import Message
+from autopilot.mavlink.hil import HilActuatorControls
 from autopilot.mavlink.modes import mode_from_custom
 from autopilot.onboard.phases import Phase
-from harness.hil import SensorEncoder, controls
+from harness.air import Air, RadioSilent
+from harness.hil import SensorEncoder, is_armed
 from harness.lockstep import ConnectTimeout, Lockstep
 from harness.messages import (
     AnyCommand,
@@ -48,78 +49,16 @@ from harness.run_folder import PhysicsConfig
 from harness.sensors.suite import SensorSuite
 from harness.wind import GustyWind
 from netsim.child import Finished, Ready, Stop, commands, emit
-from netsim.radio import ANSWER_LIMIT_S, BATCH_HANDED_OVER, advance_key
+from netsim.radio import BATCH_HANDED_OVER
 from netsim.record_log import RecordLog
-from netsim.transport import Pending, Transport, TransportError
-from netsim.wire.messages import Advance, Advanced, decode, encode
+from netsim.transport import Transport, TransportError
 
 STREAM = 250
 """Sets the physics' random streams apart from those of the run's other processes."""
 PROGRESS_PERIOD_S = 0.2
+ROTORS = 4
 COMPONENT_AUTOPILOT = 1
 COMPONENT_ONBOARD = 191
-
-
-class RadioSilent(ConnectionError):
-    """The 802.11 emulator does not answer the time master."""
-
-
-class Air:
-    """The time master's side of the emulated channel.
-
-    Asks it to go on, and only when it has something to do.
-    """
-
-    def __init__(self, transport: Transport, run_id: str) -> None:
-        self._asker = transport.asker(advance_key(run_id), timeout_s=ANSWER_LIMIT_S)
-        self._pending: Pending | None = None
-        self._quiet_until_us = 0
-        self._handed_over = True
-        self.extra_attenuation_db: float | None = None
-        self.busy_ns = 0
-
-    def begin(self, time_us: int, step_us: int, truth: Truth, silent: tuple[int, ...]) -> None:
-        """Let the emulator simulate up to ``time_us`` beside the vehicles.
-
-        Unless the air stays quiet until then.
-        """
-        if not self._handed_over and time_us < self._quiet_until_us:
-            return
-        self._handed_over = False
-        request = Advance(
-            to_us=time_us,
-            release_us=time_us + step_us,
-            pos_ned_m=_rows(truth.pos_ned_m),
-            vel_ned_m_s=_rows(truth.vel_ned_m_s),
-            q_ned_frd=_rows(truth.q_ned_frd),
-            silent=silent,
-            extra_attenuation_db=self.extra_attenuation_db,
-        )
-        self._pending = self._asker.ask(encode(request))
-
-    def end(self) -> tuple[int, ...]:
-        """Wait until the emulator is through and its deliveries are in the vehicles' hands.
-
-        Returns the vehicles that did not take theirs. Raises RadioSilent.
-        """
-        if self._pending is None:
-            return ()
-        answer = self._pending.answer()
-        self._pending = None
-        advanced = decode(Advanced, answer) if answer is not None else None
-        if advanced is None:
-            raise RadioSilent("the 802.11 emulator does not answer")
-        self._quiet_until_us = advanced.quiet_until_us
-        self.busy_ns = advanced.busy_ns
-        return advanced.unresponsive
-
-    def handed_over(self) -> None:
-        """A vehicle gave its radio something to send: the next interval is not quiet."""
-        self._handed_over = True
-
-
-def _rows(array: NDArray[np.float64]) -> Any:  # noqa: ANN401  as many components as the message wants
-    return tuple(map(tuple, array.tolist()))
 
 
 class Simulation:
@@ -145,7 +84,7 @@ class Simulation:
         self._sensors = SensorSuite(
             config=scenario.sensors, site=scenario.site, vehicles=n, step_us=self._step_us, seed=streams[1]
         )
-        self._encoders = [SensorEncoder() for _ in range(n)]
+        self._encoder = SensorEncoder()
         self.patience = Patience(scenario.run.silence_limit_s)
         self.lockstep = Lockstep(
             listeners,
@@ -154,67 +93,76 @@ class Simulation:
             on_silent=lambda i, s: self._emit(
                 VehicleSilent(time_us=self.time_us, instance=i, wall_silence_s=s)
             ),
-            on_lost=lambda i, reason: self._emit(
-                VehicleLost(time_us=self.time_us, instance=i, reason=reason)
-            ),
+            on_lost=self._on_lost,
         )
         self._truth_log = RecordLog(config.truth_log_path, TRUTH_RECORD)
         self._air_log = RecordLog(config.air_log_path, AIR_RECORD)
         self._event_log = Path(config.event_log_path).open("wb", buffering=0)  # noqa: SIM115 - closed by close()
         self.time_us = self._step_us  # PX4 takes 0 for a clock that is not set
         self.formed = False
-        self._controls = np.zeros((n, 4))
-        self._armed = np.zeros(n, dtype=bool)
+        self._controls: list[Sequence[float]] = [[0.0] * ROTORS for _ in range(n)]
+        self._armed = [False] * n
         self._stopped = np.zeros(n, dtype=bool)
         self._wind_ned_n = np.zeros((n, 3))
         self._modes = [""] * n
         self._phases: list[Phase | None] = [None] * n
+        self._phase_news = False
+        """Whether the formation may have been reached since it was last looked at."""
         self._touching: set[tuple[int, int]] = set()
 
     @property
     def any_alive(self) -> bool:
         """Whether any vehicle is still in the run."""
-        return any(seat.alive for seat in self.lockstep.seats)
+        return self.lockstep.living > 0
 
     @property
     def must_end(self) -> bool:
         """Whether a vehicle has been lost in a scenario that ends for it."""
-        return self._scenario.run.on_vehicle_loss == "end" and not all(
-            seat.alive for seat in self.lockstep.seats
-        )
+        return self._scenario.run.on_vehicle_loss == "end" and self.lockstep.living < self._scenario.agents
 
     def step(self) -> None:
-        """One step: sensors of this instant out, answers in, world and wind on to the next instant."""
+        """One step: sensors of this instant out, answers in, world and wind on to the next instant.
+
+        What needs no answer is done between the two, beside the vehicles: they idle while the rest is done.
+        """
         truth = self._world.truth
         alive = [seat.alive for seat in self.lockstep.seats]
-        frame = self._sensors.sample(self.time_us, truth)
+        self.lockstep.send(self._encoder.encode(self.time_us, self._sensors.sample(self.time_us, truth)))
         if self._air is not None:
             self._air.begin(
                 self.time_us, self._step_us, truth, tuple(i for i, a in enumerate(alive) if not a)
             )
         if self.time_us % self._scenario.record_period_us == 0:
             self._record(truth, alive)
-        answers = self.lockstep.exchange(
-            self.time_us,
-            [
-                encoder.encode(i, self.time_us, frame) if alive[i] else None
-                for i, encoder in enumerate(self._encoders)
-            ],
-        )
+        self.notice_collisions()
+        self._wind_ned_n = self._wind.step(self._step_us * 1e-6)
+        self._sensors.look_ahead()
+        answers = self.lockstep.answers(self.time_us)
         if self._air is not None:
             for i in self._air.end():
                 self.lockstep.lose(i, "it does not take what its radio delivers")
+        self._obey(answers)
+        self._world.step(
+            np.array(self._controls),
+            np.array(self._armed),
+            self._wind_ned_n,
+            rotors_stopped=self._stopped,
+        )
+        self.time_us += self._step_us
+        if self._phase_news:
+            self._notice_formation()
+
+    def _obey(self, answers: list[HilActuatorControls | None]) -> None:
+        """Set motors as the vehicles say; the world limits what is out of range."""
+        flags = 0
         for i, answer in enumerate(answers):
             if answer is None:
                 self._stopped[i] = not self.lockstep.seats[i].alive
                 continue
-            self._controls[i], self._armed[i] = controls(answer, self._controls.shape[1])
-            if self._air is not None and answer.flags & BATCH_HANDED_OVER:
-                self._air.handed_over()
-        self._wind_ned_n = self._wind.step(self._step_us * 1e-6)
-        self._world.step(self._controls, self._armed, self._wind_ned_n, rotors_stopped=self._stopped)
-        self.time_us += self._step_us
-        self._notice()
+            self._controls[i], self._armed[i] = answer.controls[:ROTORS], is_armed(answer)
+            flags |= answer.flags
+        if self._air is not None and flags & BATCH_HANDED_OVER:
+            self._air.handed_over()
 
     def vehicles(self) -> tuple[VehicleTruth, ...]:
         """Everyone as they are now."""
@@ -223,7 +171,7 @@ class Simulation:
         return tuple(
             VehicleTruth(
                 alive=seat.alive,
-                armed=bool(self._armed[i]),
+                armed=self._armed[i],
                 mode=self._modes[i],
                 phase=_name(self._phases[i]),
                 pos_ned_m=tuple(truth.pos_ned_m[i].tolist()),
@@ -266,14 +214,21 @@ class Simulation:
         if self._air is not None:
             self._air_log.append([(self.time_us, self._air.busy_ns)])
 
-    def _notice(self) -> None:
-        """Report collisions when they begin, and the formation when it is reached for the first time."""
-        contacts = {(contact.first, contact.second): contact for contact in self._world.vehicle_contacts}
+    def notice_collisions(self) -> None:
+        """Report collisions of the last step that have just begun; harmless when repeated."""
+        touching = self._world.vehicle_contacts
+        if not touching and not self._touching:
+            return
+        contacts = {(contact.first, contact.second): contact for contact in touching}
         for pair in sorted(contacts.keys() - self._touching):
             first, second = pair
             where_ned_m = contacts[pair].pos_ned_m
             self._emit(Collision(time_us=self.time_us, first=first, second=second, pos_ned_m=where_ned_m))
         self._touching = set(contacts)
+
+    def _notice_formation(self) -> None:
+        """Report the formation when it is reached for the first time."""
+        self._phase_news = False
         if not self.formed:
             phases = [p for p, seat in zip(self._phases, self.lockstep.seats, strict=True) if seat.alive]
             if phases and all(phase == Phase.ON_STATION for phase in phases):
@@ -289,6 +244,11 @@ class Simulation:
         elif message.get_srcComponent() == COMPONENT_ONBOARD:
             with contextlib.suppress(ValueError):
                 self._phases[instance] = Phase(message.custom_mode)
+                self._phase_news = True
+
+    def _on_lost(self, instance: int, reason: str) -> None:
+        self._phase_news = True  # the others may be all there
+        self._emit(VehicleLost(time_us=self.time_us, instance=instance, reason=reason))
 
     def _emit(self, event: AnyEvent) -> None:
         line = msgspec.json.encode(event)
@@ -335,6 +295,7 @@ def _run(simulation: Simulation, command: RunUntil, inbox: "queue.SimpleQueue[An
                     vehicles=simulation.vehicles(),
                 )
             )
+    simulation.notice_collisions()
     return Paused(time_us=simulation.time_us, reason=reason, vehicles=simulation.vehicles())
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from autopilot.types import Array
+from harness.gauss_markov import STEPS_AHEAD, gauss_markov_path
 
 VERTICAL_GUST_RATIO = 0.3
 """rms of the gusts' down component over that of each horizontal one."""
@@ -53,12 +54,30 @@ class GustyWind:
         self._rng = rng
         # row 0 is shared, row 1 + i belongs to vehicle i; of unit variance
         self._unit_gusts = rng.standard_normal((1 + vehicles, 3))
+        self._dt_s = math.nan
+        self._fresh = self._path = np.empty((0, 1 + vehicles, 3))
+        self._forces_ned_n = np.empty((0, vehicles, 3))
+        self._taken = 0
 
     def step(self, dt_s: float) -> Array:
-        """Force (n, 3) in newtons, NED, ``dt_s`` seconds after the last call (exact for any interval)."""
-        kept = math.exp(-dt_s / self._time_constant_s)
-        fresh = self._rng.standard_normal(self._unit_gusts.shape)
-        self._unit_gusts = kept * self._unit_gusts + math.sqrt(1.0 - kept * kept) * fresh
-        gusts = self._shared_weight * self._unit_gusts[0] + self._own_weight * self._unit_gusts[1:]
-        force_ned_n: Array = self._mean_ned_n + self._gust_rms_ned_n * gusts
+        """Force (n, 3) in newtons, NED, ``dt_s`` seconds after the last call (exact for any interval).
+
+        Not to be written to. Worked out for many steps ahead, whose interval is taken to stay the same.
+        """
+        if dt_s != self._dt_s or self._taken == len(self._forces_ned_n):
+            self._look_ahead(dt_s)
+        force_ned_n: Array = self._forces_ned_n[self._taken]
+        self._taken += 1
         return force_ned_n
+
+    def _look_ahead(self, dt_s: float) -> None:
+        """Work out the forces of the next steps; what was drawn for later at another interval is used."""
+        if self._taken:
+            self._unit_gusts = self._path[self._taken - 1]
+        left = self._fresh[self._taken :]
+        self._fresh = left if len(left) else self._rng.standard_normal((STEPS_AHEAD, *self._unit_gusts.shape))
+        kept = math.exp(-dt_s / self._time_constant_s)
+        self._path = gauss_markov_path(self._unit_gusts, kept, math.sqrt(1.0 - kept * kept), self._fresh)
+        gusts = self._shared_weight * self._path[:, :1] + self._own_weight * self._path[:, 1:]
+        self._forces_ned_n = self._mean_ned_n + self._gust_rms_ned_n * gusts
+        self._dt_s, self._taken = dt_s, 0

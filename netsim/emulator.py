@@ -109,7 +109,7 @@ class Emulator:
         self._received: list[tuple[int, int, int, int, RxItem]] = []
         self._frames: list[FrameRecord] = []
         self._sessions: list[SessionRecord] = []
-        self._sent: Counter[str] = Counter()
+        self._sent = dict.fromkeys(FrameKind, 0)
         self._drops: Counter[str] = Counter()
         self._broadcasts_delivered = [0] * stations
         self._broadcasts_collided = [0] * stations
@@ -267,7 +267,7 @@ class Emulator:
     def counters(self) -> Counters:
         """Counts since the start."""
         return Counters(
-            frames_sent={kind.value: self._sent[kind.value] for kind in FrameKind},
+            frames_sent={kind.value: self._sent[kind] for kind in FrameKind},
             broadcasts_delivered=tuple(self._broadcasts_delivered),
             broadcasts_collided=tuple(self._broadcasts_collided),
             broadcasts_lost_to_noise=tuple(self._broadcasts_lost),
@@ -303,7 +303,7 @@ class Emulator:
 
     def _on_ended(self, transmission: Transmission) -> None:
         frame = transmission.frame
-        self._sent[frame.kind.value] += 1
+        self._sent[frame.kind] += 1
         if frame.kind is FrameKind.DATA:
             for counts, receivers in (
                 (self._broadcasts_delivered, transmission.delivered),
@@ -314,16 +314,16 @@ class Emulator:
                     counts[receiver] += 1
         self._frames.append(
             FrameRecord(
-                start_ns=transmission.start_ns,
-                end_ns=transmission.end_ns,
-                source=frame.source,
-                destination=frame.destination,
-                kind=frame.kind.value,
-                mode=frame.mode.name,
-                bytes=frame.bytes,
-                seq=frame.seq,
-                delivered=len(transmission.delivered),
-                collided=len(transmission.collided),
-                lost_to_noise=len(transmission.lost_to_noise),
+                transmission.start_ns,
+                transmission.end_ns,
+                frame.source,
+                frame.destination,
+                frame.kind,
+                frame.mode.name,
+                frame.bytes,
+                frame.seq,
+                len(transmission.delivered),
+                len(transmission.collided),
+                len(transmission.lost_to_noise),
             )
         )

@@ -34,6 +34,7 @@ class Frame:
         "bytes",
         "destination",
         "duration_ns",
+        "is_answer",
         "kind",
         "mode",
         "nav_ns",
@@ -56,6 +57,7 @@ class Frame:
         body: object = None,
     ) -> None:
         self.kind = kind
+        self.is_answer = kind is FrameKind.ACK or kind is FrameKind.CTS
         self.source = source
         self.destination = destination
         self.mode = mode

@@ -1,10 +1,12 @@
 """What the emulator remembers for logs and summaries: frames, ranging sessions, counts."""
 
+from typing import NamedTuple
+
 from msgspec import Struct
 
 
-class FrameRecord(Struct, frozen=True, kw_only=True):
-    """One transmission."""
+class FrameRecord(NamedTuple):
+    """One transmission; the fields of `netsim.logs.FRAME_LOG` in their order."""
 
     start_ns: int
     end_ns: int
@@ -25,8 +27,8 @@ class FrameRecord(Struct, frozen=True, kw_only=True):
     lost_to_noise: int
 
 
-class SessionRecord(Struct, frozen=True, kw_only=True):
-    """One ranging request and its end."""
+class SessionRecord(NamedTuple):
+    """One ranging request and its end; the fields of `netsim.logs.SESSION_LOG` in their order."""
 
     measured_ns: int
     initiator: int

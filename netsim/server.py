@@ -6,14 +6,16 @@ not depend on which of two messages happened to come first.
 """
 
 import contextlib
+import gc
 import logging
 import os
 import queue
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from netsim.child import Finished, Ready, Stop, commands, emit
 from netsim.config import ServerConfig
@@ -32,6 +34,7 @@ from netsim.wire.messages import (
     TxBatch,
     decode,
     encode,
+    unpack_rows,
 )
 
 logger = logging.getLogger(__name__)
@@ -74,10 +77,11 @@ class Server:
             if isinstance(item, Stop):
                 break
             request = decode(Advance, item.payload)
-            if request is None or len(request.pos_ned_m) != self._config.stations:
+            poses = None if request is None else _poses(request, self._config.stations)
+            if request is None or poses is None:
                 self._malformed += 1
                 continue
-            item.answer(encode(self._advance(request)))
+            item.answer(encode(self._advance(request, poses)))
         return {"counters": msgspec.to_builtins(self._emulator.counters), "malformed": self._malformed}
 
     def close(self) -> None:
@@ -97,7 +101,7 @@ class Server:
             self._submitted.append(batch)
         question.answer(_ACK)
 
-    def _advance(self, request: Advance) -> Advanced:
+    def _advance(self, request: Advance, poses: "_Poses") -> Advanced:
         # Zenoh's threads append to the list while this runs, so what is taken is cut off by position first.
         count = len(self._submitted)
         batches = self._submitted[:count]
@@ -113,9 +117,9 @@ class Server:
         self._emulator.set_extra_attenuation_db(request.extra_attenuation_db)
         arrivals = self._emulator.advance(
             to_us=request.to_us,
-            pos_ned_m=np.array(request.pos_ned_m),
-            vel_ned_m_s=np.array(request.vel_ned_m_s),
-            q_ned_frd=np.array(request.q_ned_frd),
+            pos_ned_m=poses.pos_ned_m,
+            vel_ned_m_s=poses.vel_ned_m_s,
+            q_ned_frd=poses.q_ned_frd,
         )
         unresponsive = self._deliver(arrivals, request.release_us)
         self._write_logs()
@@ -129,9 +133,9 @@ class Server:
     def _write_logs(self) -> None:
         frames, sessions = self._emulator.take_frames(), self._emulator.take_sessions()
         if self._frame_log is not None:
-            self._frame_log.append(msgspec.structs.astuple(frame) for frame in frames)
+            self._frame_log.append(frames)
         if self._session_log is not None:
-            self._session_log.append(msgspec.structs.astuple(session) for session in sessions)
+            self._session_log.append(sessions)
 
     def _deliver(self, arrivals: list[tuple[Station, RxItem]], release_us: int) -> tuple[Station, ...]:
         """Hand every station its arrivals, all at once, and wait.
@@ -149,6 +153,24 @@ class Server:
         return tuple(station for station, answer in pending.items() if answer.answer() is None)
 
 
+class _Poses(NamedTuple):
+    """Those of an `Advance`, unpacked."""
+
+    pos_ned_m: NDArray[np.float64]
+    vel_ned_m_s: NDArray[np.float64]
+    q_ned_frd: NDArray[np.float64]
+
+
+def _poses(request: Advance, stations: int) -> _Poses | None:
+    """Poses of so many stations, or None if the request holds those of another number."""
+    pos_ned_m = unpack_rows(request.pos_ned_m, stations=stations, columns=3)
+    vel_ned_m_s = unpack_rows(request.vel_ned_m_s, stations=stations, columns=3)
+    q_ned_frd = unpack_rows(request.q_ned_frd, stations=stations, columns=4)
+    if pos_ned_m is None or vel_ned_m_s is None or q_ned_frd is None:
+        return None
+    return _Poses(pos_ned_m, vel_ned_m_s, q_ned_frd)
+
+
 def _log(path: str | None, dtype: np.dtype[Any]) -> RecordLog | None:
     return None if path is None else RecordLog(path, dtype)
 
@@ -164,6 +186,9 @@ def run(config_path: Path, *, supervised: bool) -> None:
     with contextlib.closing(server):
         if supervised:
             commands(Stop, inbox)
+        # what is there by now stays: no collection need look at it again
+        gc.collect()
+        gc.freeze()
         emit(Ready(name="radio", pid=os.getpid(), details={"endpoint": server.endpoint}))
         details = server.serve()
     emit(Finished(name="radio", details=details))

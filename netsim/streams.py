@@ -49,3 +49,21 @@ class Uniforms:
             self._block = self._generator.random(self.BLOCK).tolist()
             self._block.reverse()
         return self._block.pop()
+
+
+class Normals:
+    """Standard normal floats from one Generator, in blocks for the same reason."""
+
+    __slots__ = ("_block", "_generator")
+    BLOCK = 256
+
+    def __init__(self, generator: np.random.Generator) -> None:
+        self._generator = generator
+        self._block: list[float] = []
+
+    def draw(self) -> float:
+        """Next float of the stream."""
+        if not self._block:
+            self._block = self._generator.standard_normal(self.BLOCK).tolist()
+            self._block.reverse()
+        return self._block.pop()

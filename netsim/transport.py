@@ -5,10 +5,19 @@ endpoint; there is no scouting, so runs on one machine or network never meet. Ev
 reply: nothing on the control path can be lost unnoticed.
 """
 
+import os
 from collections.abc import Callable
 
 import psutil
 import zenoh
+
+RUNTIME = """(
+    app: (worker_threads: 1),
+    rx: (handover: app), tx: (handover: app), acc: (handover: app), net: (handover: app)
+)"""
+"""Zenoh's thread pools in one thread: a question then wakes one thread of Zenoh's at each end instead of two
+or three. Python is called in threads beside it, one per served key, so that it never waits for Python.
+"""
 
 
 class TransportError(ConnectionError):
@@ -22,15 +31,14 @@ class Pending:
         self._replies = replies
 
     def answer(self) -> bytes | None:
-        """Wait for the answer.
+        """Wait for the answer, and not for Zenoh's word that no other will follow.
 
         None when none came within the question's time-out or nobody serves the key.
         """
-        result: bytes | None = None
-        for reply in self._replies:  # until the query is over
-            if reply.ok is not None and result is None:
-                result = reply.ok.payload.to_bytes()
-        return result
+        for reply in self._replies:  # ends with the query
+            if reply.ok is not None:
+                return bytes(reply.ok.payload.to_bytes())
+        return None
 
 
 class Asker:
@@ -104,6 +112,8 @@ class Transport:
 
 
 def _config(mode: str, verb: str, endpoint: str) -> zenoh.Config:
+    # Zenoh reads this once, when its first session opens
+    os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
     config = zenoh.Config()
     config.insert_json5("mode", f'"{mode}"')
     config.insert_json5("scouting/multicast/enabled", "false")
@@ -112,6 +122,8 @@ def _config(mode: str, verb: str, endpoint: str) -> zenoh.Config:
     # a listener that is not there is an error now, not something to retry behind the caller's back
     config.insert_json5(f"{verb}/timeout_ms", "2000" if verb == "connect" else "0")
     config.insert_json5(f"{verb}/exit_on_failure", "true")
+    # one queue per connection instead of one per priority: all messages here have the same
+    config.insert_json5("transport/unicast/qos/enabled", "false")
     return config
 
 

@@ -42,7 +42,7 @@ def _yaw_bounds(fixed: Array, yaw: Array, low: float, high: float) -> tuple[floa
 
 
 @njit(cache=True)
-def _allocate(
+def allocate(
     thrust: float,
     torque: Array,
     mix: Array,
@@ -50,8 +50,9 @@ def _allocate(
     highest: float,
     factor: float,
     controls: Array,
-) -> tuple[float, float, float]:
-    """Fill ``controls``; returns achieved collective, scale of roll and pitch, achieved yaw.
+    unallocated: Array,
+) -> float:
+    """Fill ``controls`` (4,) and ``unallocated`` (3,); returns the achieved collective.
 
     Torque may raise the collective up to ``highest``.
     """
@@ -91,7 +92,10 @@ def _allocate(
         else:
             root = sqrt(linear * linear + 4.0 * factor * relative_thrust)
             controls[i] = min((root - linear) / (2.0 * factor), 1.0)
-    return collective, scale, y
+    unallocated[0] = torque[0] * (1.0 - scale)
+    unallocated[1] = torque[1] * (1.0 - scale)
+    unallocated[2] = torque[2] - y
+    return float(collective)
 
 
 def effectiveness(params: AllocationParams) -> Array:
@@ -126,7 +130,8 @@ class Allocator:
         """Collective that was given last, 0..1"""
         self.unallocated: Array = np.zeros(3)
         """(3,) normalised roll, pitch and yaw torque that the last demand did not get"""
-        self._mix = mixer(params)
+        self.mix = mixer(params)
+        """(4, 3)"""
 
     def reset(self) -> None:
         """Nothing was asked and nothing given."""
@@ -139,10 +144,8 @@ class Allocator:
         ``thrust`` is collective. ``airmode`` lets torque raise it, which must not happen on the ground.
         """
         controls = np.empty(4)
-        self.thrust, scale, yaw = _allocate(
-            thrust, torque, self._mix, self.params.yaw_thrust_margin, 1.0 if airmode else 0.0,
-            self.params.thrust_model_factor, controls,
+        self.thrust = allocate(
+            thrust, torque, self.mix, self.params.yaw_thrust_margin, 1.0 if airmode else 0.0,
+            self.params.thrust_model_factor, controls, self.unallocated,
         )  # fmt: skip
-        self.unallocated[:2] = torque[:2] * (1.0 - scale)
-        self.unallocated[2] = torque[2] - yaw
         return controls

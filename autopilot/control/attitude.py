@@ -21,7 +21,7 @@ from autopilot.types import Array, AttitudeSetpoint
 
 
 @njit(cache=True)
-def _rates(
+def rate_setpoint(
     q_ned_frd: Array,
     q_ned_setpoint: Array,
     yaw_rate_rad_s: float,
@@ -67,23 +67,23 @@ class AttitudeController:
     def __init__(self, params: AttitudeParams) -> None:
         self.tilt_cosine = 1.0
         """Cosine of the angle between the wanted and the present thrust axis at the last `update`"""
-        self._yaw_weight = params.yaw_weight
+        self.yaw_weight = params.yaw_weight
         # only the weighted part of a yaw error enters the error quaternion: undo that in the gain
         yaw_gain = params.yaw_p / params.yaw_weight if params.yaw_weight > 1e-4 else 0.0
-        self._gain: Array = np.array((params.roll_p, params.pitch_p, yaw_gain))
-        self._rate_max_rad_s: Array = np.array(
+        self.gain: Array = np.array((params.roll_p, params.pitch_p, yaw_gain))
+        self.rate_max_rad_s: Array = np.array(
             (params.roll_rate_max_rad_s, params.pitch_rate_max_rad_s, params.yaw_rate_max_rad_s)
         )
 
     def update(self, q_ned_frd: Array, setpoint: AttitudeSetpoint) -> Array:
         """(3,) body rate setpoint, FRD, within the limits; the setpoint's yaw rate is about NED down."""
         rate: Array
-        rate, self.tilt_cosine = _rates(
+        rate, self.tilt_cosine = rate_setpoint(
             q_ned_frd,
             setpoint.q_ned_frd,
             setpoint.yaw_rate_rad_s,
-            self._gain,
-            self._yaw_weight,
-            self._rate_max_rad_s,
+            self.gain,
+            self.yaw_weight,
+            self.rate_max_rad_s,
         )
         return rate

@@ -8,6 +8,7 @@ from autopilot.control.allocation import Allocator
 from autopilot.control.attitude import AttitudeController
 from autopilot.control.disturbance import DisturbanceObserver
 from autopilot.control.hover_thrust import HoverThrustEstimator
+from autopilot.control.inner_loop import InnerLoop
 from autopilot.control.params import ControlParams
 from autopilot.control.position import PositionController, PositionOutput
 from autopilot.control.rates import RateController
@@ -28,16 +29,15 @@ class FlightController:
         self.params = params
         self.attitude_setpoint: AttitudeSetpoint | None = None
         """What the attitude controller follows; None while the motors idle"""
-        self.rate_setpoint_frd_rad_s: Array = np.zeros(3)
-        self.torque: Array = np.zeros(3)
-        """(3,) normalised torque asked of the motors, FRD"""
         share = params.disturbance.integral_share if params.disturbance.enabled else 1.0
         self._position = PositionController(params.position, integral_share=share)
         self._disturbance = DisturbanceObserver(params.disturbance)
         self._hover = HoverThrustEstimator(params.hover_thrust, start=params.position.thr_hover)
-        self._attitude = AttitudeController(params.attitude)
         self._rates = RateController(params.rate)
         self._allocator = Allocator(params.allocation)
+        self._inner = InnerLoop(AttitudeController(params.attitude), self._rates, self._allocator)
+        # at the least thrust it may be touching down: torque against the ground must not lift it again
+        self._airmode_above = params.position.thr_min * _ABOVE_LEAST
         self._takeoff = TakeoffRamp(params.position)
         self._setpoint: TrajectorySetpoint | None = None
         self._position_output: PositionOutput | None = None
@@ -50,6 +50,16 @@ class FlightController:
     def thrust(self) -> float:
         """Collective thrust that the motors were told to give, 0..1 of full."""
         return self._allocator.thrust
+
+    @property
+    def rate_setpoint_frd_rad_s(self) -> Array:
+        """(3,) what the rate controller follows."""
+        return self._inner.rate_setpoint_frd_rad_s.copy()
+
+    @property
+    def torque(self) -> Array:
+        """(3,) normalised torque asked of the motors, FRD."""
+        return self._inner.torque.copy()
 
     @property
     def hover_thrust(self) -> float:
@@ -81,12 +91,9 @@ class FlightController:
         self._yaw_rad = None
         self._disturbance.reset()
         self._hover.reset()
-        self._rates.reset()
-        self._allocator.reset()
+        self._inner.reset()
         self._takeoff.reset()
         self.attitude_setpoint = None
-        self.rate_setpoint_frd_rad_s = np.zeros(3)
-        self.torque = np.zeros(3)
         return np.zeros(4)
 
     def update(
@@ -121,18 +128,11 @@ class FlightController:
             attitude = setpoint
         self.attitude_setpoint = attitude
 
-        self.rate_setpoint_frd_rad_s = self._attitude.update(state.q_ned_frd, attitude)
-        self.torque = self._rates.update(
-            state.omega_frd_rad_s, self.rate_setpoint_frd_rad_s, self._allocator.unallocated, dt_s=dt_s,
-            integrate=not landed,
+        return self._inner.update(
+            state.q_ned_frd, state.omega_frd_rad_s, attitude, dt_s=dt_s,
+            by_tilt=isinstance(setpoint, TrajectorySetpoint), integrate=not landed,
+            airmode_above=math.inf if landed else self._airmode_above,
         )  # fmt: skip
-        # at the least thrust it may be touching down: torque against the ground must not lift it again
-        airmode = not landed and attitude.thrust > self.params.position.thr_min * _ABOVE_LEAST
-        thrust = attitude.thrust
-        if isinstance(setpoint, TrajectorySetpoint):
-            # the share of the wanted thrust vector that lies along the present axis: none while upside down
-            thrust *= max(self._attitude.tilt_cosine, 0.0)
-        return self._allocator.allocate(thrust, self.torque, airmode=airmode)
 
     def _follow(
         self, state: EstimatorState, setpoint: TrajectorySetpoint, *, dt_s: float, phase: Phase
@@ -167,8 +167,8 @@ class FlightController:
 
     def _learn_hover_thrust(self, state: EstimatorState, output: PositionOutput, dt_s: float) -> None:
         """Vertical acceleration against the thrust given; the velocity integral makes up for the change."""
-        q = state.q_ned_frd
-        up = float(1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2]))
+        _, x, y, _ = state.q_ned_frd.tolist()
+        up = 1.0 - 2.0 * (x * x + y * y)
         if up < _HOVER_LEARN_UP or not state.velocity_valid:
             return
         old = self.hover_thrust

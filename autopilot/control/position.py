@@ -5,7 +5,6 @@ to thrust by the hover thrust, limits in which the vertical goes before the hori
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -15,6 +14,9 @@ from autopilot.control.hover_thrust import GRAVITY_M_S2
 from autopilot.control.params import PositionParams
 from autopilot.estimation.rotation import quat_from_dcm
 from autopilot.types import Array, AttitudeSetpoint, EstimatorState, TrajectorySetpoint
+
+# rows of what `_control` decides
+VELOCITY, ACCELERATION, THRUST, ATTITUDE = range(4)
 
 
 @njit(cache=True)
@@ -100,11 +102,16 @@ def _attitude(thrust_ned: Array, yaw_rad: float) -> Array:
 
 @njit(cache=True)
 def _control(
-    wanted: Array, mask: NDArray[np.bool_], pos: Array, vel: Array, acc_filtered: Array, disturbance: Array,
-    dt_s: float, gains: Array, vel_max: Array, tilt_max: float, thr_limits: Array, hover: float,
-    yaw_rad: float, integral: Array,
-) -> tuple[Array, Array, Array, Array]:  # fmt: skip
-    """Velocity, acceleration, thrust, attitude. ``gains`` (4, 3): position P, velocity P, I, D."""
+    wanted: Array, mask: NDArray[np.bool_], pos: Array, vel: Array, acc: Array, alpha: float,
+    disturbance: Array, dt_s: float, gains: Array, vel_max: Array, tilt_max: float, thr_limits: Array,
+    hover: float, yaw_rad: float, acc_filtered: Array, integral: Array, decided: Array,
+) -> None:  # fmt: skip
+    """Fill ``decided`` (4, 4): velocity, acceleration, thrust (3,) each, attitude (4,).
+
+    ``gains`` (4, 3): position P, velocity P, I, D; ``alpha`` of the filter of the acceleration.
+    """
+    for i in range(3):
+        acc_filtered[i] += alpha * (acc[i] - acc_filtered[i])
     vel_sp = _velocity_setpoint(wanted, mask, pos, gains[0], vel_max[0], vel_max[1], vel_max[2])
     acc_sp = np.zeros(3)
     error = np.zeros(3)
@@ -133,20 +140,35 @@ def _control(
         if mask[0, i] or mask[1, i]:
             integral[i] += error[i] * gains[2, i] * dt_s
             integral[i] = min(max(integral[i], -GRAVITY_M_S2), GRAVITY_M_S2)
-    return vel_sp, acc_sp, thrust, _attitude(thrust, yaw_rad)
+    decided[VELOCITY, :3] = vel_sp
+    decided[ACCELERATION, :3] = acc_sp
+    decided[THRUST, :3] = thrust
+    decided[ATTITUDE] = _attitude(thrust, yaw_rad)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class PositionOutput:
     """What the position controller decided: each stage, for telemetry."""
 
-    attitude: AttitudeSetpoint
-    vel_ned_m_s: Array
-    """(3,) velocity setpoint; 0 on axes whose velocity is not controlled"""
-    acc_ned_m_s2: Array
-    """(3,) wanted acceleration over ground, before the disturbance is taken off"""
-    thrust_ned: Array
-    """(3,) of full thrust"""
+    __slots__ = ("_decided", "attitude")
+
+    def __init__(self, decided: Array, attitude: AttitudeSetpoint) -> None:
+        self._decided = decided
+        self.attitude = attitude
+
+    @property
+    def vel_ned_m_s(self) -> Array:
+        """(3,) velocity setpoint; 0 on axes whose velocity is not controlled."""
+        return self._decided[VELOCITY, :3]
+
+    @property
+    def acc_ned_m_s2(self) -> Array:
+        """(3,) wanted acceleration over ground, before the disturbance is taken off."""
+        return self._decided[ACCELERATION, :3]
+
+    @property
+    def thrust_ned(self) -> Array:
+        """(3,) of full thrust."""
+        return self._decided[THRUST, :3]
 
 
 class PositionController:
@@ -169,6 +191,9 @@ class PositionController:
         self._acc_filtered: Array = np.zeros(3)
         self._wanted: Array = np.zeros((3, 3))
         self._mask: NDArray[np.bool_] = np.zeros((3, 3), dtype=np.bool_)
+        self._vel_max: Array = np.array((p.xy_vel_max_m_s, p.z_vel_max_up_m_s, p.z_vel_max_dn_m_s))
+        self._taken: tuple[TrajectorySetpoint, bool, bool, bool] | None = None
+        """What ``_wanted`` and ``_mask`` were made of."""
 
     @property
     def integral(self) -> Array:
@@ -199,6 +224,33 @@ class PositionController:
         take-off ramps up.
         """
         p = self._params
+        self._take(state, setpoint)
+        alpha = 1.0 - math.exp(-2.0 * math.pi * p.acc_cutoff_hz * dt_s)
+        self._vel_max[1] = min(p.z_vel_max_up_m_s, climb_max_m_s)
+        decided = np.empty((4, 4))
+        _control(
+            self._wanted, self._mask, state.pos_ned_m, state.vel_ned_m_s, state.acc_ned_m_s2, alpha,
+            disturbance_ned_m_s2, dt_s, self._gains, self._vel_max, p.tilt_max_rad, self._thr_limits,
+            hover_thrust, yaw_rad, self._acc_filtered, self._integral, decided,
+        )  # fmt: skip
+        thrust = decided[THRUST, :3]
+        attitude = AttitudeSetpoint(
+            q_ned_frd=decided[ATTITUDE],
+            yaw_rate_rad_s=setpoint.yaw_rate_rad_s,
+            thrust=math.sqrt(thrust @ thrust),
+        )
+        return PositionOutput(decided, attitude)
+
+    def _take(self, state: EstimatorState, setpoint: TrajectorySetpoint) -> None:
+        """Lay a setpoint out for the kernel, unless that was done, without what the estimate cannot serve."""
+        taken = self._taken
+        if (
+            taken is not None
+            and taken[0] is setpoint
+            and taken[1:] == (state.position_valid, state.height_valid, state.velocity_valid)
+        ):
+            return
+        self._taken = (setpoint, state.position_valid, state.height_valid, state.velocity_valid)
         groups = (
             (setpoint.pos_ned_m, setpoint.pos_axes),
             (setpoint.vel_ned_m_s, setpoint.vel_axes),
@@ -216,15 +268,3 @@ class PositionController:
             self._mask[0] &= known
         if not state.velocity_valid:
             self._mask[:2] = False
-        alpha = 1.0 - math.exp(-2.0 * math.pi * p.acc_cutoff_hz * dt_s)
-        self._acc_filtered += alpha * (state.acc_ned_m_s2 - self._acc_filtered)
-        vel_max = np.array((p.xy_vel_max_m_s, min(p.z_vel_max_up_m_s, climb_max_m_s), p.z_vel_max_dn_m_s))
-        vel, acc, thrust, q = _control(
-            self._wanted, self._mask, state.pos_ned_m, state.vel_ned_m_s, self._acc_filtered,
-            disturbance_ned_m_s2, dt_s, self._gains, vel_max, p.tilt_max_rad, self._thr_limits, hover_thrust,
-            yaw_rad, self._integral,
-        )  # fmt: skip
-        attitude = AttitudeSetpoint(
-            q_ned_frd=q, yaw_rate_rad_s=setpoint.yaw_rate_rad_s, thrust=float(math.sqrt(thrust @ thrust))
-        )
-        return PositionOutput(attitude=attitude, vel_ned_m_s=vel, acc_ned_m_s2=acc, thrust_ned=thrust)

@@ -7,13 +7,14 @@ reset; the arithmetic is in ``kernels``, the delay in ``horizon``, the first sec
 
 import math
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 
 from autopilot.estimation import atmosphere, kernels
 from autopilot.estimation.alignment import Aligned, Alignment
 from autopilot.estimation.diagnostics import Aiding, EstimatorDiagnostics
-from autopilot.estimation.horizon import DelayedHorizon
+from autopilot.estimation.horizon import ACC, ESTIMATE, NOT_FINITE, OMEGA, STD, DelayedHorizon
 from autopilot.estimation.params import EstimatorParams
 from autopilot.estimation.rotation import quat_from_rotation_vector, quat_multiply
 from autopilot.navigation.geodesy import geodetic_to_ned
@@ -23,6 +24,7 @@ HORIZONTAL_RESET_US = 7_000_000
 HEIGHT_RESET_US = 5_000_000
 """Refused for longer, a measurement is believed and the state reset to it; PX4's times."""
 DEAD_RECKONING_US = 1_000_000
+NEVER_US = 1 << 62
 FIX_3D = 3
 ORIGIN_FIXES = 5
 HOLD_PERIOD_US = 200_000
@@ -61,33 +63,40 @@ class Estimator:
         self._heading = Aiding(np.zeros(1))
         self._held_pos_m: Array | None = None
         self._held_us = 0
-        self._reset_counter = 0
         self._time_us = -1
-        self._gyro_frd_rad_s = np.zeros(3)
+        self._due_us = 0
+        """Nothing is to be fused while the horizon is before this."""
+        self._aided_until_us = self._height_until_us = -1
+        """Up to which horizon velocity and position, and the height, count as known."""
+        estimate = np.zeros(ESTIMATE)
+        estimate[0] = 1.0
+        self.live = _state_over(estimate)
+        """The state at the last inertial sample: the one object, rewritten by the next sample, for those who
+        read it and keep nothing."""
         self._state: EstimatorState | None = None
 
     # -- sensors
 
     def on_imu(self, sample: ImuSample) -> None:
         """Take the inertial sample of the interval that ends at its time, and bring the state there."""
-        finite = kernels.all_finite(sample.accel_frd_m_s2) and kernels.all_finite(sample.gyro_frd_rad_s)
-        if sample.time_us <= self._time_us or not finite:
+        if sample.time_us <= self._time_us:
+            return
+        if self._filter is None:
+            self._align(sample)
+            return
+        horizon_us = self._filter.add(sample.time_us, sample.gyro_frd_rad_s, sample.accel_frd_m_s2)
+        if horizon_us == NOT_FINITE:
             return
         self._time_us = sample.time_us
-        self._gyro_frd_rad_s[:] = sample.gyro_frd_rad_s
-        self._state = None
-        if self._filter is None:
-            aligned = self._alignment.add_imu(sample)
-            if aligned is not None:
-                self._start(aligned)
-            return
-        self._filter.add(sample.time_us, sample.gyro_frd_rad_s, sample.accel_frd_m_s2)
-        self._fuse_due(self._filter)
+        if horizon_us >= self._due_us:
+            self._fuse_due(self._filter, horizon_us)
+        self._bring_up_to_date(horizon_us)
 
     def on_gps(self, fix: GpsFix) -> None:
         """Take a fix; it is fused when the horizon reaches ``fix.time_us`` less the delay."""
         if self._filter is not None:
             self._fixes.append(fix)
+            self._due_us = 0
 
     def on_baro(self, time_us: int, pressure_hpa: float, temperature_degc: float) -> None:  # noqa: ARG002
         """Take a static pressure.
@@ -102,6 +111,7 @@ class Estimator:
             self._alignment.add_baro(altitude_m)
         else:
             self._baros.append((time_us, altitude_m))
+            self._due_us = 0
 
     def on_mag(self, time_us: int, field_frd_gauss: Array) -> None:
         """Take a magnetic field, (3,) FRD."""
@@ -111,14 +121,19 @@ class Estimator:
             self._alignment.add_mag(field_frd_gauss)
         else:
             self._mags.append((time_us, field_frd_gauss.copy()))
+            self._due_us = 0
 
     # -- results
 
     @property
     def state(self) -> EstimatorState:
-        """The state at the last inertial sample; its standard deviations are the delayed horizon's."""
+        """The state at the last inertial sample, to keep; its deviations are the delayed horizon's."""
         if self._state is None:
-            self._state = self._make_state()
+            live = self.live
+            self._state = replace(
+                live,
+                **{name: getattr(live, name).copy() for name in _ARRAYS},
+            )
         return self._state
 
     @property
@@ -140,6 +155,18 @@ class Estimator:
 
     # -- what is fused
 
+    def _align(self, sample: ImuSample) -> None:
+        gyro_frd_rad_s = sample.gyro_frd_rad_s
+        if not (kernels.all_finite(sample.accel_frd_m_s2) and kernels.all_finite(gyro_frd_rad_s)):
+            return
+        self._time_us = sample.time_us
+        self.live.omega_frd_rad_s[:] = gyro_frd_rad_s
+        aligned = self._alignment.add_imu(sample)
+        if aligned is not None:
+            self._start(aligned)
+            self.live.omega_frd_rad_s[:] = gyro_frd_rad_s - self.live.gyro_bias_rad_s
+        self._bring_up_to_date(self._time_us)
+
     def _start(self, aligned: Aligned) -> None:
         self._ground_altitude_m = aligned.baro_altitude_m
         self._height.accepted_us = self._time_us
@@ -151,21 +178,51 @@ class Estimator:
             delay_us=self._params.gps_delay_us,
             noise_psd=np.array(self._params.process_noise_psd),
         )
+        self.live = _state_over(self._filter.estimate)
+        self.live.attitude_valid = True
+        self._note_validity()
 
-    def _fuse_due(self, delayed: DelayedHorizon) -> None:
+    def _bring_up_to_date(self, horizon_us: int) -> None:
+        """Set what the kernels do not write of the live state."""
+        live = self.live
+        live.time_us = self._time_us
+        aided = horizon_us <= self._aided_until_us
+        live.velocity_valid = aided
+        live.position_valid = aided and self._origin_deg_m is not None
+        live.height_valid = horizon_us <= self._height_until_us
+        self._state = None
+
+    def _note_validity(self) -> None:
+        """Set until when the state counts as known, from what was accepted last."""
+        for aiding in (self._velocity, self._position):
+            if aiding.accepted_us is not None:
+                until_us = aiding.accepted_us + self._params.no_aid_timeout_us
+                self._aided_until_us = max(self._aided_until_us, until_us)
+        if self._height.accepted_us is not None:
+            self._height_until_us = self._height.accepted_us + HEIGHT_RESET_US
+
+    def _fuse_due(self, delayed: DelayedHorizon, horizon_us: int) -> None:
         """Fuse what the horizon has reached."""
-        horizon_us = delayed.horizon_us
+        mags, baros, fixes = self._mags, self._baros, self._fixes
+        delay_us = self._params.gps_delay_us
         corrected = False
-        while self._mags and self._mags[0][0] <= horizon_us:
-            corrected |= self._fuse_mag(delayed, *self._mags.popleft())
-        while self._baros and self._baros[0][0] <= horizon_us:
-            corrected |= self._fuse_baro(delayed, *self._baros.popleft())
-        while self._fixes and self._fixes[0].time_us - self._params.gps_delay_us <= horizon_us:
-            corrected |= self._fuse_fix(delayed, self._fixes.popleft())
+        while mags and mags[0][0] <= horizon_us:
+            corrected |= self._fuse_mag(delayed, *mags.popleft())
+        while baros and baros[0][0] <= horizon_us:
+            corrected |= self._fuse_baro(delayed, *baros.popleft())
+        while fixes and fixes[0].time_us - delay_us <= horizon_us:
+            corrected |= self._fuse_fix(delayed, fixes.popleft())
         if horizon_us - self._held_us >= HOLD_PERIOD_US:
             corrected |= self._hold_position(delayed)
         if corrected:
             delayed.corrected()
+        self._note_validity()
+        self._due_us = min(
+            self._held_us + HOLD_PERIOD_US,
+            mags[0][0] if mags else NEVER_US,
+            baros[0][0] if baros else NEVER_US,
+            fixes[0].time_us - delay_us if fixes else NEVER_US,
+        )
 
     def _fuse_mag(self, delayed: DelayedHorizon, time_us: int, field_frd_gauss: Array) -> bool:
         innovation_rad = kernels.heading_innovation(delayed.x, field_frd_gauss, self._field_ned)
@@ -290,7 +347,7 @@ class Estimator:
 
     def _note_reset(self, aiding: Aiding, measured_us: int) -> None:
         aiding.accepted_us = measured_us
-        self._reset_counter += 1
+        self.live.reset_counter += 1
 
     def _unaided(self, horizon_us: int, timeout_us: int) -> bool:
         return self._velocity.absent(horizon_us, timeout_us) and self._position.absent(horizon_us, timeout_us)
@@ -315,6 +372,8 @@ class Estimator:
             math.remainder(first_lon_deg + lon_offset_deg, 360.0),
             sum(fix.alt_m for fix in fixes) / len(fixes) + down_m,
         )
+        live = self.live
+        live.origin_lat_deg, live.origin_lon_deg, live.origin_alt_m = self._origin_deg_m
         fixes.clear()
 
     def _horizontal_pos_m(self, fix: GpsFix) -> Array:
@@ -329,40 +388,33 @@ class Estimator:
         )
         return pos_ned_m[:2]
 
-    def _make_state(self) -> EstimatorState:
-        delayed = self._filter
-        lat_deg, lon_deg, alt_m = self._origin_deg_m or (0.0, 0.0, 0.0)
-        if delayed is None:
-            now, acc_ned_m_s2, std = np.zeros(kernels.STATES), np.zeros(3), np.zeros(kernels.ERRORS)
-            now[0] = 1.0
-            aided = height_valid = False
-        else:
-            now, acc_ned_m_s2, std = (
-                delayed.now.copy(),
-                delayed.acc_ned_m_s2.copy(),
-                np.sqrt(delayed.cov.diagonal()),
-            )
-            aided = not self._unaided(delayed.horizon_us, self._params.no_aid_timeout_us)
-            height_valid = not self._height.absent(delayed.horizon_us, HEIGHT_RESET_US)
-        gyro_bias_rad_s = now[kernels.GYRO_BIAS : kernels.ACCEL_BIAS]
-        return EstimatorState(
-            time_us=max(self._time_us, 0),
-            q_ned_frd=now[:4],
-            vel_ned_m_s=now[kernels.VEL : kernels.POS],
-            pos_ned_m=now[kernels.POS : kernels.GYRO_BIAS],
-            omega_frd_rad_s=self._gyro_frd_rad_s - gyro_bias_rad_s,
-            acc_ned_m_s2=acc_ned_m_s2,
-            gyro_bias_rad_s=gyro_bias_rad_s,
-            accel_bias_m_s2=now[kernels.ACCEL_BIAS :],
-            pos_std_m=std[6:9],
-            vel_std_m_s=std[3:6],
-            attitude_std_rad=std[0:3],
-            origin_lat_deg=lat_deg,
-            origin_lon_deg=lon_deg,
-            origin_alt_m=alt_m,
-            attitude_valid=delayed is not None,
-            velocity_valid=aided,
-            position_valid=aided and self._origin_deg_m is not None,
-            height_valid=height_valid,
-            reset_counter=self._reset_counter,
-        )
+
+_ARRAYS = (
+    "q_ned_frd", "vel_ned_m_s", "pos_ned_m", "omega_frd_rad_s", "acc_ned_m_s2", "gyro_bias_rad_s",
+    "accel_bias_m_s2", "pos_std_m", "vel_std_m_s", "attitude_std_rad",
+)  # fmt: skip
+
+
+def _state_over(estimate: Array) -> EstimatorState:
+    """Give a state that is nothing but views of the horizon's estimate, as yet not valid."""
+    return EstimatorState(
+        time_us=0,
+        q_ned_frd=estimate[: kernels.VEL],
+        vel_ned_m_s=estimate[kernels.VEL : kernels.POS],
+        pos_ned_m=estimate[kernels.POS : kernels.GYRO_BIAS],
+        omega_frd_rad_s=estimate[OMEGA : OMEGA + 3],
+        acc_ned_m_s2=estimate[ACC : ACC + 3],
+        gyro_bias_rad_s=estimate[kernels.GYRO_BIAS : kernels.ACCEL_BIAS],
+        accel_bias_m_s2=estimate[kernels.ACCEL_BIAS : kernels.STATES],
+        pos_std_m=estimate[STD + 6 : STD + 9],
+        vel_std_m_s=estimate[STD + 3 : STD + 6],
+        attitude_std_rad=estimate[STD : STD + 3],
+        origin_lat_deg=0.0,
+        origin_lon_deg=0.0,
+        origin_alt_m=0.0,
+        attitude_valid=False,
+        velocity_valid=False,
+        position_valid=False,
+        height_valid=False,
+        reset_counter=0,
+    )

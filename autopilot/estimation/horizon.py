@@ -7,112 +7,156 @@ integrated anew from the corrected state whenever a measurement was fused (30 sa
 That is the exact prediction, has no time constant to tune, and needs no special case for resets.
 """
 
+import math
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from autopilot.estimation.kernels import error_transition, integrate, predict_covariance
+from autopilot.estimation.kernels import (
+    GYRO_BIAS,
+    STATES,
+    all_finite,
+    error_transition,
+    integrate,
+    predict_covariance,
+)
 from autopilot.types import Array
 
 SHORTEST_SAMPLE_US = 1_000
 """The ring holds the delay's worth of samples this close; faster ones shorten the horizon, nothing else."""
+
+# The estimate: all that a step tells the rest of the vehicle, in one array. The state now comes first.
+ACC = STATES
+"""Acceleration over ground, (3,) NED"""
+OMEGA = ACC + 3
+"""Body rates less the gyro's bias, (3,) FRD"""
+STD = OMEGA + 3
+STDS = 9
+"""Standard deviations at the horizon: attitude, velocity, position, (3,) each"""
+ESTIMATE = STD + STDS
+
+# the cursor: slots of the ring, then simulated times
+OLDEST, WAITING, HORIZON_US, NEWEST_US, DELAY_US = range(5)
+NOT_FINITE = -1
+
+
+@njit(cache=True)
+def describe(cov: Array, gyro_frd_rad_s: Array, estimate: Array) -> None:
+    """Write rates and standard deviations into the estimate."""
+    for i in range(3):
+        estimate[OMEGA + i] = gyro_frd_rad_s[i] - estimate[GYRO_BIAS + i]
+    for i in range(STDS):
+        estimate[STD + i] = math.sqrt(max(cov[i, i], 0.0))
 
 
 @njit(cache=True)
 def advance(
     x: Array,
     cov: Array,
-    now: Array,
+    estimate: Array,
     samples: Array,
     times_us: NDArray[np.int64],
     cursor: NDArray[np.int64],
+    noise_psd: Array,
     time_us: int,
-    horizon_limit_us: int,
     gyro_frd_rad_s: Array,
     accel_frd_m_s2: Array,
-    dt_s: float,
-    noise_psd: Array,
-    acc_ned_m_s2: Array,
-) -> None:
-    """Put a sample into the ring and move ``x`` and ``cov`` on to the newest not after the limit.
+) -> int:
+    """Put a sample into the ring, move ``x`` and ``cov`` on to the newest that the delay lets through.
 
-    ``samples`` rows are gyro, accelerometer and interval; ``cursor`` is (oldest, waiting, horizon_us). The
-    state ``now`` moves by the new sample, whose acceleration goes to ``acc_ned_m_s2``.
+    ``samples`` rows are gyro, accelerometer and interval; ``estimate`` (ESTIMATE,) moves by the new sample.
+    Returns the horizon's time, or NOT_FINITE for a sample that is dropped.
     """
+    if not (all_finite(gyro_frd_rad_s) and all_finite(accel_frd_m_s2)):
+        return NOT_FINITE
     capacity = times_us.size
-    slot = (cursor[0] + cursor[1]) % capacity
+    slot = (cursor[OLDEST] + cursor[WAITING]) % capacity
+    dt_s = (time_us - cursor[NEWEST_US]) * 1e-6
+    cursor[NEWEST_US] = time_us
     samples[slot, 0:3] = gyro_frd_rad_s
     samples[slot, 3:6] = accel_frd_m_s2
     samples[slot, 6] = dt_s
     times_us[slot] = time_us
-    cursor[1] += 1
-    while cursor[1] > 0 and (times_us[cursor[0]] <= horizon_limit_us or cursor[1] == capacity):
-        sample = samples[cursor[0]]
+    cursor[WAITING] += 1
+    limit_us = time_us - cursor[DELAY_US]
+    while cursor[WAITING] > 0 and (times_us[cursor[OLDEST]] <= limit_us or cursor[WAITING] == capacity):
+        sample = samples[cursor[OLDEST]]
         from_bias, vel_from_attitude = error_transition(x, sample[3:6], sample[6])
         integrate(x, sample[0:3], sample[3:6], sample[6])
         predict_covariance(cov, from_bias, vel_from_attitude, noise_psd, sample[6])
-        cursor[2] = times_us[cursor[0]]
-        cursor[0] = (cursor[0] + 1) % capacity
-        cursor[1] -= 1
-    acc_ned_m_s2[:] = integrate(now, gyro_frd_rad_s, accel_frd_m_s2, dt_s)
+        cursor[HORIZON_US] = times_us[cursor[OLDEST]]
+        cursor[OLDEST] = (cursor[OLDEST] + 1) % capacity
+        cursor[WAITING] -= 1
+    estimate[ACC:OMEGA] = integrate(estimate[:STATES], gyro_frd_rad_s, accel_frd_m_s2, dt_s)
+    describe(cov, gyro_frd_rad_s, estimate)
+    return int(cursor[HORIZON_US])
 
 
 @njit(cache=True)
-def predict_now(x: Array, now: Array, samples: Array, cursor: NDArray[np.int64], acc_ned_m_s2: Array) -> None:
-    """Set ``now`` to ``x`` moved by all waiting samples; the last one's acceleration is written too."""
-    now[:] = x
-    for waiting in range(cursor[1]):
-        sample = samples[(cursor[0] + waiting) % samples.shape[0]]
-        acc_ned_m_s2[:] = integrate(now, sample[0:3], sample[3:6], sample[6])
+def predict_now(x: Array, cov: Array, estimate: Array, samples: Array, cursor: NDArray[np.int64]) -> None:
+    """Set the estimate to ``x`` moved by all waiting samples."""
+    estimate[:STATES] = x
+    capacity = samples.shape[0]
+    for waiting in range(cursor[WAITING]):
+        sample = samples[(cursor[OLDEST] + waiting) % capacity]
+        estimate[ACC:OMEGA] = integrate(estimate[:STATES], sample[0:3], sample[3:6], sample[6])
+    newest = samples[(cursor[OLDEST] + cursor[WAITING] - 1) % capacity]
+    describe(cov, newest[0:3], estimate)
 
 
 class DelayedHorizon:
-    """State and covariance at the horizon, the samples that wait, and the state now."""
+    """State and covariance at the horizon, the samples that wait, and the estimate of now."""
 
     def __init__(self, x: Array, cov: Array, *, time_us: int, delay_us: int, noise_psd: Array) -> None:
         self.x = x
         """(16,) nominal state at the horizon"""
         self.cov = cov
         """(15, 15) its covariance"""
-        self.now = x.copy()
+        self.estimate = np.zeros(ESTIMATE)
+        self.estimate[:STATES] = x
+        self.now = self.estimate[:STATES]
         """(16,) nominal state at ``time_us``"""
-        self.acc_ned_m_s2 = np.zeros(3)
-        self.time_us = time_us
-        self._delay_us = delay_us
+        self.acc_ned_m_s2 = self.estimate[ACC:OMEGA]
         self._noise_psd = noise_psd
         capacity = delay_us // SHORTEST_SAMPLE_US + 2
         self._samples = np.zeros((capacity, 7))
         self._times_us = np.zeros(capacity, dtype=np.int64)
-        self._cursor = np.array([0, 0, time_us], dtype=np.int64)
+        self._cursor = np.array([0, 0, time_us, time_us, delay_us], dtype=np.int64)
+        describe(cov, np.zeros(3), self.estimate)
+
+    @property
+    def time_us(self) -> int:
+        """Simulated time of the newest sample."""
+        return int(self._cursor[NEWEST_US])
 
     @property
     def horizon_us(self) -> int:
         """Simulated time that ``x`` and ``cov`` describe."""
-        return int(self._cursor[2])
+        return int(self._cursor[HORIZON_US])
 
-    def add(self, time_us: int, gyro_frd_rad_s: Array, accel_frd_m_s2: Array) -> None:
-        """Take the sample of the interval that ends at ``time_us``, which must be after the last one's."""
-        dt_s = (time_us - self.time_us) * 1e-6
-        self.time_us = time_us
-        advance(
+    def add(self, time_us: int, gyro_frd_rad_s: Array, accel_frd_m_s2: Array) -> int:
+        """Take the sample of the interval that ends at ``time_us``, which must be after the last one's.
+
+        Returns the horizon's time, or NOT_FINITE: such a sample changes nothing.
+        """
+        horizon_us: int = advance(
             self.x,
             self.cov,
-            self.now,
+            self.estimate,
             self._samples,
             self._times_us,
             self._cursor,
+            self._noise_psd,
             time_us,
-            time_us - self._delay_us,
             gyro_frd_rad_s,
             accel_frd_m_s2,
-            dt_s,
-            self._noise_psd,
-            self.acc_ned_m_s2,
         )
+        return horizon_us
 
     def corrected(self) -> None:
-        """Carry a change of ``x`` to ``now``."""
-        predict_now(self.x, self.now, self._samples, self._cursor, self.acc_ned_m_s2)
+        """Carry a change of ``x`` and ``cov`` to the estimate of now."""
+        predict_now(self.x, self.cov, self.estimate, self._samples, self._cursor)
 
     def reset(self, first: int, values: Array, variances: Array) -> None:
         """Set ``x[first : first + n]`` (velocity or position) and drop its correlations with the rest."""

@@ -10,16 +10,18 @@ over the corrected position. Nobody takes off before the shape of the formation 
 `SHAPE_STD_M`, or the wait for that has been in vain for `LOCALISE_TIMEOUT_US`.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common
 
 from autopilot.config import OnboardConfig, Site
 from autopilot.onboard import beacon as wire
-from autopilot.onboard.commands import ARM, LAND, OFFBOARD, CommandSender, take_off
+from autopilot.onboard.commands import ARM, LAND, NEVER_US, OFFBOARD, CommandSender, take_off
 from autopilot.onboard.formation import Correction, Reference, separation_radius_limit_m
 from autopilot.onboard.localisation import CLOCK_TOLERANCE_US, CooperativeLocalisation, LocalisationModel
 from autopilot.onboard.own_state import OwnState
@@ -54,13 +56,16 @@ _SETPOINT_MASK = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class OnboardOutput:
+class OnboardOutput(Struct, frozen=True):
     """What the application sends in one step."""
 
-    mavlink: list[common.MAVLink_message]
+    mavlink: Sequence[common.MAVLink_message]
     """To the own autopilot."""
     radio: tuple[TxItem, ...]
+
+
+NOTHING = OnboardOutput((), ())
+"""What most steps give."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +78,6 @@ class Estimate:
     """(3,) one sigma, the error of the formation as a whole included."""
     correction_ned_m: Array
     """(3,)"""
-    shape_std_m: float
-    """Expected rms error of the formation's horizontal shape; inf when distances do not support one."""
 
 
 class OnboardApp:
@@ -148,6 +151,8 @@ class OnboardApp:
         self._heartbeat_out_us = 0
         self._heartbeat_phase: Phase | None = None
         self._texts: list[common.MAVLink_message] = []
+        self._due_us = 0
+        """Nothing is to be done in a step that ends before this."""
 
     # ---- inputs
 
@@ -155,6 +160,8 @@ class OnboardApp:
         """Take a message of the own autopilot; those of no use here are ignored."""
         match msg.get_type():
             case "LOCAL_POSITION_NED":
+                if self._own.time_us < 0:
+                    self._due_us = 0
                 if self._own.on_local_position(msg, now_us) and self.localisation is not None:
                     odometry_ned_m, vel_ned_m_s = self._own.odometry_ned_m, self._own.vel_ned_m_s
                     self.localisation.on_odometry(
@@ -171,6 +178,7 @@ class OnboardApp:
                 self._own.on_heartbeat(msg, now_us)
             case "COMMAND_ACK":
                 self._commands.on_ack(msg, now_us)
+                self._due_us = 0
 
     def on_radio(self, item: Delivery | FtmResult, now_us: int) -> None:
         """Take what the radio received or measured."""
@@ -205,6 +213,8 @@ class OnboardApp:
         # The coming step is taken to be as long as the last, and the first as short as steps can be.
         step_us = min(max(now_us - self._now_us, 1_000), 20_000) if self._now_us >= 0 else 1_000
         self._now_us = now_us
+        if now_us + step_us <= self._due_us:
+            return NOTHING
         if now_us >= self._setpoint_us and self._own.time_us >= 0:
             self._correct(now_us)
             phase = self._next_phase(now_us)
@@ -228,22 +238,36 @@ class OnboardApp:
         if self._texts:
             mavlink += self._texts
             self._texts = []
-        return OnboardOutput(mavlink, self._radio_items(now_us, now_us + step_us))
+        radio = self._radio_items(now_us, now_us + step_us)
+        self._due_us = self.next_deadline_us()
+        return OnboardOutput(mavlink, radio) if mavlink or radio else NOTHING
+
+    def next_deadline_us(self) -> int:
+        """When `on_timer` next has something to do, if no message comes before; 0 until positions come."""
+        if self._own.time_us < 0:
+            return 0
+        ranging_us = int(self._ranging.next_us) if self._ranges else NEVER_US
+        commands_us = self._commands.next_deadline_us()
+        return min(self._setpoint_us, commands_us, self._heartbeat_out_us, self._beacon_us, ranging_us)
 
     @property
     def estimate(self) -> Estimate:
         """The present estimate; arrays are the caller's."""
-        correction_ned_m = np.array((*self._correction.ne_m, 0.0))
-        std_ned_m = np.array(
-            (self._model.gps_bias_std_m, self._model.gps_bias_std_m, self._model.height_std_m)
-        )
-        shape_std_m = float("inf")
+        correction_ned_m = np.zeros(3)
+        correction_ned_m[:2] = self._correction.ne_m
         if self.localisation is not None and self._supported:
             std_ned_m = self.localisation.std_ned_m()
-            shape_std_m = self.localisation.shape_std_m(self._now_us)
-        return Estimate(
-            self._own.autopilot_ned_m - correction_ned_m, std_ned_m, correction_ned_m, shape_std_m
-        )
+        else:
+            model = self._model
+            std_ned_m = np.array((model.gps_bias_std_m, model.gps_bias_std_m, model.height_std_m))
+        return Estimate(self._own.autopilot_ned_m - correction_ned_m, std_ned_m, correction_ned_m)
+
+    @property
+    def shape_std_m(self) -> float:
+        """Expected rms error of the formation's horizontal shape; inf when distances do not support one."""
+        if self.localisation is None or not self._supported:
+            return float("inf")
+        return self.localisation.shape_std_m(self._now_us)
 
     # ---- the radio
 
@@ -291,14 +315,17 @@ class OnboardApp:
                 self._beacon_slot_us
                 + self._rng.uniform(-BEACON_JITTER, BEACON_JITTER) * self._beacon_period_us
             )
-        ranging = self.localisation is not None and self.phase is not Phase.WAITING
-        if ranging and self._ranging.next_us < until_us:
+        if self._ranges and self._ranging.next_us < until_us:
             reachable = {peer for peer, heard_us in self._heard_us.items() if now_us - heard_us < SILENCE_US}
             items += [
                 FtmRequest(seq=self._next_seq(), at_us=at_us, peer=peer)
                 for at_us, peer in self._ranging.due(now_us, until_us, reachable)
             ]
         return tuple(items)
+
+    @property
+    def _ranges(self) -> bool:
+        return self.localisation is not None and self.phase is not Phase.WAITING
 
     def _beacon(self) -> wire.Beacon:
         self._beacon_sequence += 1
@@ -395,7 +422,7 @@ class OnboardApp:
             self._offboard_seen = False
             self._say("offboard left: yielding")
             return Phase.YIELDED
-        miss_m = float(np.linalg.norm(self._own_ned_m() - self._place_ned_m))
+        miss_m = math.dist(self._own_ned_m().tolist(), self._place_ned_m.tolist())
         if miss_m > self._config.on_station_tolerance_m:
             self._arrived_us = None
         elif self._arrived_us is None:

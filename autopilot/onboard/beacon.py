@@ -20,7 +20,8 @@ Times are on the clock that the formation shares. Positions are NED from the sit
 """
 
 import struct
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 VERSION = 1
 _HEADER = struct.Struct("<BBHBBQ3f3fI3ff")
@@ -36,8 +37,7 @@ _FAR_M = 1e6
 Vector = tuple[float, float, float]
 
 
-@dataclass(frozen=True, slots=True)
-class Fix:
+class Fix(Struct, frozen=True):
     """A GPS position of the antenna at ``time_ms``, the receiver's delay already taken off."""
 
     time_ms: int
@@ -46,8 +46,7 @@ class Fix:
     """Horizontal error, one sigma per axis, as the receiver states it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Distance:
+class Distance(Struct, frozen=True):
     """A distance that the sender measured to ``peer``."""
 
     peer: int
@@ -57,8 +56,7 @@ class Distance:
     """Of ``distance_m``, 0..65.535."""
 
 
-@dataclass(frozen=True, slots=True)
-class Beacon:
+class Beacon(Struct, frozen=True):
     """One beacon; ``time_us`` is that of the odometry and the velocity."""
 
     station: int

@@ -9,6 +9,8 @@ SILENCE_US = 500_000
 REFUSAL_US = 1_000_000
 """A refused command is tried anew after this: reasons such as a missing GPS fix pass."""
 
+NEVER_US = 1 << 62
+"""A deadline that does not come."""
 NAN = float("nan")
 
 
@@ -74,9 +76,13 @@ class CommandSender:
             self._confirmation = 0
             self._send_us = now_us + REFUSAL_US
 
+    def next_deadline_us(self) -> int:
+        """When the command is to be sent, or sent again; NEVER_US if none is."""
+        return NEVER_US if self._wanted is None or self.accepted else self._send_us
+
     def on_timer(self, now_us: int) -> list[common.MAVLink_message]:
         """COMMAND_LONG if one is due."""
-        if self._wanted is None or self.accepted or now_us < self._send_us:
+        if now_us < self.next_deadline_us() or self._wanted is None:
             return []
         message = common.MAVLink_command_long_message(
             self._target_system, 1, self._wanted.number, self._confirmation, *self._wanted.params

@@ -199,7 +199,7 @@ class CooperativeLocalisation:
     def std_ned_m(self) -> Array:
         """(3,) one sigma of the own position, the formation's place as a whole included."""
         base = STATES * self.own
-        return np.sqrt(np.diag(self.cov)[base : base + 3])
+        return np.sqrt(self.cov.diagonal()[base : base + 3])
 
     def shape_std_m(self, now_us: int) -> float:
         """Horizontal rms error to expect of the located UAVs' shape, aligned; inf with fewer than two."""

@@ -65,10 +65,8 @@ APPLICATION_HZ: dict[int, float] = {
     message_id: COMPANION_HZ[message_id]
     for message_id in (
         _HEARTBEAT,
-        common.MAVLINK_MSG_ID_ATTITUDE,
         common.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
         common.MAVLINK_MSG_ID_GPS_RAW_INT,
-        common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
         common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
     )
 }
@@ -96,8 +94,7 @@ class Streams:
     """The periodic messages of one link. While nobody listens only the heartbeat is formed."""
 
     def __init__(self, builders: Mapping[int, Builder], rates_hz: Mapping[int, float]) -> None:
-        self.active = True
-        """Somebody listens."""
+        self._active = True
         self._builders = builders
         self._default_us = {
             message_id: round(SECOND_US / rate_hz) for message_id, rate_hz in rates_hz.items()
@@ -108,16 +105,27 @@ class Streams:
         }
         self._deadline_us = 0
 
+    @property
+    def active(self) -> bool:
+        """Somebody listens."""
+        return self._active
+
+    @active.setter
+    def active(self, active: bool) -> None:
+        if active is not self._active:
+            self._active = active
+            self._deadline_us = 0
+
     def on_message(self, message: Message, now_us: int) -> Sequence[Message]:  # noqa: ARG002
         """Rates are set by commands: see `CommandService`."""
         return ()
 
     def on_timer(self, now_us: int) -> Sequence[Message]:
         """Messages that are due."""
-        if not self.active:
-            return self._heartbeat_alone(now_us)
         if now_us < self._deadline_us:
             return ()
+        if not self._active:
+            return self._heartbeat_alone(now_us)
         messages = []
         deadline_us = NEVER_US
         for message_id, stream in self._streams.items():
@@ -135,10 +143,14 @@ class Streams:
 
     def _heartbeat_alone(self, now_us: int) -> Sequence[Message]:
         stream = self._streams.get(_HEARTBEAT)
-        if stream is None or now_us < stream.due_us:
+        if stream is None:
+            self._deadline_us = NEVER_US
             return ()
-        stream.postpone(now_us)
-        message = stream.build()
+        message = None
+        if now_us >= stream.due_us:
+            stream.postpone(now_us)
+            message = stream.build()
+        self._deadline_us = stream.due_us
         return () if message is None else [message]
 
     def next_deadline_us(self) -> int:

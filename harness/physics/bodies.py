@@ -70,6 +70,15 @@ def observe(before: Bodies, after: Bodies, gravity_m_s2: float, step_s: float) -
 
 
 @njit(cache=True)
+def in_body_axes(q_ned_frd: Array, vector_ned: Array) -> Array:
+    """One vector (3,) as each of n bodies at ``q_ned_frd`` (n, 4) sees it: (n, 3) FRD."""
+    vectors_frd = np.empty((q_ned_frd.shape[0], 3))
+    for vehicle in range(q_ned_frd.shape[0]):
+        vectors_frd[vehicle] = quat_rotate_inverse(q_ned_frd[vehicle], vector_ned)
+    return vectors_frd
+
+
+@njit(cache=True)
 def integrable_torques(inertia_kg_m2: Array, bodies: Bodies, torque_ned_n_m: Array, step_s: float) -> Array:
     """Torques (n, 3) to hand to Bullet, in newton metres, NED, so that those given act on the bodies.
 

@@ -7,6 +7,7 @@ from harness.physics.model import IRIS
 from harness.physics.world import World
 from harness.sensors.config import SensorsConfig
 from harness.sensors.suite import SensorSuite
+from harness.wind import GustyWind, WindConfig
 
 STEPS = 100
 _STEP_US = 4_000
@@ -24,11 +25,12 @@ def rehearse() -> None:
         seed=np.random.SeedSequence(0),
     )
     with World(model=IRIS, spawn_pos_ned_m=spawn_ned_m, spawn_yaw_rad=0.0, step_us=_STEP_US) as world:
+        wind = GustyWind(WindConfig(), vehicles, np.random.default_rng(0))
         for step in range(STEPS):
             sensors.sample(step * _STEP_US, world.truth)
             world.step(
                 np.full((vehicles, 4), 0.8),
                 np.ones(vehicles, dtype=bool),
-                np.ones((vehicles, 3)),
+                wind.step(_STEP_US * 1e-6),
                 rotors_stopped=np.zeros(vehicles, dtype=bool),
             )

@@ -12,10 +12,11 @@ import pybullet
 from numpy.typing import ArrayLike, NDArray
 
 from autopilot.types import Array
-from harness.physics.bodies import Bodies, integrable_torques, observe
+from harness.physics.bodies import Bodies, observe
 from harness.physics.frames import wxyz_from_xyzw
+from harness.physics.loads import loads
 from harness.physics.model import VehicleModel
-from harness.physics.rotors import kernel_model, rotor_speeds, wrenches
+from harness.physics.rotors import kernel_model
 from harness.physics.truth import Contact, Truth
 
 GRAVITY_M_S2 = 9.8066
@@ -56,8 +57,10 @@ class World:
 
         vehicles = len(spawn)
         self._rotor_speed_rad_s = np.zeros((vehicles, 4))
+        self._body_pos_m: list[tuple[float, float, float]] = []
         self._bodies = self._read_bodies()
         self._truth = self._observe(self._bodies, self._bodies)
+        self._contacts_read = True
         self._vehicle_contacts: tuple[Contact, ...] = ()
         self._on_ground = np.zeros(vehicles, dtype=np.bool_)
 
@@ -115,32 +118,30 @@ class World:
         """
         client = self._client
         before = self._bodies
-        self._rotor_speed_rad_s = rotor_speeds(
-            self._kernel_model, self._rotor_speed_rad_s, controls, armed & ~rotors_stopped
-        )
-        force_ned_n, torque_ned_n_m = wrenches(
+        self._rotor_speed_rad_s, force_ned_n, torque_ned_n_m = loads(
             self._kernel_model,
-            before.q_ned_frd,
-            before.vel_ned_m_s,
-            before.omega_ned_rad_s,
+            self._inertia_kg_m2,
+            before,
             self._rotor_speed_rad_s,
+            controls,
+            armed & ~rotors_stopped,
+            wind_force_ned_n,
+            self._step_s,
         )
-        force_ned_n += wind_force_ned_n
-        torque_ned_n_m = integrable_torques(self._inertia_kg_m2, before, torque_ned_n_m, self._step_s)
-        loads = zip(
+        per_body = zip(
             self._vehicle_of_body,
             force_ned_n.tolist(),
-            before.pos_ned_m.tolist(),
+            self._body_pos_m,
             torque_ned_n_m.tolist(),
             strict=True,
         )
-        for body, force_n, pos_m, torque_n_m in loads:
+        for body, force_n, pos_m, torque_n_m in per_body:
             pybullet.applyExternalForce(body, -1, force_n, pos_m, pybullet.WORLD_FRAME, client)
             pybullet.applyExternalTorque(body, -1, torque_n_m, pybullet.WORLD_FRAME, client)
         pybullet.stepSimulation(client)
         self._bodies = self._read_bodies()
         self._truth = self._observe(before, self._bodies)
-        self._read_contacts()
+        self._contacts_read = False
 
     @property
     def truth(self) -> Truth:
@@ -150,11 +151,13 @@ class World:
     @property
     def vehicle_contacts(self) -> tuple[Contact, ...]:
         """Pairs of vehicles that touched in the last step, in order of their numbers, each pair once."""
+        self._read_contacts()
         return self._vehicle_contacts
 
     @property
     def on_ground(self) -> NDArray[np.bool_]:
         """(n,) whether each vehicle touched the ground in the last step."""
+        self._read_contacts()
         return self._on_ground
 
     def close(self) -> None:
@@ -174,9 +177,11 @@ class World:
     def _read_bodies(self) -> Bodies:
         client = self._client
         rows = []
+        self._body_pos_m = []
         for body in self._vehicle_of_body:
             pos_ned_m, q_xyzw = pybullet.getBasePositionAndOrientation(body, client)
             vel_ned_m_s, omega_ned_rad_s = pybullet.getBaseVelocity(body, client)
+            self._body_pos_m.append(pos_ned_m)
             rows.append(pos_ned_m + q_xyzw + vel_ned_m_s + omega_ned_rad_s)
         state = np.array(rows)
         return Bodies(  # contiguous, so that every kernel is compiled for one layout only
@@ -192,6 +197,10 @@ class World:
         )
 
     def _read_contacts(self) -> None:
+        """Ask Bullet, once per step and only if somebody wants to know."""
+        if self._contacts_read:
+            return
+        self._contacts_read = True
         on_ground = np.zeros(len(self._vehicle_of_body), dtype=np.bool_)
         touching: dict[tuple[int, int], tuple[float, float, float]] = {}
         for point in pybullet.getContactPoints(physicsClientId=self._client):

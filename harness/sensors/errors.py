@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from autopilot.types import Array
+from harness.gauss_markov import STEPS_AHEAD, gauss_markov_path
 from harness.sensors.config import ErrorModel
 
 
@@ -13,7 +14,7 @@ class SensorError:
 
     ``shape`` is that of a sample: (n,) or (n, 3). The drift begins in its stationary distribution and is
     discretised exactly. Two normal draws per value and sample, always, so that streams do not depend on the
-    model's numbers.
+    model's numbers; they are drawn for many samples at once.
     """
 
     def __init__(
@@ -22,15 +23,31 @@ class SensorError:
         self._rng = rng
         self._kept = math.exp(-interval_s / model.drift_time_constant_s)
         drift_std = np.asarray(model.drift_std)
-        self._drift_step_std = drift_std * math.sqrt(1.0 - self._kept * self._kept)
+        self._drift_step_std = np.broadcast_to(
+            drift_std * math.sqrt(1.0 - self._kept * self._kept), shape
+        ).copy()
         self._white_std = model.white_std
         turn_on, drift = rng.standard_normal((2, *shape))
         self._turn_on = model.turn_on_std * turn_on
         self._drift: Array = drift_std * drift
+        self._errors = np.empty((0, *shape))
+        self._taken = 0
 
     def next(self) -> Array:
-        """Error of the next sample."""
-        drift, white = self._rng.standard_normal((2, *self._turn_on.shape))
-        self._drift = self._kept * self._drift + self._drift_step_std * drift
-        error: Array = self._turn_on + self._drift + self._white_std * white
+        """Error of the next sample; not to be written to."""
+        self.look_ahead()
+        error: Array = self._errors[self._taken]
+        self._taken += 1
         return error
+
+    def look_ahead(self) -> None:
+        """Have the next sample's error ready, so that `next` is quick. Changes no sample."""
+        if self._taken < len(self._errors):
+            return
+        draws = self._rng.standard_normal((STEPS_AHEAD, 2, *self._turn_on.shape))
+        # contiguous, so that the kernel is compiled for one layout only
+        drift, white = np.ascontiguousarray(draws[:, 0]), draws[:, 1]
+        drifts = gauss_markov_path(self._drift, self._kept, self._drift_step_std, drift)
+        self._drift = drifts[-1].copy()
+        self._errors = self._turn_on + drifts + self._white_std * white
+        self._taken = 0

@@ -7,9 +7,9 @@ import numpy as np
 
 from autopilot.config import Site
 from autopilot.estimation import atmosphere
-from autopilot.estimation.rotation import quat_rotate_inverse
 from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.types import Array
+from harness.physics.bodies import in_body_axes
 from harness.physics.truth import Truth
 from harness.sensors.config import PROFILES, ErrorModel, GpsModel, SensorsConfig
 from harness.sensors.errors import SensorError
@@ -112,6 +112,14 @@ class SensorSuite:
         self._gps_velocity_error_m_s = SensorError(
             velocity_error, shape=axes, interval_s=gps_interval_s, rng=gps_velocity
         )
+        self._errors = (
+            self._accel_error,
+            self._gyro_error,
+            self._mag_error,
+            self._baro_error_pa,
+            self._gps_position_error_m,
+            self._gps_velocity_error_m_s,
+        )
         self._eph_m = max(float(np.hypot(horizontal_std_m, self._gps_model.white_std_m)), LEAST_EPH_M)
         self._epv_m = max(float(np.hypot(vertical_std_m, self._gps_model.white_std_m)), LEAST_EPH_M)
         delay_steps = round(self._gps_model.delay_s * 1e6 / step_us)
@@ -129,13 +137,17 @@ class SensorSuite:
             gps=self._receivers() if self._is_due(time_us, self._gps_period_us) else None,
         )
 
+    def look_ahead(self) -> None:
+        """Draw what the next `sample` will need, while there is time. Changes no sample."""
+        for error in self._errors:
+            error.look_ahead()
+
     def _is_due(self, time_us: int, period_us: int) -> bool:
         """Whether a multiple of the period lies in the step that ends now."""
         return time_us // period_us != (time_us - self._step_us) // period_us
 
     def _magnetometers(self, truth: Truth) -> Array:
-        field_frd_gauss = np.array([quat_rotate_inverse(q, self._field_ned_gauss) for q in truth.q_ned_frd])
-        return field_frd_gauss + self._mag_error.next()
+        return in_body_axes(truth.q_ned_frd, self._field_ned_gauss) + self._mag_error.next()
 
     def _barometers(self, truth: Truth) -> BaroSamples:
         altitude_m = self._site.altitude_m - truth.pos_ned_m[:, 2]

@@ -35,6 +35,7 @@ from netsim.mac.station import Station
 from netsim.phy.medium import Transmission
 from netsim.phy.modes import PhyMode, phy_mode
 from netsim.phy.propagation import SPEED_OF_LIGHT_M_S, Trajectories, thermal_noise_mw
+from netsim.streams import Normals
 
 UNICAST_RETRY_LIMIT = 7
 PARAMETERS_BYTES = 11
@@ -157,7 +158,7 @@ class FtmRadio:
         self._queue = environment.queue
         self._clocks = clocks
         self._clock = clocks[station]
-        self._generator = generator
+        self._errors = Normals(generator)
         self._on_result = on_result
         self._mac: Station
         self._numbers = 0
@@ -217,7 +218,7 @@ class FtmRadio:
         session.arrivals[body.token] = _Arrival(
             t2_ps=self._arrival_stamp_ps(transmission, power_mw),
             t3_ps=self._clock.stamp_ps(1_000 * (end_ns + SIFS_NS)),
-            rate_ratio=true_ratio + ratio_std * float(self._generator.standard_normal()),
+            rate_ratio=true_ratio + ratio_std * self._errors.draw(),
             at_ns=end_ns,
             true_distance_m=self._true_distance_m(frame.source),
             power_mw=power_mw,
@@ -354,7 +355,7 @@ class FtmRadio:
         true_ps = 1_000 * transmission.start_ns
         true_ps += self._environment.trajectories.delay_ps(source, self._index, transmission.start_ns)
         std_ps = arrival_std_ps(self._floor_ps, self._bandwidth_mhz, power_mw / self._noise_mw)
-        error_ps = std_ps * float(self._generator.standard_normal())
+        error_ps = std_ps * self._errors.draw()
         error_ps += self._environment.calibration_bias_m(source, self._index) / SPEED_OF_LIGHT_M_S * 1e12
         return self._clock.stamp_ps(true_ps + round(error_ps))
 

@@ -10,7 +10,7 @@ from collections import deque
 from msgspec import Struct
 
 from netsim.frames import ACK_BYTES
-from netsim.kernel import NEVER_NS, Event
+from netsim.kernel import NEVER_NS, Event, EventQueue
 from netsim.mac.jobs import Job
 from netsim.phy.modes import phy_mode
 from netsim.streams import Uniforms
@@ -100,7 +100,7 @@ class Contender:
         if self.access is not None:
             if self.access_ns <= from_ns + SENSE_GUARD_NS:
                 return
-            self.access.action = None
+            EventQueue.cancel(self.access)
             self.access = None
             if self.fresh:
                 self.draw_backoff()

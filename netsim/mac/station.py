@@ -91,6 +91,7 @@ class Station:
         if self._silent or self._held >= self._queue_frames:
             job.done(job, Outcome.OVERFLOW)
             return
+        self._receiver.attentive = True
         contender = self._by_category[category]
         first = not contender.jobs
         contender.jobs.append(job)
@@ -135,14 +136,24 @@ class Station:
 
     def _freeze(self, from_ns: int) -> None:
         self._frozen = True
+        attentive = self._held > 0
         for contender in self._contenders:
             contender.freeze(from_ns)
+            if contender.backoff_slots:
+                attentive = True
+        # with nothing to send and no backoff to count, the station stays frozen until that changes
+        self._receiver.attentive = attentive
 
     def _resume(self) -> None:
         """Plan each queue's next access from what is known of the medium; what changes that calls again."""
         now = self._queue.now_ns
         receiver = self._receiver
-        if self._silent or self._current is not None or receiver.sending_until_ns > now:
+        if (
+            self._current is not None
+            or receiver.sending_until_ns > now
+            or self._silent
+            or not receiver.attentive
+        ):
             return
         busy = receiver.busy_until_ns > now
         # a busy period that the station cannot have sensed yet does not hold it back
@@ -300,6 +311,7 @@ class Station:
         self._current = None
         self._phase = Phase.IDLE
         self._wait_until_ns = self._queue.now_ns
+        self._receiver.attentive = True
         self._fail(contender)
         self._resume()
 
@@ -324,6 +336,7 @@ class Station:
         self._stop_waiting()
         self._current = None
         self._phase = Phase.IDLE
+        self._receiver.attentive = True
         contender.succeeded()
         self._give_up(contender, outcome)
         self._resume()
@@ -342,7 +355,7 @@ class Station:
 
     def on_sent(self, transmission: Transmission) -> None:
         """See `netsim.phy.medium.Listener`."""
-        if self._phase is Phase.SENDING and transmission.frame.kind not in {FrameKind.CTS, FrameKind.ACK}:
+        if self._phase is Phase.SENDING and not transmission.frame.is_answer:
             self._exchange_succeeded(Outcome.SENT)
         else:
             self._resume()
@@ -357,9 +370,10 @@ class Station:
         """See `netsim.phy.medium.Listener`."""
         frame = transmission.frame
         self._eifs_until_ns = 0
-        if frame.destination == self.index:
+        destination = frame.destination
+        if destination == self.index:
             self._received_own(transmission, power_mw, end_ns)
-        elif frame.destination == GROUP:
+        elif destination == GROUP:
             self._upper.on_frame(transmission, power_mw, end_ns, duplicate=False)
         else:
             nav_until_ns = end_ns + frame.nav_ns
@@ -367,7 +381,7 @@ class Station:
                 self._nav_until_ns = nav_until_ns
                 if frame.kind is FrameKind.RTS:
                     self._watch_rts(frame, end_ns)
-        if frame.kind is not FrameKind.CTS and frame.kind is not FrameKind.ACK:
+        if not frame.is_answer:
             self._heard[frame.source] = (end_ns, power_mw)
         if self._timed_out:
             self._exchange_failed()

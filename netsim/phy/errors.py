@@ -75,22 +75,23 @@ class ErrorModel:
     times bits).
     """
 
-    __slots__ = ("_clean_linear", "_log_hazard")
+    __slots__ = ("_log_hazard", "clean_linear")
 
     def __init__(self, mode: PhyMode) -> None:
         self._log_hazard: list[float] = []
-        self._clean_linear = inf
+        self.clean_linear = inf
+        """Ratio from which on the hazard is none."""
         for k in range(round((_LAST_DB - _FIRST_DB) / _STEP_DB) + 1):
             snr_linear = 10.0 ** ((_FIRST_DB + k * _STEP_DB) / 10.0)
             rate = coded_bit_error_rate(mode, snr_linear)
             if rate < _NEGLIGIBLE:
-                self._clean_linear = snr_linear
+                self.clean_linear = snr_linear
                 break
             self._log_hazard.append(log(-log1p(-min(rate, 1.0 - 1e-12))))
 
     def hazard_per_bit(self, sinr_linear: float) -> float:
         """Hazard of one data bit; log-linear between points 0.05 dB apart."""
-        if sinr_linear >= self._clean_linear:
+        if sinr_linear >= self.clean_linear:
             return 0.0
         table = self._log_hazard
         if sinr_linear <= 0.0:

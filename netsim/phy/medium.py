@@ -18,7 +18,7 @@ from netsim.config import RadioConfig
 from netsim.frames import GROUP, Frame
 from netsim.kernel import EventQueue
 from netsim.phy.errors import error_model
-from netsim.phy.modes import NON_HT_PREAMBLE_NS, phy_mode
+from netsim.phy.modes import NON_HT_PREAMBLE_NS, PhyMode, phy_mode
 from netsim.phy.propagation import LinkRow, Links, RicianFading, thermal_noise_mw
 from netsim.streams import Model, Streams, Uniforms
 
@@ -79,6 +79,7 @@ class Receiver:
     """One station's receiver: what it is locked on to and how long it senses the medium busy."""
 
     __slots__ = (
+        "attentive",
         "busy_from_ns",
         "busy_until_ns",
         "idle_before_ns",
@@ -94,6 +95,9 @@ class Receiver:
         self.index = index
         self.uniforms = uniforms
         self.listener: Listener
+        self.attentive = True
+        """Whether the listener wants `Listener.on_busy` and `Listener.on_air_changed`: most of the time most
+        stations have nothing to send, and it does not matter to them."""
         self.lock: Transmission | None = None
         self.locked_ns = -1
         """When it last found a preamble."""
@@ -113,8 +117,10 @@ class Receiver:
             self.busy_from_ns = from_ns
         elif until_ns <= self.busy_until_ns:
             return
-        self.busy_until_ns = max(until_ns, self.busy_until_ns)
-        self.listener.on_busy(from_ns)
+        if until_ns > self.busy_until_ns:
+            self.busy_until_ns = until_ns
+        if self.attentive:
+            self.listener.on_busy(from_ns)
 
 
 class Medium:
@@ -140,13 +146,18 @@ class Medium:
         self.noise_mw = thermal_noise_mw(config.bandwidth_mhz, config.noise_figure_db)
         self._preamble_mw = max(10.0 ** (config.cca_preamble_dbm / 10.0), PREAMBLE_SINR * self.noise_mw)
         self._signal_errors = error_model(phy_mode("ofdm6", config.bandwidth_mhz))
+        self._clean_linear: dict[str, float] = {}
+        """By mode: from this ratio on a frame cannot fail."""
         self._active: list[Transmission] = []
         self._busy_ns = 0
         self._busy_until_ns = 0
         self.receivers = [
             Receiver(i, Uniforms(streams.generator(Model.RECEPTION, i))) for i in range(stations)
         ]
-        self._listening = list(self.receivers)
+        self._others = [
+            [receiver for receiver in self.receivers if receiver.index != i] for i in range(stations)
+        ]
+        """By source: who can hear it."""
 
     def busy_ns(self) -> int:
         """Time up to now for which the medium carried at least one transmission."""
@@ -154,7 +165,9 @@ class Medium:
 
     def remove(self, station: int) -> None:
         """From now on this station hears nothing and is nobody's intended receiver."""
-        self._listening = [receiver for receiver in self._listening if receiver.index != station]
+        self._others = [
+            [receiver for receiver in others if receiver.index != station] for others in self._others
+        ]
         self.receivers[station].lock = None
 
     def start(self, frame: Frame) -> Transmission:
@@ -162,7 +175,10 @@ class Medium:
         now = self._queue.now_ns
         source = frame.source
         row = self._links.row(source, now)
-        powers_mw = row.powers_mw if self._fading is None else self._fading.apply(source, row.powers_mw)
+        powers_mw = row.powers_mw
+        if self._fading is not None:
+            gains = self._fading.gains(source)
+            powers_mw = [power_mw * gain for power_mw, gain in zip(powers_mw, gains, strict=True)]
         transmission = Transmission(frame, now, row, powers_mw)
         end_ns = transmission.end_ns
         overlaps = transmission.overlaps
@@ -171,23 +187,31 @@ class Medium:
                 overlaps.append(other)
                 other.overlaps.append(transmission)
         self._active.append(transmission)
-        self._busy_ns += max(0, end_ns - max(now, self._busy_until_ns))
-        self._busy_until_ns = max(end_ns, self._busy_until_ns)
+        if end_ns > self._busy_until_ns:
+            self._busy_ns += end_ns - max(now, self._busy_until_ns)
+            self._busy_until_ns = end_ns
         sender = self.receivers[source]
         sender.sending_until_ns = end_ns
         sender.lock = None
         energy_mw = self._energy_mw
         delays_ns = row.delays_ns
-        for receiver in self._listening:
+        for receiver in self._others[source]:
             r = receiver.index
-            if r == source:
-                continue
+            delay_ns = delays_ns[r]
             if overlaps:
                 until_ns = self._energy_until_ns(transmission, r)
                 if until_ns:
-                    receiver.occupy(now + delays_ns[r], until_ns)
+                    receiver.occupy(now + delay_ns, until_ns)
             elif powers_mw[r] >= energy_mw:
-                receiver.occupy(now + delays_ns[r], end_ns + delays_ns[r])
+                if now + delay_ns <= receiver.busy_until_ns:
+                    receiver.occupy(now + delay_ns, end_ns + delay_ns)
+                    continue
+                # what `occupy` comes down to on an idle medium
+                receiver.idle_before_ns = receiver.busy_until_ns
+                receiver.busy_from_ns = now + delay_ns
+                receiver.busy_until_ns = end_ns + delay_ns
+                if receiver.attentive:
+                    receiver.listener.on_busy(now + delay_ns)
         self._queue.at(now + PREAMBLE_DETECTION_NS, self._detect, transmission)
         self._queue.at(end_ns + row.longest_delay_ns, self._end, transmission)
         return transmission
@@ -210,17 +234,18 @@ class Medium:
     def _detect(self, transmission: Transmission) -> None:
         """Each free receiver looks for the preamble: strong enough, and 4 dB over noise and interference."""
         powers_mw, delays_ns = transmission.powers_mw, transmission.delays_ns
+        start_ns, end_ns = transmission.start_ns, transmission.end_ns
+        now = self._queue.now_ns
         least_mw = self._preamble_mw
-        for receiver in self._listening:
+        overlaps = transmission.overlaps
+        for receiver in self._others[transmission.source]:
             r = receiver.index
             power_mw = powers_mw[r]
-            if power_mw < least_mw or r == transmission.source:
+            arrival_ns = start_ns + delays_ns[r]
+            if power_mw < least_mw or receiver.sending_until_ns > arrival_ns:
                 continue
-            arrival_ns = transmission.start_ns + delays_ns[r]
-            if receiver.sending_until_ns > arrival_ns:
-                continue
-            if transmission.overlaps:
-                found_ns = arrival_ns + PREAMBLE_DETECTION_NS
+            found_ns = arrival_ns + PREAMBLE_DETECTION_NS
+            if overlaps:
                 floor_mw = self.noise_mw + self._interference_mw(transmission, r, arrival_ns, found_ns)
                 if power_mw < PREAMBLE_SINR * floor_mw:
                     continue
@@ -231,8 +256,11 @@ class Medium:
                 ):
                     continue
             receiver.lock = transmission
-            receiver.locked_ns = self._queue.now_ns
-            receiver.occupy(arrival_ns + PREAMBLE_DETECTION_NS, transmission.end_ns + delays_ns[r])
+            receiver.locked_ns = now
+            until_ns = end_ns + delays_ns[r]
+            # as a rule the energy has said so before
+            if until_ns > receiver.busy_until_ns or found_ns < receiver.busy_from_ns:
+                receiver.occupy(found_ns, until_ns)
 
     @staticmethod
     def _interference_mw(transmission: Transmission, r: int, from_ns: int, to_ns: int) -> float:
@@ -249,27 +277,23 @@ class Medium:
         self._active.remove(transmission)
         frame = transmission.frame
         destination = frame.destination
+        group = destination == GROUP
         powers_mw, delays_ns = transmission.powers_mw, transmission.delays_ns
-        for receiver in self._listening:
+        overlaps, noise_mw = transmission.overlaps, self.noise_mw
+        clean_linear = self._clean_linear.get(frame.mode.name) or self._cannot_fail(frame.mode)
+        for receiver in self._others[frame.source]:
             r = receiver.index
-            if r == frame.source:
-                continue
-            end_ns = transmission.end_ns + delays_ns[r]
-            locked = receiver.lock is transmission
-            intended = destination in (GROUP, r)
-            if not (locked or intended):
-                receiver.listener.on_air_changed()
-                continue
-            survived = locked
+            survived = locked = receiver.lock is transmission
             # one draw decides both whether the frame survives and whether it would have without the others
             draw: float | None = None
             if locked:
                 receiver.lock = None
-                survival = self._survival(transmission, r)
-                if survival < 1.0:
-                    draw = receiver.uniforms.draw()
-                    survived = draw < survival
-            if intended:
+                if overlaps or powers_mw[r] / noise_mw < clean_linear:
+                    survival = self._survival(transmission, r)
+                    if survival < 1.0:
+                        draw = receiver.uniforms.draw()
+                        survived = draw < survival
+            if group or destination == r:
                 if survived:
                     transmission.delivered.append(r)
                 elif self._would_survive_alone(transmission, receiver, draw):
@@ -277,12 +301,19 @@ class Medium:
                 else:
                     transmission.lost_to_noise.append(r)
             if survived:
-                receiver.listener.on_received(transmission, powers_mw[r], end_ns)
+                receiver.listener.on_received(transmission, powers_mw[r], transmission.end_ns + delays_ns[r])
             elif locked:
-                receiver.listener.on_error(end_ns)
-            receiver.listener.on_air_changed()
+                receiver.listener.on_error(transmission.end_ns + delays_ns[r])
+            if receiver.attentive:
+                receiver.listener.on_air_changed()
         self.receivers[frame.source].listener.on_sent(transmission)
         self._on_ended(transmission)
+
+    def _cannot_fail(self, mode: PhyMode) -> float:
+        """Ratio from which on neither signal field nor payload of a frame can fail."""
+        clean_linear = max(self._signal_errors.clean_linear, error_model(mode).clean_linear)
+        self._clean_linear[mode.name] = clean_linear
+        return clean_linear
 
     def _would_survive_alone(
         self, transmission: Transmission, receiver: Receiver, draw: float | None

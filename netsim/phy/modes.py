@@ -77,14 +77,11 @@ def phy_mode(name: Mode, bandwidth_mhz: BandwidthMhz) -> PhyMode:
     )
 
 
-@cache
 def response_mode(of: PhyMode) -> PhyMode:
     """Mode of the CTS or ACK that answers a frame.
 
     The highest mandatory rate (6, 12, 24 Mbit/s) not above the frame's. A VHT frame counts as the non-HT rate
     of its modulation (10.7.6.5.2, 10.7.10).
     """
-    fastest: Mode = (
-        "ofdm6" if of.bits_per_subcarrier == 1 else "ofdm12" if of.bits_per_subcarrier == 2 else "ofdm24"
-    )
-    return phy_mode(fastest, of.bandwidth_mhz)
+    bits = of.bits_per_subcarrier
+    return phy_mode("ofdm6" if bits == 1 else "ofdm12" if bits == 2 else "ofdm24", of.bandwidth_mhz)

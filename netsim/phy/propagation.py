@@ -53,6 +53,7 @@ class Trajectories:
     def set(self, to_ns: int, pos_ned_m: list[Position]) -> None:
         """Move the stations to these positions by ``to_ns``; the first call places them there."""
         if pos_ned_m == self._to:
+            self.version += self.moving  # what was computed on the way here does not hold here
             self.moving = False
         else:
             self.moving = self.version > 0
@@ -61,24 +62,26 @@ class Trajectories:
         self._from_ns = self._to_ns
         self._to, self._to_ns = pos_ned_m, to_ns
 
-    def position_ned_m(self, station: int, at_ns: int) -> Position:
-        """Where a station is; held before and after the known interval."""
-        end = self._to[station]
+    def positions_ned_m(self, at_ns: int) -> list[Position]:
+        """Where all stations are, by station; held before and after the known interval."""
         if not self.moving or at_ns >= self._to_ns:
-            return end
-        start = self._from[station]
-        s = max(0.0, (at_ns - self._from_ns) / (self._to_ns - self._from_ns))
-        return (
-            start[0] + s * (end[0] - start[0]),
-            start[1] + s * (end[1] - start[1]),
-            start[2] + s * (end[2] - start[2]),
-        )
+            return self._to
+        return self._between(self._from, self._to, at_ns)
 
     def distance_m(self, a: int, b: int, at_ns: int) -> float:
         """Distance between two stations."""
-        xa, ya, za = self.position_ned_m(a, at_ns)
-        xb, yb, zb = self.position_ned_m(b, at_ns)
+        pair = [self._to[a], self._to[b]]
+        if self.moving and at_ns < self._to_ns:
+            pair = self._between([self._from[a], self._from[b]], pair, at_ns)
+        (xa, ya, za), (xb, yb, zb) = pair
         return hypot(xa - xb, ya - yb, za - zb)
+
+    def _between(self, start: list[Position], end: list[Position], at_ns: int) -> list[Position]:
+        s = max(0.0, (at_ns - self._from_ns) / (self._to_ns - self._from_ns))
+        return [
+            (xa + s * (xb - xa), ya + s * (yb - ya), za + s * (zb - za))
+            for (xa, ya, za), (xb, yb, zb) in zip(start, end, strict=True)
+        ]
 
     def delay_ps(self, a: int, b: int, at_ns: int) -> int:
         """Propagation time between two stations, in picoseconds."""
@@ -124,8 +127,10 @@ class Links:
 
     def set_extra_attenuation_db(self, value: float | None) -> None:
         """Attenuation on every link from now on; None is the configured one."""
-        self._extra_db = self._config.extra_attenuation_db if value is None else value
-        self._update_gains()
+        extra_db = self._config.extra_attenuation_db if value is None else value
+        if extra_db != self._extra_db:
+            self._extra_db = extra_db
+            self._update_gains()
 
     def _update_gains(self) -> None:
         at_reference_dbm = (
@@ -147,21 +152,20 @@ class Links:
             and not (self._trajectories.moving and at_ns - self._row_ns[source] > ROW_LIFETIME_NS)
         ):
             return row
-        here = self._trajectories.position_ned_m(source, at_ns)
-        powers_mw, delays_ns, longest_ns = [], [], 0
-        for other, gain_mw in enumerate(self._gains[source]):
-            if other == source:
-                powers_mw.append(0.0)
-                delays_ns.append(0)
-                continue
-            x, y, z = self._trajectories.position_ned_m(other, at_ns)
-            distance_m = hypot(x - here[0], y - here[1], z - here[2])
-            power_mw = gain_mw * max(distance_m, REFERENCE_DISTANCE_M) ** -self._exponent
-            delay_ns = round(distance_m / SPEED_OF_LIGHT_M_S * 1e9)
-            powers_mw.append(power_mw)
-            delays_ns.append(delay_ns)
-            if power_mw > self._audible_mw:
-                longest_ns = max(longest_ns, delay_ns)
+        places_ned_m = self._trajectories.positions_ned_m(at_ns)
+        x0, y0, z0 = places_ned_m[source]
+        distances_m = [hypot(x - x0, y - y0, z - z0) for x, y, z in places_ned_m]
+        slope = -self._exponent
+        powers_mw = [
+            gain_mw * max(distance_m, REFERENCE_DISTANCE_M) ** slope
+            for gain_mw, distance_m in zip(self._gains[source], distances_m, strict=True)
+        ]
+        powers_mw[source] = 0.0
+        delays_ns = [round(distance_m / SPEED_OF_LIGHT_M_S * 1e9) for distance_m in distances_m]
+        audible_mw = self._audible_mw
+        longest_ns = max(
+            [delay for delay, mw in zip(delays_ns, powers_mw, strict=True) if mw > audible_mw], default=0
+        )
         row = LinkRow(powers_mw, delays_ns, longest_ns)
         self._rows[source], self._row_ns[source], self._row_version[source] = row, at_ns, version
         return row
@@ -183,25 +187,24 @@ class RicianFading:
         self._generators: list[list[np.random.Generator | None]] = [
             [None] * stations for _ in range(stations)
         ]
-        self._blocks: list[list[list[float]]] = [[[] for _ in range(stations)] for _ in range(stations)]
+        self._blocks: list[list[list[float]]] = [[] for _ in range(stations)]
+        """By source: gains of its next frames, last first, each by receiver."""
 
-    def apply(self, source: int, powers_mw: list[float]) -> list[float]:
-        """Powers of one frame at every station, each link's next gain applied."""
-        faded = []
-        for receiver, (power_mw, block) in enumerate(zip(powers_mw, self._blocks[source], strict=True)):
+    def gains(self, source: int) -> list[float]:
+        """Each link's next gain, by receiver; nothing for the source itself."""
+        block = self._blocks[source]
+        if not block:
+            self._refill(source, block)
+        return block.pop()
+
+    def _refill(self, source: int, block: list[list[float]]) -> None:
+        gains = np.zeros((self.BLOCK, len(self._generators)))
+        for receiver, generator in enumerate(self._generators[source]):
             if receiver == source:
-                faded.append(0.0)
                 continue
-            if not block:
-                self._refill(source, receiver, block)
-            faded.append(power_mw * block.pop())
-        return faded
-
-    def _refill(self, source: int, receiver: int, block: list[float]) -> None:
-        generator = self._generators[source][receiver]
-        if generator is None:
-            generator = self._streams.generator(Model.FADING, source, receiver)
-            self._generators[source][receiver] = generator
-        real, imaginary = generator.normal(0.0, self._scatter_std, (2, self.BLOCK))
-        block.extend(((self._line_of_sight + real) ** 2 + imaginary**2).tolist())
-        block.reverse()
+            if generator is None:
+                generator = self._streams.generator(Model.FADING, source, receiver)
+                self._generators[source][receiver] = generator
+            real, imaginary = generator.normal(0.0, self._scatter_std, (2, self.BLOCK))
+            gains[:, receiver] = (self._line_of_sight + real) ** 2 + imaginary**2
+        block.extend(gains[::-1].tolist())

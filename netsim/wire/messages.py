@@ -9,18 +9,21 @@ Times are simulated: integer microseconds (``_us``) at the host's side, nanoseco
 from typing import Annotated, TypeVar
 
 import msgspec
+import numpy as np
 from msgspec import Meta, Struct
+from numpy.typing import NDArray
 
-VERSION = 1
+VERSION = 2
 """First field of every message; a change of any message's fields raises it."""
 MAX_PAYLOAD_BYTES = 1472
 """Largest UDP payload that fits one 1500-byte IP packet."""
+_FLOAT64_BYTES = 8
 
 Station = Annotated[int, Meta(ge=0, le=65_535)]
 TimeUs = Annotated[int, Meta(ge=0)]
 TimeNs = Annotated[int, Meta(ge=0)]
-Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
+Rows = bytes
+"""A matrix of little-endian float64, row after row, one row per station: `pack_rows`, `unpack_rows`."""
 
 
 class Broadcast(Struct, frozen=True, kw_only=True, array_like=True, tag="b"):
@@ -112,11 +115,12 @@ class Advance(Struct, frozen=True, kw_only=True, array_like=True):
     to_us: TimeUs
     release_us: TimeUs
     """When the hosts may see what arrives in this interval."""
-    pos_ned_m: tuple[Vector, ...]
-    """One per station."""
-    vel_ned_m_s: tuple[Vector, ...]
-    q_ned_frd: tuple[Quaternion, ...]
-    """Body to NED, wxyz."""
+    pos_ned_m: Rows
+    """(stations, 3)"""
+    vel_ned_m_s: Rows
+    """(stations, 3)"""
+    q_ned_frd: Rows
+    """(stations, 4) body to NED, wxyz"""
     silent: tuple[Station, ...] = ()
     """Stations that are gone: their radios send and answer nothing."""
     extra_attenuation_db: float | None = None
@@ -155,3 +159,15 @@ def decode(kind: type[M], buffer: bytes) -> M | None:
     except (msgspec.DecodeError, ValueError, OverflowError, RecursionError):
         return None
     return message if message.version == VERSION else None
+
+
+def pack_rows(matrix: NDArray[np.float64]) -> Rows:
+    """Bytes of a matrix with one row per station."""
+    return matrix.astype("<f8", copy=False).tobytes()
+
+
+def unpack_rows(rows: Rows, *, stations: int, columns: int) -> NDArray[np.float64] | None:
+    """Matrix (stations, columns), or None if the bytes are not of that many numbers."""
+    if len(rows) != _FLOAT64_BYTES * stations * columns:
+        return None
+    return np.frombuffer(rows, "<f8").astype(np.float64).reshape(stations, columns)

@@ -8,7 +8,7 @@ from estimation_fixtures import STEP_S, Noise, errors, figure_eight, replay, res
 
 from autopilot.estimation.estimator import Estimator
 from autopilot.estimation.params import EstimatorParams
-from autopilot.types import ImuSample
+from autopilot.types import EstimatorState, ImuSample
 
 METRES_PER_DEGREE = 111_190.0
 QUIET_GPS = Noise(gps_bias_m=0.0, gps_pos_m=0.1)
@@ -212,3 +212,19 @@ def test_a_state_once_read_does_not_change():
     for name in ("q_ned_frd", "vel_ned_m_s", "pos_ned_m", "acc_ned_m_s2", "omega_frd_rad_s", "pos_std_m"):
         np.testing.assert_array_equal(getattr(early, name), getattr(again, name))
     assert not np.array_equal(early.pos_ned_m, states[-1].pos_ned_m)
+
+
+def test_the_live_state_is_rewritten_and_equals_the_one_to_keep():
+    flight = simulate(figure_eight, 4.0, np.random.default_rng(14))
+    estimator = Estimator(EstimatorParams())
+    states = replay(estimator, flight)
+    live, kept = estimator.live, states[-1]
+    for name in EstimatorState.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(live, name), getattr(kept, name))
+    earlier = states[step(3.0)].pos_ned_m.copy()
+    on = ImuSample(time_us=kept.time_us + 4_000, accel_frd_m_s2=np.zeros(3), gyro_frd_rad_s=np.zeros(3))
+    estimator.on_imu(on)
+    assert estimator.live is live
+    assert live.time_us == on.time_us
+    assert live.pos_ned_m.tolist() != kept.pos_ned_m.tolist()
+    np.testing.assert_array_equal(states[step(3.0)].pos_ned_m, earlier)

@@ -51,6 +51,11 @@ class Vehicles:
 
         threading.Thread(target=run, daemon=True).start()
 
+    def exchange(self, time_us, frames):
+        """Send the sensors of a step and wait for the answers."""
+        self.lockstep.send(frames)
+        return self.lockstep.answers(time_us)
+
     def close(self):
         self.lockstep.close()
         for client in self.clients:
@@ -84,7 +89,7 @@ def test_all_answers_of_the_step_come_back_and_stale_ones_do_not(vehicles):
     for i in range(3):
         three.answering(i, lag=4000 if i == 1 else 0)
     for time_us in (4000, 8000, 12_000):
-        answers = three.lockstep.exchange(time_us, [sensors(time_us)] * 3)
+        answers = three.exchange(time_us, [sensors(time_us)] * 3)
         assert [answer.time_usec for answer in answers] == [time_us] * 3
     assert three.lost == []
 
@@ -92,7 +97,7 @@ def test_all_answers_of_the_step_come_back_and_stale_ones_do_not(vehicles):
 def test_other_messages_are_passed_on_before_the_answer_counts(vehicles):
     one = vehicles(1)
     one.answering(0, before=[mavlink.MAVLink_heartbeat_message(2, 12, 129, 0, 4, 3)])
-    one.lockstep.exchange(4000, [sensors(4000)])
+    one.exchange(4000, [sensors(4000)])
     assert one.messages == [(0, "HEARTBEAT")]
 
 
@@ -100,22 +105,22 @@ def test_a_closed_connection_is_lost_at_once_and_the_others_go_on(vehicles):
     two = vehicles(2)
     two.answering(0)
     two.clients[1].close()
-    answers = two.lockstep.exchange(4000, [sensors(4000)] * 2)
+    answers = two.exchange(4000, [sensors(4000)] * 2)
     assert answers[0].time_usec == 4000
     assert answers[1] is None
     assert two.lost == [(1, "its connection closed")]
-    answers = two.lockstep.exchange(8000, [sensors(8000), None])
+    answers = two.exchange(8000, [sensors(8000), None])
     assert answers[0].time_usec == 8000
 
 
 def test_a_sleeping_vehicle_is_reported_and_given_up_after_its_limit(vehicles):
     one = vehicles(1, limit_s=0.3)
     one.answering(0)
-    one.lockstep.exchange(4000, [sensors(4000)])  # it works, so the long patience of the start is over
+    one.exchange(4000, [sensors(4000)])  # it works, so the long patience of the start is over
     before = time.monotonic()
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as sleeper:
         one.patience.set_pid(0, sleeper.pid)
-        one.lockstep.exchange(8000, [b"\x00"])  # nothing it could answer
+        one.exchange(8000, [b"\x00"])  # nothing it could answer
     assert one.silent == [0]
     assert one.lost[0][0] == 0
     assert "has not answered" in one.lost[0][1]
@@ -128,7 +133,7 @@ def test_a_stopped_process_is_given_up_within_a_second_whatever_the_limit(vehicl
         try:
             process.send_signal(signal.SIGSTOP)
             one.patience.set_pid(0, process.pid)
-            one.lockstep.exchange(4000, [sensors(4000)])
+            one.exchange(4000, [sensors(4000)])
         finally:
             process.send_signal(signal.SIGCONT)
     assert one.lost == [(0, "its process is stopped")]
@@ -182,3 +187,35 @@ def test_a_starved_process_is_waited_for_and_a_sleeping_or_spinning_one_is_not()
     assert judge(Patience(2.0), [(psutil.STATUS_ZOMBIE, 0.0)] * looks) == pytest.approx(
         LOOK_AFTER_S, abs=0.11
     )
+
+
+def test_the_others_are_heard_and_judged_while_one_keeps_silent(vehicles):
+    """Whoever is waited for first: a dead one elsewhere is noticed, and answers of the rest are not lost."""
+    four = vehicles(4, limit_s=600.0)
+    for i in (0, 2):
+        four.answering(i)
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
+        four.patience.set_pid(3, process.pid)
+        process.send_signal(signal.SIGSTOP)
+        threading.Timer(LOOK_AFTER_S, four.clients[1].close).start()
+        try:
+            answers = four.exchange(4000, [sensors(4000)] * 4)
+        finally:
+            process.send_signal(signal.SIGCONT)
+    assert four.lost == [(1, "its connection closed"), (3, "its process is stopped")] or four.lost == [
+        (3, "its process is stopped"),
+        (1, "its connection closed"),
+    ]
+    assert [answer and answer.time_usec for answer in answers] == [4000, None, 4000, None]
+
+
+def test_a_vehicle_has_its_sensors_before_the_next_ones_are_made(vehicles):
+    two = vehicles(2)
+
+    def frames():
+        yield sensors(4000)
+        assert two.clients[0].recv(4096) == sensors(4000)
+        yield sensors(4000)
+
+    two.lockstep.send(frames())
+    assert two.clients[1].recv(4096) == sensors(4000)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from netsim.kernel import NEVER_NS, EventQueue
-from netsim.streams import Model, Streams, Uniforms
+from netsim.streams import Model, Normals, Streams, Uniforms
 
 
 def test_calls_run_in_order_of_time_and_then_of_scheduling():
@@ -55,3 +55,10 @@ def test_uniforms_are_the_generators_own():
     uniforms = Uniforms(np.random.default_rng(3))
     expected = np.random.default_rng(3).random(2 * Uniforms.BLOCK).tolist()
     assert [uniforms.draw() for _ in expected] == expected
+
+
+def test_normals_are_the_generators_own():
+    normals = Normals(np.random.default_rng(3))
+    single = np.random.default_rng(3)
+    expected = [float(single.standard_normal()) for _ in range(2 * Normals.BLOCK)]
+    assert [normals.draw() for _ in expected] == expected

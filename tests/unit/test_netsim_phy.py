@@ -152,6 +152,32 @@ def test_extra_attenuation_comes_and_goes():
     assert budget.row(0, 0).powers_mw[1] == configured_mw
 
 
+def test_an_attenuation_that_does_not_change_costs_nothing():
+    budget, trajectories = links()
+    trajectories.set(0, [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)])
+    budget.set_extra_attenuation_db(5.0)
+    row = budget.row(0, 0)
+    budget.set_extra_attenuation_db(5.0)
+    assert budget.row(0, 0) is row
+
+
+def test_a_budget_from_the_way_does_not_outlive_the_motion():
+    budget, trajectories = links()
+    trajectories.set(0, [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)])
+    for to_ns in (4_000_000, 8_000_000):
+        trajectories.set(to_ns, [(0.0, 0.0, 0.0), (20.0, 0.0, 0.0)])
+        delay_ns = budget.row(0, to_ns - 2_000_000).delays_ns[1]
+        # 15 m half-way, then 20 m at rest
+        assert delay_ns == (50 if to_ns == 4_000_000 else 67)
+
+
+def test_each_links_gains_are_its_own_streams_whatever_the_other_links():
+    streams = Streams(np.random.SeedSequence(5))
+    few, many = RicianFading(3.0, 2, streams), RicianFading(3.0, 9, streams)
+    for _ in range(2 * RicianFading.BLOCK):
+        assert few.gains(0)[1] == many.gains(0)[1]
+
+
 def test_shadowing_is_reciprocal_and_has_its_deviation():
     stations = 60
     budget, trajectories = links(stations, shadowing_std_db=4.0)
@@ -166,12 +192,12 @@ def test_shadowing_is_reciprocal_and_has_its_deviation():
 
 def test_rician_gain_has_mean_one_and_the_variance_of_its_k():
     fading = RicianFading(3.0, 2, Streams(np.random.SeedSequence(5)))
-    gains = np.array([fading.apply(0, [0.0, 1.0])[1] for _ in range(20_000)])
+    gains = np.array([fading.gains(0)[1] for _ in range(20_000)])
     k = 10**0.3
     variance = (2 * k + 1) / (k + 1) ** 2
     assert gains.mean() == pytest.approx(1.0, abs=4 * (variance / gains.size) ** 0.5)
     assert gains.var() == pytest.approx(variance, rel=0.05)
-    assert fading.apply(1, [1.0, 0.0])[0] != gains[0]
+    assert fading.gains(1)[0] != gains[0]
 
 
 @pytest.mark.parametrize(("later_us", "captured"), [(8, True), (30, False)])

@@ -8,6 +8,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.config import OnboardConfig
 from autopilot.onboard import OnboardApp, Phase
 from autopilot.onboard import beacon as wire
+from autopilot.onboard.app import NOTHING
 from netsim.wire.messages import Broadcast, Delivery, FtmRequest
 
 PAIR = ((-3.0, 0.0, -8.0), (3.0, 0.0, -8.0))
@@ -99,6 +100,30 @@ def test_setpoints_are_20_hz_before_and_in_offboard():
     assert mask == {0b1101_1100_0000}  # position and velocity count; acceleration, yaw and yaw rate do not
 
 
+def test_a_step_before_the_deadline_has_nothing_to_send():
+    """An app that is made to look at everything in every step sends the same at the same times."""
+    sent = []
+    for always in (False, True):
+        w = world(ALONE)
+        app, outputs = w.apps[0], []
+        on_timer = app.on_timer
+
+        def spy(now_us, app=app, on_timer=on_timer, outputs=outputs, always=always):
+            if always:
+                app._due_us = 0
+            out = on_timer(now_us)
+            if out is not NOTHING:
+                outputs.append((now_us, [m.to_dict() for m in out.mavlink], out.radio))
+            return out
+
+        app.on_timer = spy
+        w.run(12.0)
+        assert app.phase is Phase.ON_STATION
+        sent.append(outputs)
+    assert sent[0] == sent[1]
+    assert len(sent[0]) < 0.2 * 12e6 / STEP_US
+
+
 def test_heartbeats_tell_the_phase_at_1_hz_and_at_every_change():
     w = world(ALONE)
     beats = []
@@ -156,7 +181,7 @@ def test_a_cut_channel_is_said_once_and_so_is_its_return():
     w.run(8.0)
     lost = [text for _, text in w.autopilots[0].texts]
     assert lost == ["ranging lost: correction frozen, then fading"]
-    assert np.isinf(w.apps[0].estimate.shape_std_m)
+    assert np.isinf(w.apps[0].shape_std_m)
     w.radio_cut = False
     w.run(4.0)
     assert [text for _, text in w.autopilots[0].texts] == [*lost, "ranging is back"]

@@ -42,5 +42,5 @@ def test_a_record_cut_short_is_left_out_and_a_missing_file_is_empty(tmp_path):
 
 
 def test_the_emulators_logs_have_the_fields_of_its_records():
-    assert FRAME_LOG.names == FrameRecord.__struct_fields__
-    assert SESSION_LOG.names == SessionRecord.__struct_fields__
+    assert FRAME_LOG.names == FrameRecord._fields
+    assert SESSION_LOG.names == SessionRecord._fields

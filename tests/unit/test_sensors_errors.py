@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from harness.gauss_markov import STEPS_AHEAD
 from harness.sensors.config import PROFILES, ErrorModel, InertialErrorModel
 from harness.sensors.errors import SensorError
 
@@ -73,6 +74,23 @@ def test_axes_may_differ_and_are_independent():
 def test_a_model_without_error_is_silent_but_draws_all_the_same():
     rng, reference = np.random.default_rng(1), np.random.default_rng(1)
     error = SensorError(ErrorModel(), shape=(4,), interval_s=0.1, rng=rng)
-    assert not error.next().any()
-    reference.standard_normal((4, 4))
+    assert not any(error.next().any() for _ in range(STEPS_AHEAD))
+    reference.standard_normal((2 + 2 * STEPS_AHEAD, 4))
     assert rng.bit_generator.state == reference.bit_generator.state
+
+
+@pytest.mark.parametrize("shape", [(4,), (4, 3)])
+def test_samples_are_those_of_the_recursion_one_by_one(shape):
+    """To the last bit, over several draws ahead, whoever asks for them early."""
+    model = ErrorModel(white_std=0.3, turn_on_std=2.0, drift_std=0.7, drift_time_constant_s=3.0)
+    rng = np.random.default_rng(6)
+    error = SensorError(model, shape=shape, interval_s=0.1, rng=np.random.default_rng(6))
+    turn_on, drift = rng.standard_normal((2, *shape))
+    turn_on, drift = 2.0 * turn_on, 0.7 * drift
+    kept = math.exp(-0.1 / 3.0)
+    for sample in range(3 * STEPS_AHEAD):
+        step, white = rng.standard_normal((2, *shape))
+        drift = kept * drift + 0.7 * math.sqrt(1.0 - kept * kept) * step
+        if sample % 7 == 0:
+            error.look_ahead()
+        assert error.next().tobytes() == (turn_on + drift + 0.3 * white).tobytes()

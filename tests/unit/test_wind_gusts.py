@@ -86,6 +86,19 @@ def test_the_process_does_not_depend_on_the_step():
     assert memory == pytest.approx(math.exp(-0.5), abs=0.1)
 
 
+def test_forces_are_those_of_the_recursion_one_by_one_whatever_the_intervals():
+    """To the last bit: what was drawn ahead at one interval is used at the next."""
+    config = WindConfig(mean_n=5.0, direction_deg=0.0, correlation=0.64)
+    wind, rng = GustyWind(config, 2, np.random.default_rng(8)), np.random.default_rng(8)
+    unit = rng.standard_normal((3, 3))
+    for dt_s in [0.004] * 70 + [0.1] * 3 + [0.004] * 130:
+        kept = math.exp(-dt_s / 2.0)
+        unit = kept * unit + math.sqrt(1.0 - kept * kept) * rng.standard_normal((3, 3))
+        gusts = math.sqrt(0.64) * unit[0] + math.sqrt(1.0 - 0.64) * unit[1:]
+        expected = np.array([5.0, 0.0, 0.0]) + 1.0 * np.array([1.0, 1.0, VERTICAL_GUST_RATIO]) * gusts
+        assert wind.step(dt_s).tobytes() == expected.tobytes()
+
+
 def test_no_wind_is_no_force():
     assert not record(WindConfig(mean_n=0.0), seconds=1.0).any()
 

@@ -6,10 +6,10 @@ import numpy as np
 from pymavlink.dialects.v20 import common
 
 from autopilot.config import AutopilotConfig, OnboardConfig, VehicleConfig
-from autopilot.mavlink.codec import Encoder, Parser
+from autopilot.mavlink.hil import HilActuatorControls, HilEncoder, HilParser, HilSensor
 from autopilot.mavlink.modes import mode_from_custom
 from autopilot.vehicle import GROUND_STATION, StepOutput, Vehicle
-from harness.hil import SensorEncoder, controls
+from harness.hil import SensorEncoder, is_armed
 from harness.physics.model import IRIS
 from harness.physics.world import World
 from harness.sensors.config import SensorsConfig
@@ -48,9 +48,9 @@ class Flight:
             seed=np.random.SeedSequence(3),
         )
         self._hil = SensorEncoder()
-        self._parser = Parser()
-        self._from_vehicle = Parser()
-        self._encoder = Encoder(system=config.instance + 1, component=1)
+        self._parser = HilParser(HilSensor)
+        self._from_vehicle = HilParser(HilActuatorControls)
+        self._encoder = HilEncoder(system=config.instance + 1, component=1)
         self.gps = gps
         self.now_us = 0
         self.heard: list[tuple[int, common.MAVLink_message]] = []
@@ -88,9 +88,9 @@ class Flight:
     def step(self, *, streams: bool = False) -> StepOutput:
         self.now_us += STEP_US
         frame = self._sensors.sample(self.now_us, self.world.truth)
-        messages = self._parser.push(self._hil.encode(0, self.now_us, frame))
+        messages = self._parser.push(next(self._hil.encode(self.now_us, frame)))
         if not self.gps:
-            messages = [m for m in messages if m.get_type() != "HIL_GPS"]
+            messages = [m for m in messages if m.get_msgId() != common.MAVLINK_MSG_ID_HIL_GPS]
         sent, self._to_send = self._to_send, []
         output = self.vehicle.step(
             sim_messages=messages,
@@ -110,10 +110,9 @@ class Flight:
                     self.modes.append((self.now_us, *seen))
         # through the bytes, so that what cannot be packed fails here
         (answer,) = self._from_vehicle.push(self._encoder.encode(output.actuators))
-        motors, armed = controls(answer, 4)
         self.world.step(
-            np.array([motors]),
-            np.array([armed]),
+            np.array([answer.controls[:4]]),
+            np.array([is_armed(answer)]),
             np.zeros((1, 3)),
             rotors_stopped=np.zeros(1, dtype=np.bool_),
         )

@@ -1,0 +1,60 @@
+"""The three stages in one compiled step are the three stages one after the other, to the bit."""
+
+import math
+
+import numpy as np
+import pytest
+
+from autopilot.control.allocation import Allocator
+from autopilot.control.attitude import AttitudeController
+from autopilot.control.inner_loop import InnerLoop
+from autopilot.control.params import AllocationParams, AttitudeParams, RateParams
+from autopilot.control.rates import RateController
+from autopilot.types import AttitudeSetpoint
+
+DT_S = 0.004
+
+
+def stages():
+    return AttitudeController(AttitudeParams()), RateController(RateParams()), Allocator(AllocationParams())
+
+
+@pytest.mark.parametrize("airmode_above", [math.inf, 0.2])
+@pytest.mark.parametrize("by_tilt", [False, True])
+@pytest.mark.parametrize("integrate", [False, True])
+def test_equals_the_stages_one_after_the_other(airmode_above, by_tilt, integrate):
+    rng = np.random.default_rng(1)
+    attitude, rates, allocator = stages()
+    inner = InnerLoop(*stages())
+    for _ in range(200):
+        q, wanted = rng.normal(size=(2, 4))
+        q, wanted = q / np.linalg.norm(q), wanted / np.linalg.norm(wanted)
+        omega = rng.normal(size=3)
+        setpoint = AttitudeSetpoint(
+            q_ned_frd=wanted, yaw_rate_rad_s=float(rng.normal()), thrust=float(rng.uniform())
+        )
+        controls = inner.update(
+            q, omega, setpoint, dt_s=DT_S, by_tilt=by_tilt, integrate=integrate, airmode_above=airmode_above
+        )
+        rate = attitude.update(q, setpoint)
+        torque = rates.update(omega, rate, allocator.unallocated, dt_s=DT_S, integrate=integrate)
+        thrust = setpoint.thrust * (max(attitude.tilt_cosine, 0.0) if by_tilt else 1.0)
+        expected = allocator.allocate(thrust, torque, airmode=setpoint.thrust > airmode_above)
+        np.testing.assert_array_equal(controls, expected)
+        np.testing.assert_array_equal(inner.rate_setpoint_frd_rad_s, rate)
+        np.testing.assert_array_equal(inner.torque, torque)
+
+
+def test_a_reset_forgets_what_was_flown():
+    inner, fresh = InnerLoop(*stages()), InnerLoop(*stages())
+    level = np.array((1.0, 0.0, 0.0, 0.0))
+    setpoint = AttitudeSetpoint(q_ned_frd=level, yaw_rate_rad_s=0.5, thrust=0.5)
+
+    def controls(loop, omega):
+        return loop.update(level, omega, setpoint, dt_s=DT_S, by_tilt=True, integrate=True, airmode_above=0.1)
+
+    for _ in range(50):
+        controls(inner, np.array((1.0, -0.5, 0.3)))
+    inner.reset()
+    assert not inner.torque.any()
+    np.testing.assert_array_equal(controls(inner, np.zeros(3)), controls(fresh, np.zeros(3)))
