@@ -77,6 +77,9 @@ def physics(config: dict[str, Any], listeners: list[socket.socket]) -> None:
                 if gone:
                     lost.add(i)
                     emit(VehicleLost(time_us=time_us, instance=i, reason="its connection broke"))
+            if lost and config["scenario"]["run"]["on_vehicle_loss"] == "end":
+                reason = "vehicle_lost"
+                break
             if len(lost) == len(vehicles):
                 reason = "no_vehicles"
                 break
