@@ -326,6 +326,8 @@ class Swarm:
             for event in processes.happenings
             if isinstance(event, VehicleLost) and event.instance not in self._killed
         ]
+        if interrupted:
+            nondeterminism.append("its user broke it off")
         if ground_messages:
             nondeterminism.append(f"{ground_messages} messages from ground stations or companions")
         outcome = report.Outcome(
