@@ -10,7 +10,6 @@ import ast
 import fcntl
 import hashlib
 import importlib.metadata
-import importlib.util
 import os
 import shutil
 import subprocess
@@ -44,7 +43,7 @@ def folder() -> Path:
     if VARIABLE in os.environ:
         return Path(os.environ[VARIABLE])
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return base / "coflight" / "kernels" / _digest()
+    return base / "coflight" / "kernels" / digest(Path(__file__).parents[1])
 
 
 def environment() -> dict[str, str]:
@@ -107,36 +106,36 @@ def _compile() -> None:
             compiler.wait()
 
 
-def _digest() -> str:
-    """Hash of everything that compiled code depends on.
+def digest(root: Path) -> str:
+    """Hash of everything that compiled code depends on, of the packages below ``root``.
 
-    Kernel modules, what they import of ours, and the compiler.
+    That is the modules with kernels, what they import of ours, and the compiler.
     """
-    root = Path(__file__).parents[1]
     pending = {
         path
         for package in PACKAGES
         for path in (root / package).rglob("*.py")
-        if b"njit" in path.read_bytes()
+        if b"@njit" in path.read_bytes()
     }
     seen: set[Path] = set()
     while pending:
         path = pending.pop()
         seen.add(path)
-        pending |= _imports(path) - seen
+        pending |= _imports(path, root) - seen
     versions = [importlib.metadata.version(name) for name in ("numba", "llvmlite", "numpy")]
-    digest = hashlib.sha256(" ".join([sys.version, *versions]).encode())
+    content = hashlib.sha256(" ".join([sys.version, *versions]).encode())
     for path in sorted(seen):
-        digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
-    return digest.hexdigest()[:16]
+        content.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
+    return content.hexdigest()[:16]
 
 
-def _imports(path: Path) -> set[Path]:
+def _imports(path: Path, root: Path) -> set[Path]:
     """Files of our packages that a file imports by ``from package.module import name``."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_bytes())):
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in PACKAGES:
-            spec = importlib.util.find_spec(node.module)
-            if spec is not None and spec.origin is not None:
-                found.add(Path(spec.origin))
-    return found
+    modules = [
+        node.module
+        for node in ast.walk(ast.parse(path.read_bytes()))
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in PACKAGES
+    ]
+    places = [root.joinpath(*module.split(".")) for module in modules]
+    found = [place.with_suffix(".py") for place in places] + [place / "__init__.py" for place in places]
+    return {file for file in found if file.exists()}
