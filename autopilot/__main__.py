@@ -8,7 +8,6 @@ hangs up.
 import argparse
 import contextlib
 import gc
-import logging
 import os
 import socket
 import sys
@@ -24,12 +23,9 @@ from autopilot.mavlink.links import UdpLink
 from autopilot.params import ParameterError
 from autopilot.recording import VEHICLE_RECORD, record
 from autopilot.vehicle import COMPANION, GROUND_STATION, Vehicle, is_clock
-from netsim.child import Finished, Ready, emit, end_with_parent
-from netsim.radio import BATCH_HANDED_OVER, RadioClient, RadioLost
+from netsim.child import Finished, Influenced, Ready, emit, end_with_parent
+from netsim.radio import BATCH_HANDED_OVER, RadioClient
 from netsim.record_log import RecordLog
-from netsim.wire.messages import TxItem
-
-logger = logging.getLogger(__name__)
 
 RETRY_S = 0.1
 LINK_PERIOD_US = 20_000
@@ -116,7 +112,7 @@ class Process:
         gc.collect()
         gc.freeze()
         waiting: list[Message] = []
-        with contextlib.suppress(ConnectionError):
+        with contextlib.suppress(ConnectionResetError, BrokenPipeError):  # a simulator that died hangs up too
             while data := self._simulator.recv(_RECEIVE_BYTES):
                 for message in self._parser.push(data):
                     waiting.append(message)
@@ -141,6 +137,8 @@ class Process:
         if now_us >= self._poll_us:
             self._poll_us = now_us + LINK_PERIOD_US
             incoming = [(i, message) for i, link in enumerate(self._links) for message in link.receive()]
+            if incoming and not self._link_messages:
+                emit(Influenced(name=self._name, by="a ground station or companion"))
             self._link_messages += len(incoming)
         output = self._vehicle.step(
             sim_messages=simulator_messages,
@@ -152,24 +150,12 @@ class Process:
         if output.links:
             for i, link in enumerate(self._links):
                 link.send(message for to, message in output.links if to == i)
-        if output.radio and self._radio is not None and self._transmit(self._radio, now_us, output.radio):
+        if output.radio and self._radio is not None:
+            self._radio.send(now_us, output.radio)
             actuators = actuators._replace(flags=actuators.flags | BATCH_HANDED_OVER)
         if self._log is not None and now_us % self._config.record_period_us == 0:
             self._log.append([record(self._vehicle)])
         return b"".join(self._encoder.encode(message) for message in (*output.simulator, actuators))
-
-    def _transmit(self, radio: RadioClient, now_us: int, items: tuple[TxItem, ...]) -> bool:
-        """Hand transmissions over, or say that the radio is lost and fly on without.
-
-        Returns whether it has them.
-        """
-        try:
-            radio.send(now_us, items)
-        except RadioLost as error:
-            logger.warning("%s: %s; flying on without", self._name, error)
-            self._radio = None
-            return False
-        return True
 
 
 def main() -> int:

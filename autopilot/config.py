@@ -26,7 +26,6 @@ class Site(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The scenario's ``[autopilot]`` table."""
 
-    kind: Literal["builtin"] = "builtin"
     params: dict[str, float] = {}
     """Parameters by PX4's names that differ from their defaults."""
 
@@ -48,8 +47,6 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     gps_bias_std_m: Positive = 1.5
     """Horizontal, per axis: what the localisation filter assumes of GPS errors."""
     gps_bias_time_constant_s: Positive = 60.0
-    gps_delay_ms: Annotated[int, Meta(ge=0, le=1_000)] = 120
-    """How far in the past the moment lies that a GPS fix describes."""
     odometry_drift_m_sqrt_s: Positive = 0.1
     """Horizontal, per axis: error of the integrated velocity after one second.
 
@@ -62,6 +59,15 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     At most 0.6 of the spacing to the nearest place.
     """
+
+
+class Devices(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What a vehicle knows of its GPS receiver and its radio, as from their data sheets."""
+
+    gps_delay_s: Annotated[float, Meta(ge=0.0, le=0.3)] = 0.12
+    """How far in the past the moment lies that a fix describes; the default of EKF2_GPS_DELAY."""
+    ftm_trip_std_m: NonNegative = 0.08
+    """Error of the distance of a single round trip, at the radio's bandwidth and good reception."""
 
 
 class VehiclePorts(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -92,6 +98,7 @@ class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     ports: VehiclePorts = VehiclePorts()
     autopilot: AutopilotConfig = AutopilotConfig()
     onboard: OnboardConfig = OnboardConfig()
+    devices: Devices = Devices()
     places_ned_m: tuple[Vector, ...]
     """The formation: each UAV's place from the site's origin."""
     log_path: str | None = None

@@ -26,6 +26,7 @@ VEHICLE_RECORD = np.dtype(
         ("onboard_pos_ned_m", "f8", 3),
         ("onboard_pos_std_m", "f4", 3),
         ("correction_ned_m", "f4", 3),
+        ("odometry_offset_ned_m", "f4", 3),
         ("setpoint_pos_ned_m", "f8", 3),
     ]
 )
@@ -33,7 +34,8 @@ VEHICLE_RECORD = np.dtype(
 on-board application's (255 without one). The estimator's and the setpoint's height is over the ground of
 the start, as the barometer gives it: the origin's GPS altitude is left out. ``gps_pos_ned_m`` is the last
 fix, of 0.12 s before it came. ``correction_ned_m`` is what the application takes off the estimator's
-position to get its own."""
+position to get its own; ``odometry_offset_ned_m`` is the part of that which ranging and everybody's GPS make,
+and stands still while nothing comes over the radio."""
 
 NO_PHASE = 255
 _UNKNOWN = np.full(3, np.nan)
@@ -101,5 +103,6 @@ def record(vehicle: "Vehicle") -> tuple[Any, ...]:
         estimate.pos_ned_m if estimate is not None else _UNKNOWN,
         estimate.std_ned_m if estimate is not None else _UNKNOWN,
         estimate.correction_ned_m if estimate is not None else _UNKNOWN,
+        estimate.odometry_offset_ned_m if estimate is not None else _UNKNOWN,
         setpoint_ned_m,
     )

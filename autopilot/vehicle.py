@@ -117,11 +117,13 @@ class Vehicle:
         """Put it together. Raises ParameterError for a parameter that does not exist or is out of range."""
         self.config = config
         self._system = config.instance + 1
-        field_ned_gauss = config.site.magnetic_field_ned_gauss
         defaults = Settings()
-        defaults = replace(
-            defaults, estimation=replace(defaults.estimation, magnetic_field_ned_gauss=field_ned_gauss)
+        estimation = replace(
+            defaults.estimation,
+            magnetic_field_ned_gauss=config.site.magnetic_field_ned_gauss,
+            gps_delay_us=round(config.devices.gps_delay_s * US_PER_S),
         )
+        defaults = replace(defaults, estimation=estimation)
         self.parameters = ParameterSet(defaults, config.autopilot.params)
         settings = self.parameters.settings
         self.estimator = Estimator(settings.estimation)
@@ -403,6 +405,7 @@ class Vehicle:
             places_ned_m=config.places_ned_m,
             site=config.site,
             config=config.onboard,
+            devices=config.devices,
             rng=np.random.default_rng(seed),
         )
 

@@ -1,7 +1,9 @@
 """The time master's side of the 802.11 emulator: when the air has to go on, and that it has."""
 
-from harness.physics.truth import Truth
-from netsim.radio import ANSWER_LIMIT_S, advance_key
+import msgspec
+
+from autopilot.types import Array
+from netsim.radio import ADVANCE_LIMIT_S, advance_key
 from netsim.transport import Pending, Transport
 from netsim.wire.messages import Advance, Advanced, decode, encode, pack_rows
 
@@ -17,36 +19,45 @@ class Air:
     """
 
     def __init__(self, transport: Transport, run_id: str) -> None:
-        self._asker = transport.asker(advance_key(run_id), timeout_s=ANSWER_LIMIT_S)
+        self._asker = transport.asker(advance_key(run_id), timeout_s=ADVANCE_LIMIT_S)
+        self._request: Advance | None = None
         self._pending: Pending | None = None
         self._quiet_until_us = 0
         self._handed_over = True
-        self.extra_attenuation_db: float | None = None
+        self._attenuation_db: float | None = None
+        self._next_attenuation_db: float | None = None
         self.busy_ns = 0
 
-    def begin(self, time_us: int, step_us: int, truth: Truth, silent: tuple[int, ...]) -> None:
-        """Let the emulator simulate up to ``time_us`` beside the vehicles.
+    def set_extra_attenuation_db(self, value: float | None) -> None:
+        """Attenuate every link by this from now on; None is the scenario's own value.
 
-        Unless the air stays quiet until then.
+        The air of the interval that ends now has not been simulated yet and keeps what was in force.
         """
+        self._next_attenuation_db = value
+
+    def begin(self, time_us: int, step_us: int, pos_ned_m: Array, silent: tuple[int, ...]) -> None:
+        """Let the emulator simulate up to ``time_us``, when the vehicles are at (n, 3) ``pos_ned_m``.
+
+        It does so beside the vehicles, unless the air stays quiet until then. The ``silent`` are gone.
+        """
+        attenuation_db, self._attenuation_db = self._attenuation_db, self._next_attenuation_db
         if not self._handed_over and time_us < self._quiet_until_us:
             return
         self._handed_over = False
-        request = Advance(
-            to_us=time_us,
-            release_us=time_us + step_us,
-            pos_ned_m=pack_rows(truth.pos_ned_m),
-            vel_ned_m_s=pack_rows(truth.vel_ned_m_s),
-            q_ned_frd=pack_rows(truth.q_ned_frd),
-            silent=silent,
-            extra_attenuation_db=self.extra_attenuation_db,
+        self._ask(
+            Advance(
+                to_us=time_us,
+                release_us=time_us + step_us,
+                pos_ned_m=pack_rows(pos_ned_m),
+                silent=silent,
+                extra_attenuation_db=attenuation_db,
+            )
         )
-        self._pending = self._asker.ask(encode(request))
 
     def end(self) -> tuple[int, ...]:
         """Wait until the emulator is through and its deliveries are in the vehicles' hands.
 
-        Returns the vehicles that did not take theirs. Raises RadioSilent.
+        Returns the vehicles that have not taken theirs, for which there is `wait_on`. Raises RadioSilent.
         """
         if self._pending is None:
             return ()
@@ -58,6 +69,16 @@ class Air:
         self._quiet_until_us = advanced.quiet_until_us
         self.busy_ns = advanced.busy_ns
         return advanced.unresponsive
+
+    def wait_on(self, silent: tuple[int, ...]) -> tuple[int, ...]:
+        """After `end`: go on waiting for those who have not taken their deliveries, less the silent."""
+        if self._request is not None:
+            self._ask(msgspec.structs.replace(self._request, silent=silent))
+        return self.end()
+
+    def _ask(self, request: Advance) -> None:
+        self._request = request
+        self._pending = self._asker.ask(encode(request))
 
     def handed_over(self) -> None:
         """A vehicle gave its radio something to send: the next interval is not quiet."""

@@ -1,9 +1,10 @@
 """Where compiled numerical kernels live, and having them compiled once before a swarm needs them.
 
 Numba's cache follows each source file alone: a kernel that calls another module's would stay what it was
-when that one changes. So every state of the kernels' sources gets a folder of its own, named by their hash.
-All processes of a run share it (`NUMBA_CACHE_DIR`), and the first run that finds it empty compiles before it
-starts vehicles, which would otherwise all compile the same at once, in mid-air.
+when that one changes. So every state of the kernels' sources gets a folder of its own, named by their hash;
+every checkout too, for Numba finds a kernel by its file's path. All processes of a run share the folder
+(`NUMBA_CACHE_DIR`), and the first run that finds it empty compiles before it starts vehicles, which would
+otherwise all compile the same at once, in mid-air.
 """
 
 import ast
@@ -38,12 +39,15 @@ class CompileError(RuntimeError):
 def folder() -> Path:
     """Give the present sources' cache.
 
-    ``$XDG_CACHE_HOME/coflight/kernels/<hash>``, or what the variable says.
+    ``$XDG_CACHE_HOME/coflight/kernels/<hash>``, or ``<hash>`` in the folder that the variable names. A
+    parent of ours has set it to the whole already.
     """
+    name = digest(Path(__file__).parents[1])
     if VARIABLE in os.environ:
-        return Path(os.environ[VARIABLE])
+        named = Path(os.environ[VARIABLE])
+        return named if named.name == name else named / name
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return base / "coflight" / "kernels" / digest(Path(__file__).parents[1])
+    return base / "coflight" / "kernels" / name
 
 
 def environment() -> dict[str, str]:
@@ -109,8 +113,9 @@ def _compile() -> None:
 def digest(root: Path) -> str:
     """Hash of everything that compiled code depends on, of the packages below ``root``.
 
-    That is the modules with kernels, what they import of ours, and the compiler.
+    That is the modules with kernels, what they import of ours, where they are, and the compiler.
     """
+    root = root.resolve()
     pending = {
         path
         for package in PACKAGES
@@ -123,7 +128,7 @@ def digest(root: Path) -> str:
         seen.add(path)
         pending |= _imports(path, root) - seen
     versions = [importlib.metadata.version(name) for name in ("numba", "llvmlite", "numpy")]
-    content = hashlib.sha256(" ".join([sys.version, *versions]).encode())
+    content = hashlib.sha256(" ".join([str(root), sys.version, *versions]).encode())
     for path in sorted(seen):
         content.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
     return content.hexdigest()[:16]

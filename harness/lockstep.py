@@ -121,6 +121,12 @@ class Lockstep:
                     self._look_around(time_us)
         return [seat.answer for seat in self.seats]
 
+    def judge(self, instances: Iterable[int]) -> None:
+        """Decide on vehicles that have not done their part of the step, be it elsewhere than here."""
+        for instance in instances:
+            if self.seats[instance].alive:
+                self._judge(self.seats[instance])
+
     def lose(self, instance: int, reason: str) -> None:
         """Take a vehicle out of the run."""
         seat = self.seats[instance]

@@ -129,9 +129,7 @@ class Simulation:
         alive = [seat.alive for seat in self.lockstep.seats]
         self.lockstep.send(self._encoder.encode(self.time_us, self._sensors.sample(self.time_us, truth)))
         if self._air is not None:
-            self._air.begin(
-                self.time_us, self._step_us, truth, tuple(i for i, a in enumerate(alive) if not a)
-            )
+            self._air.begin(self.time_us, self._step_us, truth.pos_ned_m, self._gone())
         if self.time_us % self._scenario.record_period_us == 0:
             self._record(truth, alive)
         self.notice_collisions()
@@ -139,8 +137,10 @@ class Simulation:
         self._sensors.look_ahead()
         answers = self.lockstep.answers(self.time_us)
         if self._air is not None:
-            for i in self._air.end():
-                self.lockstep.lose(i, "it does not take what its radio delivers")
+            waited_for = self._air.end()
+            while waited_for:
+                self.lockstep.judge(waited_for)
+                waited_for = self._air.wait_on(self._gone())
         self._obey(answers)
         self._world.step(
             np.array(self._controls),
@@ -151,6 +151,9 @@ class Simulation:
         self.time_us += self._step_us
         if self._phase_news:
             self._notice_formation()
+
+    def _gone(self) -> tuple[int, ...]:
+        return tuple(seat.instance for seat in self.lockstep.seats if not seat.alive)
 
     def _obey(self, answers: list[HilActuatorControls | None]) -> None:
         """Set motors as the vehicles say; the world limits what is out of range."""
@@ -321,7 +324,7 @@ def serve(config: PhysicsConfig, listeners: list[socket.socket], radio_endpoint:
                     emit(_run(simulation, command, inbox))
                 case SetAttenuation(extra_attenuation_db=attenuation_db):
                     if air is not None:
-                        air.extra_attenuation_db = attenuation_db
+                        air.set_extra_attenuation_db(attenuation_db)
                 case SetPid(instance=instance, pid=pid):
                     simulation.patience.set_pid(instance, pid)
                 case Stop():

@@ -29,7 +29,7 @@ from harness.supervisor import (
     bind,
     interrupts_deferred,
 )
-from netsim.child import Finished, Ready
+from netsim.child import Finished, Influenced, Ready
 
 PHYSICS, RADIO = "physics", "radio"
 START_LIMIT_S = 120.0
@@ -103,6 +103,8 @@ class Processes:
         self.ready: dict[str, Ready] = {}
         self.finished: dict[str, dict[str, Any]] = {}
         """What each process said in its last event."""
+        self.influences: list[Influenced] = []
+        """What came from outside and so made the run depend on more than scenario and seed."""
         self.exited: dict[str, Exited] = {}
         self.happenings: list[Happening] = []
         """What the processes said and how they ended, less progress and answers."""
@@ -264,6 +266,8 @@ class Processes:
                 self.ready[name] = message
             case Finished():
                 self.finished[name] = message.details
+            case Influenced():
+                self.influences.append(message)
             case Progress() | Paused():
                 self.simulated_us = message.time_us
             case _:

@@ -19,10 +19,11 @@ from scipy.spatial.distance import pdist
 
 from antenna.config import AntennaConfig
 from antenna.geometry import grid
-from autopilot.config import AutopilotConfig, OnboardConfig, Port, Site, VehicleConfig, VehiclePorts
+from autopilot.config import AutopilotConfig, Devices, OnboardConfig, Port, Site, VehicleConfig, VehiclePorts
 from harness.sensors.config import SensorsConfig
 from harness.wind import WindConfig
 from netsim.config import RadioConfig
+from netsim.ftm.stamps import distance_m, round_trip_std_ps
 
 NonNegative = Annotated[float, Meta(ge=0.0)]
 Positive = Annotated[float, Meta(gt=0.0)]
@@ -144,6 +145,10 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             ),
             autopilot=self.autopilot,
             onboard=self.onboard,
+            devices=Devices(
+                gps_delay_s=self.sensors.gps_model().delay_s,
+                ftm_trip_std_m=distance_m(round_trip_std_ps(self.radio.ftm, self.radio.bandwidth_mhz)),
+            ),
             places_ned_m=tuple((float(n), float(e), float(d)) for n, e, d in self.places_ned_m()),
             log_path=log_path,
             record_period_us=self.record_period_us,

@@ -328,8 +328,7 @@ class Swarm:
         ]
         if interrupted:
             nondeterminism.append("its user broke it off")
-        if ground_messages:
-            nondeterminism.append(f"{ground_messages} messages from ground stations or companions")
+        nondeterminism += [f"{event.name} was spoken to by {event.by}" for event in processes.influences]
         outcome = report.Outcome(
             status=status,
             reason=processes.failure or self._not_formed,

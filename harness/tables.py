@@ -1,8 +1,8 @@
 """From the processes' binary logs to the run's columnar files.
 
 A structured record's field of several components becomes one column each, named after its frame:
-``pos_ned_m`` gives
-``pos_ned_m.n``, ``.e`` and ``.d``. Rows are in order of time, then vehicle; equal runs give equal bytes.
+``pos_ned_m`` gives ``pos_ned_m.n``, ``.e`` and ``.d``. Rows are in order of time, then vehicle; equal runs
+give equal bytes.
 """
 
 from pathlib import Path
@@ -18,8 +18,6 @@ from harness.recording import AIR_RECORD, TRUTH_RECORD
 from harness.run_folder import RunFolder
 from netsim.logs import FRAME_LOG, SESSION_LOG
 from netsim.record_log import read
-
-_KEY = ("time_us", "uav")
 
 
 def write_tables(folder: RunFolder, agents: int) -> NDArray[Any]:

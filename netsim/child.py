@@ -28,6 +28,13 @@ class Ready(Struct, frozen=True, kw_only=True, tag="ready", tag_field="event"):
     """What it chose itself, such as ``endpoint`` or ``gcs_local_udp``."""
 
 
+class Influenced(Struct, frozen=True, kw_only=True, tag="influenced", tag_field="event"):
+    """From here on the run depends on more than scenario and seed; said before it does, and once."""
+
+    name: str
+    by: str
+
+
 class Stop(Struct, frozen=True, kw_only=True, tag="stop", tag_field="command"):
     """To a child: write what is to be written and end, after `Finished`."""
 

@@ -133,20 +133,13 @@ class Emulator:
             ready_ns = 1_000 * (item.at_us + self._config.host_latency_us) + jitter_ns
             self._submitted.append((max(ready_ns, self.queue.now_ns), batch.station, item.seq, item))
 
-    def advance(
-        self,
-        *,
-        to_us: int,
-        pos_ned_m: Doubles,
-        vel_ned_m_s: Doubles,  # noqa: ARG002  Doppler will need it
-        q_ned_frd: Doubles,  # noqa: ARG002  the radios' antenna pattern will need it
-    ) -> list[tuple[int, RxItem]]:
+    def advance(self, *, to_us: int, pos_ned_m: Doubles) -> list[tuple[int, RxItem]]:
         """Simulate up to and including ``to_us``.
 
-        ``pos_ned_m`` (n, 3), ``vel_ned_m_s`` (n, 3) and ``q_ned_frd`` (n, 4) hold at ``to_us``; in between,
-        positions are linear from the last call's. Returns (station, item) in order of (time, source, seq,
-        station), where the source of a ranging result is its peer. Raises ValueError for positions of another
-        shape or that are not finite, or a time that is past.
+        ``pos_ned_m`` (n, 3) holds at ``to_us``; in between, positions are linear from the last call's.
+        Returns (station, item) in order of (time, source, seq, station), where the source of a ranging result
+        is its peer. Raises ValueError for positions of another shape or that are not finite, or a time that
+        is past.
         """
         positions = np.asarray(pos_ned_m, dtype=np.float64)
         if positions.shape != (self._stations, 3) or not np.isfinite(positions).all():

@@ -13,7 +13,11 @@ from netsim.wire.messages import Ack, RxBatch, RxItem, TxBatch, TxItem, decode, 
 logger = logging.getLogger(__name__)
 
 ANSWER_LIMIT_S = 4.0
-"""Wall time that the emulator, or a station, has to acknowledge; far beyond what a loaded machine needs."""
+"""Wall time that the emulator has to acknowledge transmissions; far beyond what a loaded machine needs."""
+DELIVERY_LIMIT_S = 0.25
+"""Wall time that a station has to acknowledge a delivery before the time master is asked about it."""
+ADVANCE_LIMIT_S = 20.0
+"""Wall time that the emulator has for one interval; for stations it waits `DELIVERY_LIMIT_S` alone."""
 
 
 BATCH_HANDED_OVER = 1 << 32
@@ -49,6 +53,7 @@ class RadioClient:
     def __init__(self, *, endpoint: str, run_id: str, station: int) -> None:
         self._station = station
         self._batches: deque[RxBatch] = deque()
+        self._newest_us = -1
         self.malformed = 0
         """Bytes on this station's key that were no delivery."""
         self._transport = Transport.connect(endpoint)
@@ -86,7 +91,9 @@ class RadioClient:
             self.malformed += 1
             logger.warning("dropped %d bytes that are no delivery", len(question.payload))
             return
-        self._batches.append(batch)
+        if batch.release_us > self._newest_us:  # else a repetition, for the first acknowledgement was late
+            self._newest_us = batch.release_us
+            self._batches.append(batch)
         question.answer(_ACK)
 
 

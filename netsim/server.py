@@ -11,7 +11,7 @@ import logging
 import os
 import queue
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -21,9 +21,9 @@ from netsim.child import Finished, Ready, Stop, commands, emit
 from netsim.config import ServerConfig
 from netsim.emulator import Emulator
 from netsim.logs import FRAME_LOG, SESSION_LOG
-from netsim.radio import ANSWER_LIMIT_S, advance_key, receive_key, transmit_key
+from netsim.radio import DELIVERY_LIMIT_S, advance_key, receive_key, transmit_key
 from netsim.record_log import RecordLog
-from netsim.transport import Asker, Pending, Question, Transport
+from netsim.transport import Asker, Question, Transport
 from netsim.wire.messages import (
     Ack,
     Advance,
@@ -55,11 +55,13 @@ class Server:
         self._submitted: list[TxBatch] = []
         self._malformed = 0
         self._silent: frozenset[Station] = frozenset()
+        self._reached_us = 0
+        self._undelivered: dict[Station, bytes] = {}
         self._frame_log = _log(config.frame_log_path, FRAME_LOG)
         self._session_log = _log(config.session_log_path, SESSION_LOG)
         self._transport = Transport.listen(config.host, config.port)
         self._receivers: list[Asker] = [
-            self._transport.asker(receive_key(config.run_id, station), timeout_s=ANSWER_LIMIT_S)
+            self._transport.asker(receive_key(config.run_id, station), timeout_s=DELIVERY_LIMIT_S)
             for station in range(config.stations)
         ]
         self._transport.serve(transmit_key(config.run_id), self._on_transmissions)
@@ -77,11 +79,11 @@ class Server:
             if isinstance(item, Stop):
                 break
             request = decode(Advance, item.payload)
-            poses = None if request is None else _poses(request, self._config.stations)
-            if request is None or poses is None:
+            pos_ned_m = None if request is None else self._positions(request)
+            if request is None or pos_ned_m is None:
                 self._malformed += 1
                 continue
-            item.answer(encode(self._advance(request, poses)))
+            item.answer(encode(self._advance(request, pos_ned_m)))
         return {"counters": msgspec.to_builtins(self._emulator.counters), "malformed": self._malformed}
 
     def close(self) -> None:
@@ -101,7 +103,27 @@ class Server:
             self._submitted.append(batch)
         question.answer(_ACK)
 
-    def _advance(self, request: Advance, poses: "_Poses") -> Advanced:
+    def _positions(self, request: Advance) -> NDArray[np.float64] | None:
+        """Those of an `Advance`, or None if they are of another number of stations."""
+        return unpack_rows(request.pos_ned_m, stations=self._config.stations, columns=3)
+
+    def _advance(self, request: Advance, pos_ned_m: NDArray[np.float64]) -> Advanced:
+        for station in frozenset(request.silent) - self._silent:
+            self._emulator.set_silent(station)
+            self._undelivered.pop(station, None)
+        self._silent = frozenset(request.silent)
+        if request.to_us > self._reached_us:
+            self._simulate(request, pos_ned_m)
+            self._reached_us = request.to_us
+        self._deliver()
+        return Advanced(
+            to_us=self._reached_us,
+            quiet_until_us=self._emulator.next_event_us,
+            busy_ns=self._emulator.busy_ns,
+            unresponsive=tuple(self._undelivered),
+        )
+
+    def _simulate(self, request: Advance, pos_ned_m: NDArray[np.float64]) -> None:
         # Zenoh's threads append to the list while this runs, so what is taken is cut off by position first.
         count = len(self._submitted)
         batches = self._submitted[:count]
@@ -111,24 +133,16 @@ class Server:
         due = [batch for batch in batches if batch.now_us < request.to_us]
         for batch in sorted(due, key=lambda batch: (batch.now_us, batch.station)):
             self._emulator.submit(batch)
-        for station in frozenset(request.silent) - self._silent:
-            self._emulator.set_silent(station)
-        self._silent = frozenset(request.silent)
         self._emulator.set_extra_attenuation_db(request.extra_attenuation_db)
-        arrivals = self._emulator.advance(
-            to_us=request.to_us,
-            pos_ned_m=poses.pos_ned_m,
-            vel_ned_m_s=poses.vel_ned_m_s,
-            q_ned_frd=poses.q_ned_frd,
-        )
-        unresponsive = self._deliver(arrivals, request.release_us)
+        arrivals: dict[Station, list[RxItem]] = {}
+        for station, item in self._emulator.advance(to_us=request.to_us, pos_ned_m=pos_ned_m):
+            arrivals.setdefault(station, []).append(item)
+        self._undelivered = {
+            station: encode(RxBatch(station=station, release_us=request.release_us, items=tuple(items)))
+            for station, items in arrivals.items()
+            if station not in self._silent
+        }
         self._write_logs()
-        return Advanced(
-            to_us=request.to_us,
-            quiet_until_us=self._emulator.next_event_us,
-            busy_ns=self._emulator.busy_ns,
-            unresponsive=unresponsive,
-        )
 
     def _write_logs(self) -> None:
         frames, sessions = self._emulator.take_frames(), self._emulator.take_sessions()
@@ -137,38 +151,12 @@ class Server:
         if self._session_log is not None:
             self._session_log.append(sessions)
 
-    def _deliver(self, arrivals: list[tuple[Station, RxItem]], release_us: int) -> tuple[Station, ...]:
-        """Hand every station its arrivals, all at once, and wait.
-
-        Returns the stations that did not acknowledge.
-        """
-        by_station: dict[Station, list[RxItem]] = {}
-        for station, item in arrivals:
-            if station not in self._silent:
-                by_station.setdefault(station, []).append(item)
-        pending: dict[Station, Pending] = {}
-        for station, items in by_station.items():
-            batch = RxBatch(station=station, release_us=release_us, items=tuple(items))
-            pending[station] = self._receivers[station].ask(encode(batch))
-        return tuple(station for station, answer in pending.items() if answer.answer() is None)
-
-
-class _Poses(NamedTuple):
-    """Those of an `Advance`, unpacked."""
-
-    pos_ned_m: NDArray[np.float64]
-    vel_ned_m_s: NDArray[np.float64]
-    q_ned_frd: NDArray[np.float64]
-
-
-def _poses(request: Advance, stations: int) -> _Poses | None:
-    """Poses of so many stations, or None if the request holds those of another number."""
-    pos_ned_m = unpack_rows(request.pos_ned_m, stations=stations, columns=3)
-    vel_ned_m_s = unpack_rows(request.vel_ned_m_s, stations=stations, columns=3)
-    q_ned_frd = unpack_rows(request.q_ned_frd, stations=stations, columns=4)
-    if pos_ned_m is None or vel_ned_m_s is None or q_ned_frd is None:
-        return None
-    return _Poses(pos_ned_m, vel_ned_m_s, q_ned_frd)
+    def _deliver(self) -> None:
+        """Hand every station its arrivals, all at once, and wait a while for the acknowledgements."""
+        asked = {station: self._receivers[station].ask(batch) for station, batch in self._undelivered.items()}
+        for station, pending in asked.items():
+            if pending.answer() is not None:
+                del self._undelivered[station]
 
 
 def _log(path: str | None, dtype: np.dtype[Any]) -> RecordLog | None:

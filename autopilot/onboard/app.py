@@ -19,33 +19,25 @@ from msgspec import Struct
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common
 
-from autopilot.config import OnboardConfig, Site
-from autopilot.onboard import beacon as wire
-from autopilot.onboard.commands import ARM, LAND, NEVER_US, OFFBOARD, CommandSender, take_off
+from autopilot.config import Devices, OnboardConfig, Site
+from autopilot.onboard.commands import ARM, OFFBOARD, CommandSender, take_off
 from autopilot.onboard.formation import Correction, Reference, separation_radius_limit_m
-from autopilot.onboard.localisation import CLOCK_TOLERANCE_US, CooperativeLocalisation, LocalisationModel
+from autopilot.onboard.localisation import CooperativeLocalisation, LocalisationModel
 from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.phases import Phase
-from autopilot.onboard.ranging import RangingSchedule
-from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult, TxItem
+from autopilot.onboard.traffic import SILENCE_US, Traffic
+from netsim.wire.messages import Delivery, FtmResult, TxItem
 
 Array = NDArray[np.float64]
 
 SETPOINT_PERIOD_US = 50_000
 HEARTBEAT_PERIOD_US = 1_000_000
-BEACON_JITTER = 0.02
-"""Half width of each beacon's random shift, in periods: two UAVs that tick together do not go on doing so."""
 SHAPE_STD_M = 0.35
 LOCALISE_TIMEOUT_US = 10_000_000
 TAKE_OFF_HEIGHT_M = 2.5
 HAND_OVER_HEIGHT_M = 1.2
-SILENCE_US = 3_000_000
-"""A neighbour not heard for this long is neither ranged to nor kept clear of."""
 HEARTBEAT_LAG_US = 1_500_000
 """A HEARTBEAT (1 Hz) shows a change that a COMMAND_ACK announced after this at the latest."""
-TRIP_STD_M, TRIP_STD_TRIPS = 0.08, 8
-"""Expected error of a single round trip's distance at 80 MHz, and how many trips' evidence that expectation
-is worth beside the scatter of the session's own few."""
 OFFBOARD_MAIN_MODE = 6
 _SETPOINT_MASK = (
     common.POSITION_TARGET_TYPEMASK_AX_IGNORE
@@ -78,6 +70,9 @@ class Estimate:
     """(3,) one sigma, the error of the formation as a whole included."""
     correction_ned_m: Array
     """(3,)"""
+    odometry_offset_ned_m: Array
+    """(3,) the part of it that comes over the radio: the true position less the odometry, as localisation
+    knows it. NaN before it does; frozen while no distances come."""
 
 
 class OnboardApp:
@@ -88,12 +83,12 @@ class OnboardApp:
         places_ned_m: N places (3,) of the formation, site NED; the UAVs start on level ground below them.
         site: origin of the places' frame.
         config: settings.
+        devices: what the UAV knows of its own.
         rng: source of the phases and jitters of beacons and requests.
 
     Attributes:
         phase: where in the flight it is.
         localisation: the filter, or None when flying on GPS alone.
-        bad_beacons: datagrams that were no beacon, or one that contradicts itself.
 
     """
 
@@ -104,17 +99,16 @@ class OnboardApp:
         places_ned_m: Sequence[Sequence[float]],
         site: Site,
         config: OnboardConfig,
+        devices: Devices,
         rng: np.random.Generator,
     ) -> None:
         places = np.array(places_ned_m, float).reshape(-1, 3)
         self.phase = Phase.WAITING
-        self.bad_beacons = 0
         self.localisation: CooperativeLocalisation | None = None
         self._station = station
         self._count = len(places)
         self._place_ned_m = places[station]
         self._config = config
-        self._rng = rng
         self._model = LocalisationModel(
             gps_bias_std_m=config.gps_bias_std_m,
             gps_bias_time_constant_s=config.gps_bias_time_constant_s,
@@ -124,29 +118,20 @@ class OnboardApp:
         )
         if config.localisation == "ftm" and self._count > 1:
             self.localisation = CooperativeLocalisation(own=station, places_ned_m=places, model=self._model)
-        self._ranging = RangingSchedule(
-            station=station, stations=self._count, period_us=round(config.ftm_period_s * 1e6), rng=rng
+        self._traffic = Traffic(
+            station=station, stations=self._count, config=config, devices=devices, rng=rng
         )
-        self._range_silence_us = round((2.0 * config.ftm_period_s + 1.0) * 1e6)
         self._separation_limit_m = separation_radius_limit_m(places, station)
         self._commands = CommandSender(target_system=station + 1)
         self._correction = Correction()
         self._reference = Reference(climb_speed_m_s=config.climb_speed_m_s)
-        self._own = OwnState(site=site, config=config)
+        self._own = OwnState(site=site, gps_delay_s=devices.gps_delay_s)
         # What this application is doing.
         self._now_us = -1
         self._phase_since_us = 0
         self._arrived_us: int | None = None
         self._offboard_seen = False
         self._supported = False
-        self._land_requested = False
-        self._distances: dict[int, wire.Distance] = {}
-        self._heard_us: dict[int, int] = {}
-        self._radio_seq = 0
-        self._beacon_sequence = 0
-        self._beacon_period_us = config.beacon_period_ms * 1_000
-        self._beacon_slot_us: float | None = None
-        self._beacon_us = 0
         self._setpoint_us = 0
         self._heartbeat_out_us = 0
         self._heartbeat_phase: Phase | None = None
@@ -185,26 +170,35 @@ class OnboardApp:
         if isinstance(item, Delivery):
             self._on_beacon(item, now_us)
             return
-        self._ranging.on_result(item.peer)
-        if item.status != "ok" or item.round_trips < 1 or item.peer >= self._count:
-            return
-        # Few trips tell their own scatter badly, so it is pooled with what is expected (a scaled inverse
-        # chi-square prior).
-        degrees = item.round_trips - 1
-        trip_var_m2 = (TRIP_STD_TRIPS * TRIP_STD_M**2 + degrees * item.distance_std_m**2) / (
-            TRIP_STD_TRIPS + degrees
-        )
-        std_m = float(np.sqrt(trip_var_m2 / item.round_trips))
-        distance = wire.Distance(item.peer, item.measured_ns // 1_000_000, item.distance_m, std_m)
-        self._distances[item.peer] = distance
-        if self.localisation is not None:
+        distance = self._traffic.measured(item)
+        if distance is not None and self.localisation is not None:
             self.localisation.on_range(
-                self._station, item.peer, distance.time_ms * 1_000, item.distance_m, std_m, now_us=now_us
+                self._station,
+                distance.peer,
+                distance.time_ms * 1_000,
+                distance.distance_m,
+                distance.std_m,
+                now_us=now_us,
             )
 
-    def request_landing(self) -> None:
-        """Land where the UAV is, at the next setpoint, unless it has been yielded to somebody else."""
-        self._land_requested = True
+    def _on_beacon(self, item: Delivery, now_us: int) -> None:
+        beacon = self._traffic.hear(item, now_us)
+        if beacon is None or self.localisation is None:
+            return
+        self.localisation.on_odometry(
+            beacon.station, beacon.time_us, beacon.odometry_ned_m, beacon.vel_ned_m_s
+        )
+        if beacon.fix is not None and beacon.fix.time_ms * 1_000 <= now_us:
+            self.localisation.on_fix(beacon.station, beacon.fix.time_ms * 1_000, beacon.fix.pos_ned_m)
+        for distance in beacon.distances:
+            self.localisation.on_range(
+                beacon.station,
+                distance.peer,
+                distance.time_ms * 1_000,
+                distance.distance_m,
+                distance.std_m,
+                now_us=now_us,
+            )
 
     # ---- output
 
@@ -238,7 +232,9 @@ class OnboardApp:
         if self._texts:
             mavlink += self._texts
             self._texts = []
-        radio = self._radio_items(now_us, now_us + step_us)
+        radio: tuple[TxItem, ...] = ()
+        if self._own.time_us >= 0:
+            radio = self._traffic.due(self._own, now_us, now_us + step_us, ranging=self._ranges)
         self._due_us = self.next_deadline_us()
         return OnboardOutput(mavlink, radio) if mavlink or radio else NOTHING
 
@@ -246,21 +242,35 @@ class OnboardApp:
         """When `on_timer` next has something to do, if no message comes before; 0 until positions come."""
         if self._own.time_us < 0:
             return 0
-        ranging_us = int(self._ranging.next_us) if self._ranges else NEVER_US
         commands_us = self._commands.next_deadline_us()
-        return min(self._setpoint_us, commands_us, self._heartbeat_out_us, self._beacon_us, ranging_us)
+        radio_us = self._traffic.next_deadline_us(ranging=self._ranges)
+        return min(self._setpoint_us, commands_us, self._heartbeat_out_us, radio_us)
+
+    @property
+    def _ranges(self) -> bool:
+        return self.localisation is not None and self.phase is not Phase.WAITING
+
+    @property
+    def bad_beacons(self) -> int:
+        """Datagrams that were no beacon, or one that contradicts itself."""
+        return self._traffic.bad_beacons
 
     @property
     def estimate(self) -> Estimate:
         """The present estimate; arrays are the caller's."""
         correction_ned_m = np.zeros(3)
         correction_ned_m[:2] = self._correction.ne_m
+        offset_ned_m = np.full(3, np.nan)
+        if self._correction.offset_ne_m is not None:
+            offset_ned_m[:] = (*self._correction.offset_ne_m.tolist(), 0.0)
         if self.localisation is not None and self._supported:
             std_ned_m = self.localisation.std_ned_m()
         else:
             model = self._model
             std_ned_m = np.array((model.gps_bias_std_m, model.gps_bias_std_m, model.height_std_m))
-        return Estimate(self._own.autopilot_ned_m - correction_ned_m, std_ned_m, correction_ned_m)
+        return Estimate(
+            self._own.autopilot_ned_m - correction_ned_m, std_ned_m, correction_ned_m, offset_ned_m
+        )
 
     @property
     def shape_std_m(self) -> float:
@@ -268,79 +278,6 @@ class OnboardApp:
         if self.localisation is None or not self._supported:
             return float("inf")
         return self.localisation.shape_std_m(self._now_us)
-
-    # ---- the radio
-
-    def _on_beacon(self, item: Delivery, now_us: int) -> None:
-        beacon = wire.decode(item.payload)
-        if (
-            beacon is None
-            or beacon.station != item.source
-            or beacon.station >= self._count
-            or beacon.station == self._station
-            or beacon.time_us > now_us + CLOCK_TOLERANCE_US
-        ):
-            self.bad_beacons += 1
-            return
-        self._heard_us[beacon.station] = now_us
-        if self.localisation is None:
-            return
-        self.localisation.on_odometry(
-            beacon.station, beacon.time_us, beacon.odometry_ned_m, beacon.vel_ned_m_s
-        )
-        if beacon.fix is not None and beacon.fix.time_ms * 1_000 <= now_us:
-            self.localisation.on_fix(beacon.station, beacon.fix.time_ms * 1_000, beacon.fix.pos_ned_m)
-        for distance in beacon.distances:
-            self.localisation.on_range(
-                beacon.station,
-                distance.peer,
-                distance.time_ms * 1_000,
-                distance.distance_m,
-                distance.std_m,
-                now_us=now_us,
-            )
-
-    def _radio_items(self, now_us: int, until_us: int) -> tuple[TxItem, ...]:
-        if self._own.time_us < 0:
-            return ()
-        items: list[TxItem] = []
-        if self._beacon_slot_us is None:
-            self._beacon_slot_us = now_us + self._rng.uniform() * self._beacon_period_us
-            self._beacon_us = int(self._beacon_slot_us)
-        while self._beacon_us < until_us:
-            payload = wire.encode(self._beacon())
-            items.append(Broadcast(seq=self._next_seq(), at_us=max(self._beacon_us, now_us), payload=payload))
-            self._beacon_slot_us += self._beacon_period_us
-            self._beacon_us = int(
-                self._beacon_slot_us
-                + self._rng.uniform(-BEACON_JITTER, BEACON_JITTER) * self._beacon_period_us
-            )
-        if self._ranges and self._ranging.next_us < until_us:
-            reachable = {peer for peer, heard_us in self._heard_us.items() if now_us - heard_us < SILENCE_US}
-            items += [
-                FtmRequest(seq=self._next_seq(), at_us=at_us, peer=peer)
-                for at_us, peer in self._ranging.due(now_us, until_us, reachable)
-            ]
-        return tuple(items)
-
-    @property
-    def _ranges(self) -> bool:
-        return self.localisation is not None and self.phase is not Phase.WAITING
-
-    def _beacon(self) -> wire.Beacon:
-        self._beacon_sequence += 1
-        oldest_ms = (self._now_us - self._range_silence_us) // 1_000
-        odo_n, odo_e, odo_d = self._own.odometry_ned_m.tolist()
-        vel_n, vel_e, vel_d = self._own.vel_ned_m_s.tolist()
-        return wire.Beacon(
-            self._station, self._beacon_sequence & 0xFFFF, int(self.phase), self._own.time_us,
-            (odo_n, odo_e, odo_d), (vel_n, vel_e, vel_d), self._own.fix,
-            tuple(item for item in self._distances.values() if item.time_ms >= oldest_ms),
-        )  # fmt: skip
-
-    def _next_seq(self) -> int:
-        self._radio_seq += 1
-        return self._radio_seq - 1
 
     # ---- flight
 
@@ -353,7 +290,7 @@ class OnboardApp:
         supported = (
             bool(self.localisation.located[self._station])
             and range_us is not None
-            and now_us - range_us < self._range_silence_us
+            and now_us - range_us < self._traffic.range_silence_us
         )
         in_air = self.phase >= Phase.TAKE_OFF
         if supported is not self._supported:
@@ -366,9 +303,6 @@ class OnboardApp:
 
     def _next_phase(self, now_us: int) -> Phase:
         """Decide the phase that the facts of now lead to, and want the command that it needs."""
-        if self._land_requested and Phase.ARMING <= self.phase < Phase.LANDING:
-            self._land_requested = False
-            return Phase.LANDING
         known_us = self._phase_since_us + HEARTBEAT_LAG_US
         disarmed = not self._own.armed and self._own.heartbeat_us > known_us
         height_m = -float(self._own.local_ned_m[2])
@@ -393,9 +327,6 @@ class OnboardApp:
                 self._commands.want(None, now_us)
                 if self._own.main_mode == OFFBOARD_MAIN_MODE:
                     return Phase.JOINING
-                return Phase.LANDED if disarmed else self.phase
-            case Phase.LANDING:
-                self._commands.want(LAND, now_us)
                 return Phase.LANDED if disarmed else self.phase
             case Phase.LANDED:
                 self._commands.want(None, now_us)
@@ -439,11 +370,7 @@ class OnboardApp:
 
     def _setpoint(self, now_us: int) -> list[common.MAVLink_message]:
         """Form the offboard setpoint; before offboard it is where the UAV is, for a smooth start."""
-        if (
-            self._own.origin_ned_m is None
-            or not Phase.ARMING <= self.phase <= Phase.YIELDED
-            or self.phase is Phase.LANDING
-        ):
+        if self._own.origin_ned_m is None or not Phase.ARMING <= self.phase <= Phase.YIELDED:
             return []
         target_ne_m = np.zeros(2)
         if self.phase in {Phase.JOINING, Phase.ON_STATION}:

@@ -27,7 +27,6 @@ OFFBOARD = Command(
     common.MAV_CMD_DO_SET_MODE,
     (float(common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED), 6.0, 0.0, 0.0, 0.0, 0.0, 0.0),
 )
-LAND = Command(common.MAV_CMD_NAV_LAND, (0.0, 0.0, 0.0, NAN, NAN, NAN, 0.0))
 
 
 def take_off(altitude_m: float) -> Command:

@@ -33,12 +33,13 @@ class Correction:
 
     Attributes:
         ne_m: (2,) the correction, NED north and east.
+        offset_ne_m: (2,) smoothed true position less odometry; None before the first.
 
     """
 
     def __init__(self) -> None:
         self.ne_m = np.zeros(2)
-        self._offset_ne_m: Array | None = None
+        self.offset_ne_m: Array | None = None
         self._silent_s = 0.0
 
     def update(
@@ -54,25 +55,25 @@ class Correction:
 
         """
         if offset_ne_m is None:
-            if self._offset_ne_m is None:
+            if self.offset_ne_m is None:
                 return
             self._silent_s += dt_s
             if self._silent_s > COAST_S:
                 self.ne_m = self.ne_m * np.exp(-dt_s / FADE_TIME_CONSTANT_S)
                 return
         elif at_once:
-            self._offset_ne_m = offset_ne_m.copy()
+            self.offset_ne_m = offset_ne_m.copy()
         else:
-            if self._offset_ne_m is None or self._silent_s > COAST_S:
+            if self.offset_ne_m is None or self._silent_s > COAST_S:
                 # Continue from where the correction is: it may not jump in the air.
-                self._offset_ne_m = autopilot_less_odometry_ne_m - self.ne_m
-            step_m = (offset_ne_m - self._offset_ne_m) * (1.0 - np.exp(-dt_s / OFFSET_TIME_CONSTANT_S))
+                self.offset_ne_m = autopilot_less_odometry_ne_m - self.ne_m
+            step_m = (offset_ne_m - self.offset_ne_m) * (1.0 - np.exp(-dt_s / OFFSET_TIME_CONSTANT_S))
             length_m = float(np.hypot(*step_m))
             limit_m = OFFSET_RATE_M_S * dt_s
-            self._offset_ne_m = self._offset_ne_m + step_m * min(1.0, limit_m / max(length_m, 1e-12))
+            self.offset_ne_m = self.offset_ne_m + step_m * min(1.0, limit_m / max(length_m, 1e-12))
         if offset_ne_m is not None:
             self._silent_s = 0.0
-        self.ne_m = autopilot_less_odometry_ne_m - self._offset_ne_m
+        self.ne_m = autopilot_less_odometry_ne_m - self.offset_ne_m
 
 
 class Reference:

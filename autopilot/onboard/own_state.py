@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common
 
-from autopilot.config import OnboardConfig, Site
+from autopilot.config import Site
 from autopilot.navigation.geodesy import geodetic_to_ned
 from autopilot.onboard.beacon import Fix
 
@@ -31,7 +31,7 @@ class OwnState:
 
     """
 
-    def __init__(self, *, site: Site, config: OnboardConfig) -> None:
+    def __init__(self, *, site: Site, gps_delay_s: float) -> None:
         self.time_us = -1
         self.odometry_ned_m = np.zeros(3)
         self.vel_ned_m_s = np.zeros(3)
@@ -43,7 +43,7 @@ class OwnState:
         self.main_mode = 0
         self.heartbeat_us = -1
         self._site = site
-        self._config = config
+        self._gps_delay_ms = round(gps_delay_s * 1e3)
         self._boot_offset_us: int | None = None
 
     @property
@@ -77,12 +77,11 @@ class OwnState:
         """Take a GPS_RAW_INT; False if it holds no new 3-D position."""
         if msg.fix_type < common.GPS_FIX_TYPE_3D_FIX or self._boot_offset_us is None:
             return False
-        time_ms = (msg.time_usec + self._boot_offset_us) // 1_000 - self._config.gps_delay_ms
+        time_ms = (msg.time_usec + self._boot_offset_us) // 1_000 - self._gps_delay_ms
         if time_ms < 0 or (self.fix is not None and time_ms <= self.fix.time_ms):
             return False
         north_m, east_m, down_m = self._site_ned_m(msg.lat, msg.lon, msg.alt).tolist()
-        std_m = self._config.gps_bias_std_m if msg.eph in {0, 0xFFFF} else msg.eph * 1e-2
-        self.fix = Fix(time_ms, (north_m, east_m, down_m), std_m)
+        self.fix = Fix(time_ms, (north_m, east_m, down_m))
         return True
 
     def on_origin(self, msg: common.MAVLink_gps_global_origin_message) -> None:

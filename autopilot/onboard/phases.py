@@ -17,8 +17,7 @@ class Phase(IntEnum):
     """On the way to the own place, in offboard."""
     ON_STATION = 5
     """Has been at the own place for long enough; kept from then on."""
-    LANDING = 6
-    YIELDED = 7
+    YIELDED = 6
     """Somebody else chose another mode. The application goes on with beacons and ranging, and takes over
     again if that somebody sets the mode to offboard."""
-    LANDED = 8
+    LANDED = 7

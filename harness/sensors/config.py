@@ -27,7 +27,7 @@ class GpsOverrides(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     velocity_std_m_s: NonNegative | None = None
     """White, per axis and fix."""
     rate_hz: Annotated[float, Meta(gt=0.0, le=50.0)] | None = None
-    delay_s: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
+    delay_s: Annotated[float, Meta(ge=0.0, le=0.3)] | None = None
     """Age of what a fix describes, when it arrives."""
 
 
@@ -36,6 +36,10 @@ class SensorsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     profile: Literal["consumer", "gazebo", "ideal"] = "consumer"
     gps: GpsOverrides = GpsOverrides()
+
+    def gps_model(self) -> "GpsModel":
+        """Give the profile's receiver with what the scenario says otherwise."""
+        return PROFILES[self.profile].gps.overridden(self.gps)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

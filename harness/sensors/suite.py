@@ -73,7 +73,7 @@ class SensorSuite:
         self, *, config: SensorsConfig, site: Site, vehicles: int, step_us: int, seed: np.random.SeedSequence
     ) -> None:
         profile = PROFILES[config.profile]
-        self._gps_model: GpsModel = profile.gps.overridden(config.gps)
+        self._gps_model: GpsModel = config.gps_model()
         self._site = site
         self._step_us = step_us
         self._mag_period_us = round(1e6 / profile.mag_rate_hz)

@@ -13,15 +13,17 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-VERSION = 2
+VERSION = 3
 """First field of every message; a change of any message's fields raises it."""
 MAX_PAYLOAD_BYTES = 1472
 """Largest UDP payload that fits one 1500-byte IP packet."""
 _FLOAT64_BYTES = 8
 
 Station = Annotated[int, Meta(ge=0, le=65_535)]
-TimeUs = Annotated[int, Meta(ge=0)]
-TimeNs = Annotated[int, Meta(ge=0)]
+TimeUs = Annotated[int, Meta(ge=0, le=2**53)]
+"""Some 285 years: what is later is no time, and its nanoseconds would not fit the logs."""
+TimeNs = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+Seq = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Rows = bytes
 """A matrix of little-endian float64, row after row, one row per station: `pack_rows`, `unpack_rows`."""
 
@@ -29,7 +31,7 @@ Rows = bytes
 class Broadcast(Struct, frozen=True, kw_only=True, array_like=True, tag="b"):
     """One UDP datagram to every station in range."""
 
-    seq: Annotated[int, Meta(ge=0)]
+    seq: Seq
     """Rises by one with each item that a station hands over, whatever its kind."""
     at_us: TimeUs
     """When the application hands it to its host stack; not before the batch's ``now_us``."""
@@ -39,7 +41,7 @@ class Broadcast(Struct, frozen=True, kw_only=True, array_like=True, tag="b"):
 class FtmRequest(Struct, frozen=True, kw_only=True, array_like=True, tag="f"):
     """Ask the driver to range to a peer; exactly one `FtmResult` with this ``seq`` comes back."""
 
-    seq: Annotated[int, Meta(ge=0)]
+    seq: Seq
     at_us: TimeUs
     peer: Station
 
@@ -60,7 +62,7 @@ class Delivery(Struct, frozen=True, kw_only=True, array_like=True, tag="d"):
     """A datagram that reached this station."""
 
     source: Station
-    seq: int
+    seq: Seq
     """The sender's sequence number."""
     received_ns: TimeNs
     """End of the frame at this antenna."""
@@ -72,7 +74,7 @@ class FtmResult(Struct, frozen=True, kw_only=True, array_like=True, tag="r"):
     """What the driver reports of one ranging session, at the initiator."""
 
     peer: Station
-    seq: int
+    seq: Seq
     """That of the `FtmRequest`."""
     status: str
     """``ok``, ``timeout``, ``no_response``, ``rejected`` or ``dropped`` (never left the queue)."""
@@ -109,7 +111,11 @@ class Ack(Struct, frozen=True, kw_only=True, array_like=True):
 
 
 class Advance(Struct, frozen=True, kw_only=True, array_like=True):
-    """From the time master: simulate the air up to ``to_us`` with these poses. Answered by `Advanced`."""
+    """From the time master: simulate the air up to ``to_us`` with these poses. Answered by `Advanced`.
+
+    Repeated for the same ``to_us``, it only delivers once more to stations that have not acknowledged, less
+    those that it calls silent.
+    """
 
     version: int = VERSION
     to_us: TimeUs
@@ -117,10 +123,6 @@ class Advance(Struct, frozen=True, kw_only=True, array_like=True):
     """When the hosts may see what arrives in this interval."""
     pos_ned_m: Rows
     """(stations, 3)"""
-    vel_ned_m_s: Rows
-    """(stations, 3)"""
-    q_ned_frd: Rows
-    """(stations, 4) body to NED, wxyz"""
     silent: tuple[Station, ...] = ()
     """Stations that are gone: their radios send and answer nothing."""
     extra_attenuation_db: float | None = None
@@ -128,7 +130,7 @@ class Advance(Struct, frozen=True, kw_only=True, array_like=True):
 
 
 class Advanced(Struct, frozen=True, kw_only=True, array_like=True):
-    """The air has been simulated up to ``to_us`` and every delivery of it acknowledged."""
+    """The air has been simulated up to ``to_us``, and all but the unresponsive have its deliveries."""
 
     version: int = VERSION
     to_us: TimeUs
@@ -137,7 +139,7 @@ class Advanced(Struct, frozen=True, kw_only=True, array_like=True):
     busy_ns: TimeNs = 0
     """Time since the start for which the medium carried at least one transmission."""
     unresponsive: tuple[Station, ...] = ()
-    """Stations that did not acknowledge what they were delivered."""
+    """Stations that have not acknowledged their deliveries; whether to wait is the time master's choice."""
 
 
 Message = TxBatch | RxBatch | Ack | Advance | Advanced

@@ -5,6 +5,8 @@ What is handed over arrives, in time, whatever comes first.
 
 import contextlib
 import json
+import os
+import signal
 import subprocess
 import sys
 
@@ -71,8 +73,6 @@ class Radio:
             to_us=to_us,
             release_us=to_us + 4000,
             pos_ned_m=pack_rows(np.array(POSES_M)),
-            vel_ned_m_s=pack_rows(np.zeros((3, 3))),
-            q_ned_frd=pack_rows(np.array([[1.0, 0.0, 0.0, 0.0]] * 3)),
             **changes,
         )
         return decode(Advanced, self.asker.ask(encode(request)).answer())
@@ -93,6 +93,29 @@ class Radio:
         for pipe in (self.process.stdin, self.process.stdout):
             with contextlib.suppress(OSError):
                 pipe.close()
+
+
+STATION = """
+import sys
+from netsim.radio import RadioClient
+client = RadioClient(endpoint=sys.argv[1], run_id=sys.argv[2], station=int(sys.argv[3]))
+print("here", flush=True)
+for line in sys.stdin:
+    print(len(client.receive(int(line))), flush=True)
+client.close()
+"""
+
+
+@contextlib.contextmanager
+def station_process(endpoint, station):
+    """A station in a process of its own; for a time on its stdin it prints how many items it has."""
+    command = [sys.executable, "-c", STATION, endpoint, RUN, str(station)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        try:
+            assert process.stdout.readline() == b"here\n"
+            yield process
+        finally:
+            process.kill()
 
 
 @pytest.fixture
@@ -155,12 +178,7 @@ def test_hostile_bytes_change_nothing_and_are_counted(radio):
                 assert asker.ask(rng.bytes(size)).answer() is None
         # well formed, and for another number of stations or from none of them
         asker = stranger.asker(advance_key(RUN), timeout_s=0.05)
-        assert (
-            asker.ask(
-                encode(Advance(to_us=1, release_us=2, pos_ned_m=b"", vel_ned_m_s=b"", q_ned_frd=b""))
-            ).answer()
-            is None
-        )
+        assert asker.ask(encode(Advance(to_us=1, release_us=2, pos_ned_m=b""))).answer() is None
         assert radio.advance(8000).to_us == 8000
         assert client.malformed == 4
     assert radio.stop()["malformed"] == 9
@@ -173,6 +191,27 @@ def test_a_station_that_is_gone_does_not_hold_up_the_others(radio):
         assert radio.advance(8000).unresponsive == (2,)
         assert len(receiver.receive(12_000)) == 1
         sender.send(8000, [Broadcast(seq=2, at_us=8000, payload=b"x")])
+        assert radio.advance(12_000, silent=(2,)).unresponsive == ()
+
+
+def test_a_station_that_sleeps_through_a_delivery_gets_it_once_when_it_wakes(radio):
+    with contextlib.ExitStack() as stack:
+        sender, awake = (stack.enter_context(contextlib.closing(radio.client(i))) for i in range(2))
+        sleeper = stack.enter_context(station_process(radio.endpoint, 2))
+        os.kill(sleeper.pid, signal.SIGSTOP)
+        sender.send(4000, [Broadcast(seq=1, at_us=4000, payload=b"x")])
+        assert radio.advance(8000).unresponsive == (2,)
+        assert radio.advance(8000).unresponsive == (2,)  # asked again, and simulated no second time
+        assert len(awake.receive(12_000)) == 1
+        os.kill(sleeper.pid, signal.SIGCONT)
+        assert radio.advance(8000).unresponsive == ()
+        sleeper.stdin.write(b"12000\n")
+        sleeper.stdin.flush()
+        assert sleeper.stdout.readline() == b"1\n"
+        # and one that is called gone is waited for no longer
+        os.kill(sleeper.pid, signal.SIGSTOP)
+        sender.send(8000, [Broadcast(seq=2, at_us=8000, payload=b"x")])
+        assert radio.advance(12_000).unresponsive == (2,)
         assert radio.advance(12_000, silent=(2,)).unresponsive == ()
 
 

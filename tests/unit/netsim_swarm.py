@@ -40,15 +40,12 @@ class Swarm:
         return self._seqs[station]
 
     def run(self, until_us: int) -> list[tuple[int, RxItem]]:
-        count = len(self.places)
         arrived = []
         while self.now_us < until_us:
             self.now_us += STEP_US
             arrived += self.emulator.advance(
                 to_us=self.now_us,
                 pos_ned_m=self.places,
-                vel_ned_m_s=np.zeros((count, 3)),
-                q_ned_frd=np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)),
             )
         self.received += arrived
         return arrived

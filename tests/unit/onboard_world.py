@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from pymavlink.dialects.v20 import common
 
-from autopilot.config import OnboardConfig, Site
+from autopilot.config import Devices, OnboardConfig, Site
 from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.onboard import OnboardApp, Phase
 from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult
@@ -140,6 +140,7 @@ class SwarmWorld:
                 places_ned_m=self.places,
                 site=SITE,
                 config=config or OnboardConfig(),
+                devices=Devices(),
                 rng=streams[2 + i],
             )
             for i in range(self.n)

@@ -1,8 +1,12 @@
 """The cache of compiled kernels is another one whenever anything that they are compiled from is."""
 
+import shutil
+from pathlib import Path
+
 import pytest
 
-from harness.kernel_cache import digest
+from harness import kernel_cache
+from harness.kernel_cache import VARIABLE, digest
 
 KERNEL = "from autopilot.constants import G\nfrom numba import njit\n\n@njit\ndef f(x):\n    return G * x\n"
 
@@ -30,3 +34,22 @@ def test_a_change_elsewhere_keeps_it(root):
     before = digest(root)
     (root / "autopilot" / "other.py").write_text("changed = True\n")
     assert digest(root) == before
+
+
+def test_another_checkout_with_the_same_content_has_its_own(root, tmp_path_factory):
+    other = tmp_path_factory.mktemp("elsewhere") / "checkout"
+    shutil.copytree(root, other)
+    assert digest(other) != digest(root)
+    assert digest(other) == digest(other / ".." / "checkout")
+
+
+def test_a_folder_that_the_user_names_holds_one_for_each_state(monkeypatch, tmp_path):
+    compute = kernel_cache.folder.__wrapped__
+    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    folder = compute()
+    assert folder.parent == tmp_path
+    monkeypatch.setenv(VARIABLE, str(folder))  # as a child of ours finds it
+    assert compute() == folder
+    monkeypatch.delenv(VARIABLE)
+    monkeypatch.setenv("XDG_CACHE_HOME", "/somewhere")
+    assert compute() == Path("/somewhere/coflight/kernels") / folder.name

@@ -53,10 +53,8 @@ MESSAGES = [
         to_us=4000,
         release_us=8000,
         pos_ned_m=pack_rows(np.array([[0.0, 1.0, -2.0]])),
-        vel_ned_m_s=pack_rows(np.array([[0.0, 0.0, 0.0]])),
-        q_ned_frd=pack_rows(np.array([[1.0, 0.0, 0.0, 0.0]])),
     ),
-    Advanced(to_us=4000, quiet_until_us=2**60, busy_ns=12, unresponsive=(3,)),
+    Advanced(to_us=4000, quiet_until_us=2**52, busy_ns=12, unresponsive=(3,)),
 ]
 
 
@@ -87,6 +85,13 @@ def test_out_of_range_fields_are_none():
     assert decode(TxBatch, raw) is None
     raw = msgspec.msgpack.encode([VERSION, -3, 4000, []])
     assert decode(TxBatch, raw) is None
+
+
+@pytest.mark.parametrize("item", [["b", 2**63, 4100, b""], ["b", 1, 2**53 + 1, b""], ["f", 2**63, 4100, 1]])
+def test_numbers_that_would_not_fit_the_logs_are_none(item):
+    assert decode(TxBatch, msgspec.msgpack.encode([VERSION, 3, 4000, [item]])) is None
+    fits = [item[0], min(item[1], 2**63 - 1), min(item[2], 2**53), item[3]]
+    assert decode(TxBatch, msgspec.msgpack.encode([VERSION, 3, 4000, [fits]])) is not None
 
 
 def test_rows_are_little_endian_doubles_row_after_row():
