@@ -24,33 +24,31 @@ class Air:
         self._pending: Pending | None = None
         self._quiet_until_us = 0
         self._handed_over = True
-        self._attenuation_db: float | None = None
-        self._next_attenuation_db: float | None = None
+        self.extra_attenuation_db: float | None = None
+        """On every link, in the intervals that begin from now on; None is the scenario's own value."""
         self.busy_ns = 0
 
-    def set_extra_attenuation_db(self, value: float | None) -> None:
-        """Attenuate every link by this from now on; None is the scenario's own value.
+    def begin(
+        self, time_us: int, step_us: int, pos_ned_m: Array, vel_ned_m_s: Array, silent: tuple[int, ...]
+    ) -> None:
+        """Let the emulator simulate the step that begins now, unless the air stays quiet for so long.
 
-        The air of the interval that ends now has not been simulated yet and keeps what was in force.
+        It works beside the physics, so it is given where the vehicles (n, 3) are and how they move now: what
+        their acceleration changes in a step is less than a tenth of a millimetre. The ``silent`` are gone.
         """
-        self._next_attenuation_db = value
-
-    def begin(self, time_us: int, step_us: int, pos_ned_m: Array, silent: tuple[int, ...]) -> None:
-        """Let the emulator simulate up to ``time_us``, when the vehicles are at (n, 3) ``pos_ned_m``.
-
-        It does so beside the vehicles, unless the air stays quiet until then. The ``silent`` are gone.
-        """
-        attenuation_db, self._attenuation_db = self._attenuation_db, self._next_attenuation_db
-        if not self._handed_over and time_us < self._quiet_until_us:
+        to_us = time_us + step_us
+        if not self._handed_over and to_us < self._quiet_until_us:
             return
         self._handed_over = False
         self._ask(
             Advance(
-                to_us=time_us,
-                release_us=time_us + step_us,
+                to_us=to_us,
+                release_us=to_us + step_us,
+                at_us=time_us,
                 pos_ned_m=pack_rows(pos_ned_m),
+                vel_ned_m_s=pack_rows(vel_ned_m_s),
                 silent=silent,
-                extra_attenuation_db=attenuation_db,
+                extra_attenuation_db=self.extra_attenuation_db,
             )
         )
 
@@ -81,5 +79,5 @@ class Air:
         self._pending = self._asker.ask(encode(request))
 
     def handed_over(self) -> None:
-        """A vehicle gave its radio something to send: the next interval is not quiet."""
+        """A vehicle gave its radio something to send: the step that begins now is not quiet."""
         self._handed_over = True

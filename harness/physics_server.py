@@ -121,27 +121,24 @@ class Simulation:
         return self._scenario.run.on_vehicle_loss == "end" and self.lockstep.living < self._scenario.agents
 
     def step(self) -> None:
-        """One step: sensors of this instant out, answers in, world and wind on to the next instant.
+        """One step: sensors of this instant out, answers in, air, world and wind on to the next instant.
 
         What needs no answer is done between the two, beside the vehicles: they idle while the rest is done.
+        The air goes on beside world and vehicles; its deliveries have to be there by the next answers.
         """
         truth = self._world.truth
         alive = [seat.alive for seat in self.lockstep.seats]
         self.lockstep.send(self._encoder.encode(self.time_us, self._sensors.sample(self.time_us, truth)))
-        if self._air is not None:
-            self._air.begin(self.time_us, self._step_us, truth.pos_ned_m, self._gone())
         if self.time_us % self._scenario.record_period_us == 0:
             self._record(truth, alive)
         self.notice_collisions()
         self._wind_ned_n = self._wind.step(self._step_us * 1e-6)
         self._sensors.look_ahead()
         answers = self.lockstep.answers(self.time_us)
-        if self._air is not None:
-            waited_for = self._air.end()
-            while waited_for:
-                self.lockstep.judge(waited_for)
-                waited_for = self._air.wait_on(self._gone())
+        self.settle()
         self._obey(answers)
+        if self._air is not None:
+            self._air.begin(self.time_us, self._step_us, truth.pos_ned_m, truth.vel_ned_m_s, self._gone())
         self._world.step(
             np.array(self._controls),
             np.array(self._armed),
@@ -151,6 +148,14 @@ class Simulation:
         self.time_us += self._step_us
         if self._phase_news:
             self._notice_formation()
+
+    def settle(self) -> None:
+        """Wait until the air is through with what it was let do, and every vehicle has its deliveries."""
+        if self._air is not None:
+            waited_for = self._air.end()
+            while waited_for:
+                self.lockstep.judge(waited_for)
+                waited_for = self._air.wait_on(self._gone())
 
     def _gone(self) -> tuple[int, ...]:
         return tuple(seat.instance for seat in self.lockstep.seats if not seat.alive)
@@ -298,6 +303,7 @@ def _run(simulation: Simulation, command: RunUntil, inbox: "queue.SimpleQueue[An
                     vehicles=simulation.vehicles(),
                 )
             )
+    simulation.settle()
     simulation.notice_collisions()
     return Paused(time_us=simulation.time_us, reason=reason, vehicles=simulation.vehicles())
 
@@ -324,7 +330,7 @@ def serve(config: PhysicsConfig, listeners: list[socket.socket], radio_endpoint:
                     emit(_run(simulation, command, inbox))
                 case SetAttenuation(extra_attenuation_db=attenuation_db):
                     if air is not None:
-                        air.set_extra_attenuation_db(attenuation_db)
+                        air.extra_attenuation_db = attenuation_db
                 case SetPid(instance=instance, pid=pid):
                     simulation.patience.set_pid(instance, pid)
                 case Stop():

@@ -21,7 +21,7 @@ from netsim.mac.jobs import Job, Outcome
 from netsim.mac.station import Station as Mac
 from netsim.phy.medium import Medium, Transmission
 from netsim.phy.modes import phy_mode
-from netsim.phy.propagation import Links, Trajectories
+from netsim.phy.propagation import Links, Trajectories, Vector
 from netsim.records import Counters, FrameRecord, FtmCounters, SessionRecord
 from netsim.streams import Model, Streams, Uniforms
 from netsim.wire.messages import Broadcast, Delivery, FtmResult, RxItem, TxBatch, TxItem
@@ -133,21 +133,25 @@ class Emulator:
             ready_ns = 1_000 * (item.at_us + self._config.host_latency_us) + jitter_ns
             self._submitted.append((max(ready_ns, self.queue.now_ns), batch.station, item.seq, item))
 
-    def advance(self, *, to_us: int, pos_ned_m: Doubles) -> list[tuple[int, RxItem]]:
+    def advance(
+        self, *, to_us: int, at_us: int, pos_ned_m: Doubles, vel_ned_m_s: Doubles
+    ) -> list[tuple[int, RxItem]]:
         """Simulate up to and including ``to_us``.
 
-        ``pos_ned_m`` (n, 3) holds at ``to_us``; in between, positions are linear from the last call's.
-        Returns (station, item) in order of (time, source, seq, station), where the source of a ranging result
-        is its peer. Raises ValueError for positions of another shape or that are not finite, or a time that
-        is past.
+        The stations are at ``pos_ned_m`` (n, 3) at ``at_us`` and move at ``vel_ned_m_s`` (n, 3). Returns
+        (station, item) in order of (time, source, seq, station), where the source of a ranging result is its
+        peer. Raises ValueError for arrays of another shape or that are not finite, or a time that is past.
         """
-        positions = np.asarray(pos_ned_m, dtype=np.float64)
-        if positions.shape != (self._stations, 3) or not np.isfinite(positions).all():
-            raise ValueError(f"positions must be finite and of shape ({self._stations}, 3)")
+        positions, velocities = (np.asarray(each, dtype=np.float64) for each in (pos_ned_m, vel_ned_m_s))
+        for each in (positions, velocities):
+            if each.shape != (self._stations, 3) or not np.isfinite(each).all():
+                raise ValueError(
+                    f"positions and velocities must be finite and of shape ({self._stations}, 3)"
+                )
         to_ns = 1_000 * to_us
         if to_ns < self.queue.now_ns:
             raise ValueError(f"cannot go back to {to_us} us: it is {self.queue.now_ns // 1_000} us")
-        self.trajectories.set(to_ns, [(x, y, z) for x, y, z in positions.tolist()])
+        self.trajectories.set(1_000 * at_us, _vectors(positions), _vectors(velocities))
         self._submitted.sort(key=lambda entry: entry[:3])
         for ready_ns, station, _, item in self._submitted:
             self.queue.at(ready_ns, self._on_ready, (station, item))
@@ -320,3 +324,7 @@ class Emulator:
                 len(transmission.lost_to_noise),
             )
         )
+
+
+def _vectors(rows: Doubles) -> list[Vector]:
+    return [(x, y, z) for x, y, z in rows.tolist()]

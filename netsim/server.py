@@ -39,6 +39,9 @@ from netsim.wire.messages import (
 
 logger = logging.getLogger(__name__)
 
+Doubles = NDArray[np.float64]
+_Motion = tuple[Doubles, Doubles]
+
 STREAM = 802
 """Sets the emulator's random streams apart from those of the run's other processes."""
 
@@ -79,11 +82,11 @@ class Server:
             if isinstance(item, Stop):
                 break
             request = decode(Advance, item.payload)
-            pos_ned_m = None if request is None else self._positions(request)
-            if request is None or pos_ned_m is None:
+            motion = None if request is None else self._motion(request)
+            if request is None or motion is None:
                 self._malformed += 1
                 continue
-            item.answer(encode(self._advance(request, pos_ned_m)))
+            item.answer(encode(self._advance(request, motion)))
         return {"counters": msgspec.to_builtins(self._emulator.counters), "malformed": self._malformed}
 
     def close(self) -> None:
@@ -103,17 +106,20 @@ class Server:
             self._submitted.append(batch)
         question.answer(_ACK)
 
-    def _positions(self, request: Advance) -> NDArray[np.float64] | None:
-        """Those of an `Advance`, or None if they are of another number of stations."""
-        return unpack_rows(request.pos_ned_m, stations=self._config.stations, columns=3)
+    def _motion(self, request: Advance) -> _Motion | None:
+        """Positions and velocities of an `Advance`, or None if they are of another number of stations."""
+        stations = self._config.stations
+        pos_ned_m = unpack_rows(request.pos_ned_m, stations=stations, columns=3)
+        vel_ned_m_s = unpack_rows(request.vel_ned_m_s, stations=stations, columns=3)
+        return None if pos_ned_m is None or vel_ned_m_s is None else (pos_ned_m, vel_ned_m_s)
 
-    def _advance(self, request: Advance, pos_ned_m: NDArray[np.float64]) -> Advanced:
+    def _advance(self, request: Advance, motion: _Motion) -> Advanced:
         for station in frozenset(request.silent) - self._silent:
             self._emulator.set_silent(station)
             self._undelivered.pop(station, None)
         self._silent = frozenset(request.silent)
         if request.to_us > self._reached_us:
-            self._simulate(request, pos_ned_m)
+            self._simulate(request, *motion)
             self._reached_us = request.to_us
         self._deliver()
         return Advanced(
@@ -123,7 +129,7 @@ class Server:
             unresponsive=tuple(self._undelivered),
         )
 
-    def _simulate(self, request: Advance, pos_ned_m: NDArray[np.float64]) -> None:
+    def _simulate(self, request: Advance, pos_ned_m: Doubles, vel_ned_m_s: Doubles) -> None:
         # Zenoh's threads append to the list while this runs, so what is taken is cut off by position first.
         count = len(self._submitted)
         batches = self._submitted[:count]
@@ -135,7 +141,9 @@ class Server:
             self._emulator.submit(batch)
         self._emulator.set_extra_attenuation_db(request.extra_attenuation_db)
         arrivals: dict[Station, list[RxItem]] = {}
-        for station, item in self._emulator.advance(to_us=request.to_us, pos_ned_m=pos_ned_m):
+        for station, item in self._emulator.advance(
+            to_us=request.to_us, at_us=request.at_us, pos_ned_m=pos_ned_m, vel_ned_m_s=vel_ned_m_s
+        ):
             arrivals.setdefault(station, []).append(item)
         self._undelivered = {
             station: encode(RxBatch(station=station, release_us=request.release_us, items=tuple(items)))

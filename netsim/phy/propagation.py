@@ -17,7 +17,7 @@ ROW_LIFETIME_NS = 4_000_000
 AUDIBLE_BELOW_NOISE = 0.01
 """Signals more than 20 dB below the noise do not matter to anybody."""
 
-Position = tuple[float, float, float]
+Vector = tuple[float, float, float]
 
 
 def thermal_noise_mw(bandwidth_mhz: float, noise_figure_db: float) -> float:
@@ -37,51 +37,42 @@ def friis_loss_db(distance_m: float, frequency_mhz: float) -> float:
 
 
 class Trajectories:
-    """Positions of the stations, linear in time between the last two known instants. World NED, metres."""
+    """Positions of the stations, going on at the velocity of the last known instant. World NED, metres."""
 
-    __slots__ = ("_from", "_from_ns", "_to", "_to_ns", "moving", "version")
+    __slots__ = ("_at_ns", "_pos_ned_m", "_vel_ned_m_s", "moving", "version")
 
     def __init__(self, stations: int) -> None:
-        self._from: list[Position] = [(0.0, 0.0, 0.0)] * stations
-        self._to = self._from
-        self._from_ns = 0
-        self._to_ns = 0
+        self._at_ns = 0
+        self._pos_ned_m: list[Vector] = [(0.0, 0.0, 0.0)] * stations
+        self._vel_ned_m_s: list[Vector] = [(0.0, 0.0, 0.0)] * stations
         self.moving = False
         self.version = 0
         """Rises whenever positions may have changed otherwise than by the motion announced before."""
 
-    def set(self, to_ns: int, pos_ned_m: list[Position]) -> None:
-        """Move the stations to these positions by ``to_ns``; the first call places them there."""
-        if pos_ned_m == self._to:
-            self.version += self.moving  # what was computed on the way here does not hold here
-            self.moving = False
-        else:
-            self.moving = self.version > 0
+    def set(self, at_ns: int, pos_ned_m: list[Vector], vel_ned_m_s: list[Vector]) -> None:
+        """State where the stations are at ``at_ns``, and how fast they go on from there."""
+        moving = any(map(any, vel_ned_m_s))
+        if moving or self.moving or pos_ned_m != self._pos_ned_m:
             self.version += 1
-        self._from = self._to if self.moving else pos_ned_m
-        self._from_ns = self._to_ns
-        self._to, self._to_ns = pos_ned_m, to_ns
+        self.moving = moving
+        self._at_ns, self._pos_ned_m, self._vel_ned_m_s = at_ns, pos_ned_m, vel_ned_m_s
 
-    def positions_ned_m(self, at_ns: int) -> list[Position]:
-        """Where all stations are, by station; held before and after the known interval."""
-        if not self.moving or at_ns >= self._to_ns:
-            return self._to
-        return self._between(self._from, self._to, at_ns)
+    def positions_ned_m(self, at_ns: int) -> list[Vector]:
+        """Where all stations are, by station."""
+        if not self.moving:
+            return self._pos_ned_m
+        dt_s = (at_ns - self._at_ns) * 1e-9
+        return [
+            (x + dt_s * vx, y + dt_s * vy, z + dt_s * vz)
+            for (x, y, z), (vx, vy, vz) in zip(self._pos_ned_m, self._vel_ned_m_s, strict=True)
+        ]
 
     def distance_m(self, a: int, b: int, at_ns: int) -> float:
         """Distance between two stations."""
-        pair = [self._to[a], self._to[b]]
-        if self.moving and at_ns < self._to_ns:
-            pair = self._between([self._from[a], self._from[b]], pair, at_ns)
-        (xa, ya, za), (xb, yb, zb) = pair
-        return hypot(xa - xb, ya - yb, za - zb)
-
-    def _between(self, start: list[Position], end: list[Position], at_ns: int) -> list[Position]:
-        s = max(0.0, (at_ns - self._from_ns) / (self._to_ns - self._from_ns))
-        return [
-            (xa + s * (xb - xa), ya + s * (yb - ya), za + s * (zb - za))
-            for (xa, ya, za), (xb, yb, zb) in zip(start, end, strict=True)
-        ]
+        dt_s = (at_ns - self._at_ns) * 1e-9
+        (xa, ya, za), (xb, yb, zb) = self._pos_ned_m[a], self._pos_ned_m[b]
+        (ua, va, wa), (ub, vb, wb) = self._vel_ned_m_s[a], self._vel_ned_m_s[b]
+        return hypot(xa - xb + dt_s * (ua - ub), ya - yb + dt_s * (va - vb), za - zb + dt_s * (wa - wb))
 
     def delay_ps(self, a: int, b: int, at_ns: int) -> int:
         """Propagation time between two stations, in picoseconds."""

@@ -111,7 +111,7 @@ class Ack(Struct, frozen=True, kw_only=True, array_like=True):
 
 
 class Advance(Struct, frozen=True, kw_only=True, array_like=True):
-    """From the time master: simulate the air up to ``to_us`` with these poses. Answered by `Advanced`.
+    """From the time master: simulate the air up to ``to_us``. Answered by `Advanced`.
 
     Repeated for the same ``to_us``, it only delivers once more to stations that have not acknowledged, less
     those that it calls silent.
@@ -121,7 +121,11 @@ class Advance(Struct, frozen=True, kw_only=True, array_like=True):
     to_us: TimeUs
     release_us: TimeUs
     """When the hosts may see what arrives in this interval."""
+    at_us: TimeUs
+    """Beginning of the interval, for which the positions hold; the stations go on at these velocities."""
     pos_ned_m: Rows
+    """(stations, 3)"""
+    vel_ned_m_s: Rows
     """(stations, 3)"""
     silent: tuple[Station, ...] = ()
     """Stations that are gone: their radios send and answer nothing."""

@@ -72,7 +72,9 @@ class Radio:
         request = Advance(
             to_us=to_us,
             release_us=to_us + 4000,
+            at_us=to_us - 4000,
             pos_ned_m=pack_rows(np.array(POSES_M)),
+            vel_ned_m_s=pack_rows(np.zeros((3, 3))),
             **changes,
         )
         return decode(Advanced, self.asker.ask(encode(request)).answer())
@@ -178,7 +180,12 @@ def test_hostile_bytes_change_nothing_and_are_counted(radio):
                 assert asker.ask(rng.bytes(size)).answer() is None
         # well formed, and for another number of stations or from none of them
         asker = stranger.asker(advance_key(RUN), timeout_s=0.05)
-        assert asker.ask(encode(Advance(to_us=1, release_us=2, pos_ned_m=b""))).answer() is None
+        assert (
+            asker.ask(
+                encode(Advance(to_us=1, release_us=2, at_us=0, pos_ned_m=b"", vel_ned_m_s=b""))
+            ).answer()
+            is None
+        )
         assert radio.advance(8000).to_us == 8000
         assert client.malformed == 4
     assert radio.stop()["malformed"] == 9

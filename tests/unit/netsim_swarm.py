@@ -42,10 +42,12 @@ class Swarm:
     def run(self, until_us: int) -> list[tuple[int, RxItem]]:
         arrived = []
         while self.now_us < until_us:
-            self.now_us += STEP_US
             arrived += self.emulator.advance(
-                to_us=self.now_us,
+                to_us=self.now_us + STEP_US,
+                at_us=self.now_us,
                 pos_ned_m=self.places,
+                vel_ned_m_s=np.zeros_like(self.places),
             )
+            self.now_us += STEP_US
         self.received += arrived
         return arrived

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from harness.air import Air, RadioSilent
-from netsim.wire.messages import Advance, Advanced, decode, encode
+from netsim.wire.messages import Advance, Advanced, decode, encode, unpack_rows
 
 STEP_US = 4_000
-POS_NED_M = np.zeros((2, 3))
+POS_NED_M = np.arange(6.0).reshape(2, 3)
+VEL_NED_M_S = -0.5 * POS_NED_M
 
 
 class Emulator:
@@ -45,47 +46,40 @@ def advanced(to_us, *, quiet_until_us=0, unresponsive=()):
 
 
 def step(air, emulator, time_us, **answer):
-    emulator.answers.append(advanced(time_us, **answer))
-    air.begin(time_us, STEP_US, POS_NED_M, ())
+    """The step that begins at ``time_us``, if it is not skipped."""
+    emulator.answers = [advanced(time_us + STEP_US, **answer)]
+    air.begin(time_us, STEP_US, POS_NED_M, VEL_NED_M_S, ())
     return air.end()
 
 
 def test_a_quiet_air_is_left_alone_until_its_time_or_until_somebody_speaks(air, emulator):
-    step(air, emulator, 4_000, quiet_until_us=13_000)
-    for time_us in (8_000, 12_000):
+    step(air, emulator, 0, quiet_until_us=13_000)
+    for time_us in (4_000, 8_000):
         step(air, emulator, time_us)
     assert [request.to_us for request in emulator.asked] == [4_000]
-    emulator.answers.clear()
-    step(air, emulator, 16_000, quiet_until_us=10**9)
+    step(air, emulator, 12_000, quiet_until_us=10**9)
     air.handed_over()
-    step(air, emulator, 20_000, quiet_until_us=10**9)
-    emulator.answers.clear()
-    step(air, emulator, 24_000)
+    step(air, emulator, 16_000, quiet_until_us=10**9)
+    step(air, emulator, 20_000)
     assert [request.to_us for request in emulator.asked] == [4_000, 16_000, 20_000]
+    assert [request.at_us for request in emulator.asked] == [0, 12_000, 16_000]
     assert [request.release_us for request in emulator.asked] == [8_000, 20_000, 24_000]
+    (pos_ned_m,) = {request.pos_ned_m for request in emulator.asked}
+    (vel_ned_m_s,) = {request.vel_ned_m_s for request in emulator.asked}
+    assert np.array_equal(unpack_rows(pos_ned_m, stations=2, columns=3), POS_NED_M)
+    assert np.array_equal(unpack_rows(vel_ned_m_s, stations=2, columns=3), VEL_NED_M_S)
 
 
-@pytest.mark.parametrize("quiet", [False, True])
-def test_attenuation_acts_from_now_on_and_not_on_the_interval_that_is_still_to_be_simulated(
-    air, emulator, quiet
-):
-    quiet_until_us = 10_000 if quiet else 0
-    step(air, emulator, 4_000, quiet_until_us=quiet_until_us)
-    air.set_extra_attenuation_db(30.0)  # at 8000 us, of which the air up to there has still to be simulated
-    for time_us in (8_000, 12_000, 16_000):
-        step(air, emulator, time_us, quiet_until_us=quiet_until_us)
-    air.set_extra_attenuation_db(None)
-    for time_us in (20_000, 24_000):
+def test_attenuation_acts_on_the_steps_that_begin_after_it(air, emulator):
+    for time_us, attenuation_db in ((0, None), (4_000, 30.0), (8_000, 30.0), (12_000, None)):
+        air.extra_attenuation_db = attenuation_db
         step(air, emulator, time_us)
-    told = {request.to_us: request.extra_attenuation_db for request in emulator.asked}
-    expected = {4_000: None, 8_000: None, 12_000: 30.0, 16_000: 30.0, 20_000: 30.0, 24_000: None}
-    if quiet:
-        del expected[8_000]
-    assert told == expected
+    told = {request.at_us: request.extra_attenuation_db for request in emulator.asked}
+    assert told == {0: None, 4_000: 30.0, 8_000: 30.0, 12_000: None}
 
 
 def test_who_has_not_taken_a_delivery_is_asked_about_until_it_has_or_is_gone(air, emulator):
-    assert step(air, emulator, 4_000, unresponsive=(0, 1)) == (0, 1)
+    assert step(air, emulator, 0, unresponsive=(0, 1)) == (0, 1)
     emulator.answers = [advanced(4_000, unresponsive=(1,)), advanced(4_000)]
     assert air.wait_on(()) == (1,)
     assert air.wait_on((1,)) == ()
@@ -96,6 +90,6 @@ def test_who_has_not_taken_a_delivery_is_asked_about_until_it_has_or_is_gone(air
 
 def test_an_emulator_that_does_not_answer_is_an_error(air, emulator):
     emulator.answers = [None]
-    air.begin(4_000, STEP_US, POS_NED_M, ())
+    air.begin(0, STEP_US, POS_NED_M, VEL_NED_M_S, ())
     with pytest.raises(RadioSilent, match=r"the 802\.11 emulator does not answer"):
         air.end()

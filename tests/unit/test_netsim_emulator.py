@@ -232,12 +232,14 @@ def test_wrong_input_is_refused():
     swarm = Swarm(FORMATION[:2])
     with pytest.raises(ValueError, match="no station 2"):
         swarm.emulator.submit(TxBatch(station=2, now_us=0, items=()))
-    for positions in (np.zeros((3, 3)), np.full((2, 3), np.nan)):
-        with pytest.raises(ValueError, match="finite and of shape"):
-            swarm.emulator.advance(to_us=4_000, pos_ned_m=positions)
+    fine = np.zeros((2, 3))
+    for wrong in (np.zeros((3, 3)), np.full((2, 3), np.nan)):
+        for pos_ned_m, vel_ned_m_s in ((wrong, fine), (fine, wrong)):
+            with pytest.raises(ValueError, match="finite and of shape"):
+                swarm.emulator.advance(to_us=4_000, at_us=0, pos_ned_m=pos_ned_m, vel_ned_m_s=vel_ned_m_s)
     swarm.run(8_000)
     with pytest.raises(ValueError, match="go back"):
-        swarm.emulator.advance(to_us=4_000, pos_ned_m=np.zeros((2, 3)))
+        swarm.emulator.advance(to_us=4_000, at_us=0, pos_ned_m=fine, vel_ned_m_s=fine)
     with pytest.raises(ValueError, match="MCS 9"):
         Swarm(FORMATION[:2], bandwidth_mhz=20, broadcast_mode="vht_mcs9")
 

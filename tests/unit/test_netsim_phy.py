@@ -123,6 +123,9 @@ def test_noise_and_friis_are_the_facts_sheets():
     assert friis_loss_db(100.0, 5180.0) == pytest.approx(86.73, abs=0.01)
 
 
+REST = [(0.0, 0.0, 0.0)] * 2
+
+
 def links(stations=2, **settings):
     config = RadioConfig(frequency_mhz=5180.0, rician_k_db=None, **settings)
     trajectories = Trajectories(stations)
@@ -131,11 +134,11 @@ def links(stations=2, **settings):
 
 def test_received_power_falls_with_the_exponent_and_follows_the_vehicles():
     budget, trajectories = links(path_loss_exponent=2.6)
-    trajectories.set(0, [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)])
+    trajectories.set(0, [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)], REST)
     at_10_m = budget.row(0, 0)
     assert 10 * np.log10(at_10_m.powers_mw[1]) == pytest.approx(16.0 - 46.73 - 26.0, abs=0.01)
     assert at_10_m.delays_ns == [0, 33]
-    trajectories.set(1_000_000_000, [(0.0, 0.0, 0.0), (100.0, 0.0, 0.0)])
+    trajectories.set(0, [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)], [(0.0, 0.0, 0.0), (90.0, 0.0, 0.0)])
     assert trajectories.distance_m(0, 1, 500_000_000) == pytest.approx(55.0)
     assert 10 * np.log10(budget.row(0, 1_000_000_000).powers_mw[1]) == pytest.approx(
         16.0 - 46.73 - 52.0, abs=0.01
@@ -144,7 +147,7 @@ def test_received_power_falls_with_the_exponent_and_follows_the_vehicles():
 
 def test_extra_attenuation_comes_and_goes():
     budget, trajectories = links(extra_attenuation_db=3.0)
-    trajectories.set(0, [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)])
+    trajectories.set(0, [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)], REST)
     configured_mw = budget.row(0, 0).powers_mw[1]
     budget.set_extra_attenuation_db(23.0)
     assert budget.row(0, 0).powers_mw[1] == pytest.approx(configured_mw / 100)
@@ -154,7 +157,7 @@ def test_extra_attenuation_comes_and_goes():
 
 def test_an_attenuation_that_does_not_change_costs_nothing():
     budget, trajectories = links()
-    trajectories.set(0, [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)])
+    trajectories.set(0, [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)], REST)
     budget.set_extra_attenuation_db(5.0)
     row = budget.row(0, 0)
     budget.set_extra_attenuation_db(5.0)
@@ -163,12 +166,13 @@ def test_an_attenuation_that_does_not_change_costs_nothing():
 
 def test_a_budget_from_the_way_does_not_outlive_the_motion():
     budget, trajectories = links()
-    trajectories.set(0, [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)])
-    for to_ns in (4_000_000, 8_000_000):
-        trajectories.set(to_ns, [(0.0, 0.0, 0.0), (20.0, 0.0, 0.0)])
-        delay_ns = budget.row(0, to_ns - 2_000_000).delays_ns[1]
-        # 15 m half-way, then 20 m at rest
-        assert delay_ns == (50 if to_ns == 4_000_000 else 67)
+    trajectories.set(0, [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)], [(0.0, 0.0, 0.0), (2500.0, 0.0, 0.0)])
+    assert budget.row(0, 2_000_000).delays_ns[1] == 50  # 15 m half-way
+    trajectories.set(4_000_000, [(0.0, 0.0, 0.0), (20.0, 0.0, 0.0)], REST)
+    assert budget.row(0, 4_000_000).delays_ns[1] == 67  # 20 m
+    row = budget.row(0, 4_000_000)
+    trajectories.set(8_000_000, [(0.0, 0.0, 0.0), (20.0, 0.0, 0.0)], REST)
+    assert budget.row(0, 60_000_000) is row
 
 
 def test_each_links_gains_are_its_own_streams_whatever_the_other_links():
@@ -181,7 +185,7 @@ def test_each_links_gains_are_its_own_streams_whatever_the_other_links():
 def test_shadowing_is_reciprocal_and_has_its_deviation():
     stations = 60
     budget, trajectories = links(stations, shadowing_std_db=4.0)
-    trajectories.set(0, [(0.0, 0.0, 0.0)] * stations)
+    trajectories.set(0, [(0.0, 0.0, 0.0)] * stations, [(0.0, 0.0, 0.0)] * stations)
     power_dbm = 10 * np.log10(
         np.array([budget.row(i, 0).powers_mw for i in range(stations)]) + np.eye(stations)
     )

@@ -52,7 +52,9 @@ MESSAGES = [
     Advance(
         to_us=4000,
         release_us=8000,
+        at_us=0,
         pos_ned_m=pack_rows(np.array([[0.0, 1.0, -2.0]])),
+        vel_ned_m_s=pack_rows(np.array([[0.0, 0.5, 0.0]])),
     ),
     Advanced(to_us=4000, quiet_until_us=2**52, busy_ns=12, unresponsive=(3,)),
 ]
