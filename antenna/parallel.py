@@ -1,19 +1,25 @@
-"""Patterns of many snapshots over worker processes, in the order of the snapshots."""
+"""Patterns of many snapshots over worker processes, in the order of the snapshots.
+
+A worker is this module run as a program. The standard pools would have each worker import the caller's main
+module, and so fly whatever a plain script flies once more.
+"""
 
 import os
-import signal
+import pickle
+import subprocess
+import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context, parent_process
 from threading import Thread
+from typing import BinaryIO
 
-from antenna.backend import make_backend
+from antenna.backend import BackendUnavailable, make_backend
 from antenna.config import AntennaConfig
 from antenna.geometry import ElementsTouch, Snapshot
 from antenna.patterns import Pattern
 
 CHUNK = 8
-"""Snapshots handed to a worker at a time: a fifth of a second of NEC2, so that workers end together."""
+"""Fewer snapshots than this, a fifth of a second of NEC2, are not worth a worker."""
+_SIZE_BYTES = 8
 
 
 def compute_patterns(
@@ -21,35 +27,64 @@ def compute_patterns(
 ) -> list[Pattern | ElementsTouch]:
     """One result for each snapshot, the same whatever ``workers`` is.
 
-    One worker computes in this process. More are processes of their own, spawned and ended here: a script
-    that calls this keeps its start behind ``if __name__ == "__main__"``.
+    One worker computes in this process; more are processes of their own, started and ended here.
     """
-    chunks = [snapshots[i : i + CHUNK] for i in range(0, len(snapshots), CHUNK)]
-    workers = min(workers, len(chunks))
+    workers = min(workers, -(-len(snapshots) // CHUNK))
     if workers <= 1:
         return make_backend(config).patterns(snapshots)
-    with worker_pool(workers) as pool:
-        parts = pool.map(_patterns, [config] * len(chunks), chunks)
-        return [result for part in parts for result in part]
+    results: list[Pattern | ElementsTouch | None] = [None] * len(snapshots)
+    pool: list[subprocess.Popen[bytes]] = []
+    try:
+        for first in range(workers):
+            pool.append(start_worker())
+            _send(pool[-1], (config, list(snapshots[first::workers])))
+        for first, worker in enumerate(pool):
+            results[first::workers] = _receive(worker)
+    finally:
+        for worker in pool:
+            worker.kill()
+            worker.communicate()
+    return [result for result in results if result is not None]
 
 
-def worker_pool(workers: int) -> ProcessPoolExecutor:
-    """Pool of spawned processes that leave Ctrl-C to their parent and end when it does, however it does."""
-    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_begin_worker)
+def start_worker() -> "subprocess.Popen[bytes]":
+    """Start a worker, which leaves Ctrl-C to its parent and ends when that does, however it does."""
+    command = [sys.executable, "-P", "-m", "antenna.parallel"]
+    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
 
 
-def _begin_worker() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _send(worker: "subprocess.Popen[bytes]", work: object) -> None:
+    assert worker.stdin is not None  # noqa: S101  started with a pipe
+    content = pickle.dumps(work)
+    worker.stdin.write(len(content).to_bytes(_SIZE_BYTES, "little") + content)
+    worker.stdin.flush()  # and left open: its end is the worker's
+
+
+def _receive(worker: "subprocess.Popen[bytes]") -> list[Pattern | ElementsTouch]:
+    assert worker.stdout is not None  # noqa: S101  started with a pipe
+    content = worker.stdout.read()
+    if not content:
+        raise BackendUnavailable(f"an antenna worker ended with status {worker.wait()}")
+    results: list[Pattern | ElementsTouch] = pickle.loads(content)  # noqa: S301  from our own child
+    return results
+
+
+def _work(stdin: BinaryIO, stdout: BinaryIO) -> None:
+    size = int.from_bytes(stdin.read(_SIZE_BYTES), "little")
+    content = stdin.read(size)
+    if len(content) < size or not size:
+        return  # the parent has ended
     Thread(target=_end_with_parent, daemon=True).start()
+    config, snapshots = pickle.loads(content)  # noqa: S301  from our own parent
+    stdout.write(pickle.dumps(make_backend(config).patterns(snapshots)))
+    stdout.flush()
+    os._exit(0)  # the thread still reads, and Python would wait for its buffer's lock
 
 
 def _end_with_parent() -> None:
-    """Executors leave their workers waiting for ever when the parent is killed."""
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+    os.read(sys.stdin.fileno(), 1)
+    os._exit(1)
 
 
-def _patterns(config: AntennaConfig, snapshots: Sequence[Snapshot]) -> list[Pattern | ElementsTouch]:
-    return make_backend(config).patterns(snapshots)
+if __name__ == "__main__":
+    _work(sys.stdin.buffer, sys.stdout.buffer)

@@ -126,6 +126,7 @@ class Process:
                     "ground_messages": self._link_messages,
                     "malformed_bytes": self._parser.bad_bytes + sum(link.bad_bytes for link in self._links),
                     "malformed_deliveries": 0 if self._radio is None else self._radio.malformed,
+                    **self._vehicle.troubles(),
                 },
             )
         )

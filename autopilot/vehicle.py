@@ -215,6 +215,13 @@ class Vehicle:
         if not self.commander.armed:
             self._make_control()
 
+    def troubles(self) -> dict[str, int]:
+        """Counts of what went wrong so far and was coped with."""
+        counts = {"offboard_rejected": self.offboard.rejected}
+        if self.app is not None:
+            counts |= self.app.troubles()
+        return counts
+
     # ---- parts of a step, in their order
 
     def _sense(self, now_us: int) -> None:

@@ -65,7 +65,7 @@ def fly(
         typer.Option("--set", help="Override a field of the scenario.", metavar="PATH=VALUE"),
     ] = None,
     port_offset: Annotated[
-        int, typer.Option(help="Added to every port, for a second swarm on one machine.")
+        int, typer.Option(help="Added to every port, for a second swarm on one machine: 1000, 2000 ...")
     ] = 0,
     json: Annotated[bool, typer.Option("--json", help="The summary alone on stdout.")] = False,  # noqa: FBT002
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,  # noqa: FBT002
@@ -106,7 +106,8 @@ def _fly(swarm: Swarm, display: Display) -> SwarmError | KeyboardInterrupt | Non
     swarm.start()
     display.note(f"{len(swarm.pids)} processes are ready")
     try:
-        swarm.run_until_formed(timeout_s=run.reach_timeout_s)
+        if swarm.scenario.onboard.enabled:  # else nobody forms anything: the ground station flies
+            swarm.run_until_formed(timeout_s=run.reach_timeout_s)
         swarm.run_for(run.duration_s)
     except (SwarmError, KeyboardInterrupt) as error:
         return error

@@ -63,7 +63,10 @@ def prepare(note: Callable[[str], None]) -> None:
     Of several processes that find the cache empty one compiles and the others wait.
     """
     complete = folder() / _COMPLETE
-    if complete.exists() or os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
+        return
+    if complete.exists():
+        complete.touch()  # what is used is kept
         return
     note("compiling the numerical kernels, which takes about half a minute and is done once")
     folder().mkdir(parents=True, exist_ok=True)

@@ -173,6 +173,7 @@ class Processes:
             )
             self._supervisor.start(uav(i), python_module("autopilot", config))
         self._await_ready([PHYSICS, *map(uav, vehicles)])
+        self.send(SetPid(instance=None, pid=self.pids[RADIO]))
         for i in vehicles:
             details = self.ready[uav(i)].details
             self._ports |= {details["gcs_local_udp"], details["companion_local_udp"]}
@@ -250,6 +251,11 @@ class Processes:
         """File what has come in."""
         while self._take(0.0) is not None:
             pass
+
+    def note_failure(self, reason: str) -> None:
+        """Remember why the run cannot go on, unless that is known already."""
+        if self.failure is None:
+            self.failure = reason
 
     def fatal(self, error: SwarmError) -> SwarmError:
         """Remember why the run cannot go on; returns the error, to be raised."""

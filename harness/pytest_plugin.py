@@ -11,6 +11,7 @@ What it adds to `harness.swarm.Swarm`: a deadline of wall time, the ends of the 
 of a test that failed, and a failure if a process or a bound port is left when the test is over.
 """
 
+import contextlib
 from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -49,13 +50,11 @@ def swarm(request: pytest.FixtureRequest) -> Generator[SwarmFactory, None, None]
         flight.start()
         return flight
 
-    yield start
-    left = []
-    for flight in flown:
-        try:
-            flight.stop()
-        finally:
-            left += flight.leftovers()
+    with contextlib.ExitStack() as stack:  # all are stopped, whatever one stop raises
+        yield start
+        for flight in flown:
+            stack.callback(flight.stop)
+    left = [line for flight in flown for line in flight.leftovers()]
     if left:
         pytest.fail("the swarm left behind: " + "; ".join(left), pytrace=False)
 

@@ -44,7 +44,7 @@ class RunConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     step_us: Annotated[int, Meta(ge=4_000, le=4_000)] = 4_000
     """Step of physics and lockstep: the 250 Hz at which PX4's simulator interface runs."""
     on_vehicle_loss: Literal["continue", "end"] = "continue"
-    silence_limit_s: Annotated[float, Meta(gt=0.0, le=600.0)] = 5.0
+    silence_limit_s: Annotated[float, Meta(gt=0.0, le=120.0)] = 5.0
     """Wall time after which a vehicle that lives but does not answer is given up."""
     record_rate_hz: Annotated[float, Meta(gt=0.0, le=250.0)] = 50.0
     """Rows per simulated second and vehicle in the flight log."""
@@ -74,6 +74,7 @@ class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """The ground station's; all vehicles share it. 0: nobody is called, who calls is answered."""
     companion_local_udp: Port = 14580
     companion_remote_udp: Port = 14540
+    """As with PX4, vehicles from the tenth on share the tenth's, for the ground station's comes next."""
     radio_tcp: Port = 7447
     """The 802.11 emulator's Zenoh router."""
 
@@ -128,6 +129,7 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     ) -> VehicleConfig:
         """What vehicle ``instance`` is told."""
         p = self.ports
+        companion_remote_udp = p.companion_remote_udp + min(instance, 9) if p.companion_remote_udp else 0
         return VehicleConfig(
             run_id=run_id,
             instance=instance,
@@ -140,7 +142,7 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
                 gcs_local_udp=p.gcs_local_udp + instance if p.gcs_local_udp else 0,
                 gcs_remote_udp=p.gcs_remote_udp,
                 companion_local_udp=p.companion_local_udp + instance if p.companion_local_udp else 0,
-                companion_remote_udp=p.companion_remote_udp + instance if p.companion_remote_udp else 0,
+                companion_remote_udp=companion_remote_udp,
                 radio_endpoint=radio_endpoint,
             ),
             autopilot=self.autopilot,

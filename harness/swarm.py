@@ -108,6 +108,7 @@ class Swarm:
         self._started_utc = ""
         self._wall_running_s = 0.0
         self._not_formed: str | None = None
+        self._broken_off: str | None = None
         self._summary: dict[str, Any] | None = None
 
     def __enter__(self) -> Self:
@@ -175,6 +176,7 @@ class Swarm:
         if self._processes.formed_us is None:
             self._not_formed = f"the formation was not reached within {timeout_s:g} s"
             raise SwarmTimeoutError(self._not_formed)
+        self._not_formed = None
         return truth
 
     def run_until(
@@ -208,6 +210,11 @@ class Swarm:
         wall_begin_s = time.monotonic()
         try:
             paused = self._await_paused()
+        except BaseException as error:
+            # where simulated time stands is the machine's doing: nothing can be flown on from here
+            self._broken_off = f"a run was broken off: {str(error) or type(error).__name__}"
+            processes.note_failure(self._broken_off)
+            raise
         finally:
             self._wall_running_s += time.monotonic() - wall_begin_s
         self._truth = Truth(time_us=paused.time_us, vehicles=paused.vehicles)
@@ -328,6 +335,8 @@ class Swarm:
         ]
         if interrupted:
             nondeterminism.append("its user broke it off")
+        elif self._broken_off is not None:
+            nondeterminism.append(self._broken_off)
         nondeterminism += [f"{event.name} was spoken to by {event.by}" for event in processes.influences]
         outcome = report.Outcome(
             status=status,

@@ -12,7 +12,7 @@ from netsim.wire.messages import Ack, RxBatch, RxItem, TxBatch, TxItem, decode, 
 
 logger = logging.getLogger(__name__)
 
-ANSWER_LIMIT_S = 4.0
+ANSWER_LIMIT_S = 20.0
 """Wall time that the emulator has to acknowledge transmissions; far beyond what a loaded machine needs."""
 DELIVERY_LIMIT_S = 0.25
 """Wall time that a station has to acknowledge a delivery before the time master is asked about it."""

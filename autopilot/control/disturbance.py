@@ -47,9 +47,8 @@ class DisturbanceObserver:
         """Collective thrust 0..1 that the motors have reached by their model"""
 
     def reset(self) -> None:
-        """Nothing is known: on the ground, which pushes too."""
+        """Nothing is known of what pushes: on the ground, which pushes too. The motors go on as they are."""
         self.acc_ned_m_s2[:] = 0.0
-        self.thrust = 0.0
 
     def update(
         self,

@@ -90,6 +90,7 @@ class FlightController:
         self._leave_position()
         self._yaw_rad = None
         self._disturbance.reset()
+        self._disturbance.thrust = 0.0
         self._hover.reset()
         self._inner.reset()
         self._takeoff.reset()

@@ -255,6 +255,14 @@ class OnboardApp:
         """Datagrams that were no beacon, or one that contradicts itself."""
         return self._traffic.bad_beacons
 
+    def troubles(self) -> dict[str, int]:
+        """Counts of what went wrong so far and was coped with."""
+        counts = {"bad_beacons": self.bad_beacons, "commands_refused": self._commands.refusals}
+        if self.localisation is not None:
+            counts["localisation_restarts"] = self.localisation.restarts
+            counts["ranges_downweighted"] = self.localisation.ranges_downweighted
+        return counts
+
     @property
     def estimate(self) -> Estimate:
         """The present estimate; arrays are the caller's."""

@@ -114,11 +114,14 @@ class Traffic:
 
     def _beacon(self, own: OwnState, now_us: int) -> wire.Beacon:
         oldest_ms = (now_us - self.range_silence_us) // 1_000
+        fresh = [item for item in self._distances.values() if item.time_ms >= oldest_ms]
+        if len(fresh) > wire.MAX_RANGES:
+            fresh.sort(key=lambda item: item.time_ms)
         odo_n, odo_e, odo_d = own.odometry_ned_m.tolist()
         vel_n, vel_e, vel_d = own.vel_ned_m_s.tolist()
         return wire.Beacon(
             self._station, own.time_us, (odo_n, odo_e, odo_d), (vel_n, vel_e, vel_d), own.fix,
-            tuple(item for item in self._distances.values() if item.time_ms >= oldest_ms),
+            tuple(fresh[-wire.MAX_RANGES:]),
         )  # fmt: skip
 
     def _next_seq(self) -> int:

@@ -288,11 +288,11 @@ class FtmRadio:
     # --- responder
 
     def _on_request(self, initiator: int, body: Request) -> None:
+        burst_end_ns = self._queue.now_ns + 1_000 * self._config.burst_duration_us
         if initiator not in self._answered and len(self._answered) >= self._config.responder_sessions:
             refusal = Measurement(session=body.session, token=0, accepted=False)
-            self._send_measurement(initiator, refusal, lambda _job, _outcome: None)
+            self._send_measurement(initiator, refusal, burst_end_ns, lambda _job, _outcome: None)
             return
-        burst_end_ns = self._queue.now_ns + 1_000 * self._config.burst_duration_us
         session = _Answered(body.session, initiator, burst_end_ns)
         # a new request of the same initiator ends the session before
         self._answered[initiator] = session
@@ -312,7 +312,10 @@ class FtmRadio:
             t4_ps=t4_ps,
         )
         self._send_measurement(
-            session.initiator, body, lambda job, outcome: self._on_measurement_done(session, job, outcome)
+            session.initiator,
+            body,
+            session.burst_end_ns,
+            lambda job, outcome: self._on_measurement_done(session, job, outcome),
         )
 
     def _on_measurement_done(self, session: _Answered, job: Job, outcome: Outcome) -> None:
@@ -359,11 +362,12 @@ class FtmRadio:
         error_ps += self._environment.calibration_bias_m(source, self._index) / SPEED_OF_LIGHT_M_S * 1e12
         return self._clock.stamp_ps(true_ps + round(error_ps))
 
-    def _send_measurement(self, to: int, body: Measurement, done: Callable[[Job, Outcome], None]) -> None:
-        self._mac.enqueue(
-            self._config.access_category,
-            self._job(FrameKind.FTM, to, MEASUREMENT_BYTES, body, done, body.token),
-        )
+    def _send_measurement(
+        self, to: int, body: Measurement, burst_end_ns: int, done: Callable[[Job, Outcome], None]
+    ) -> None:
+        job = self._job(FrameKind.FTM, to, MEASUREMENT_BYTES, body, done, body.token)
+        job.expires_ns = min(job.expires_ns, burst_end_ns)  # what has not gone out by then is of no use
+        self._mac.enqueue(self._config.access_category, job)
 
     def _job(
         self,

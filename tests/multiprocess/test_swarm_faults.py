@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from pymavlink import mavutil  # noqa: TID251  the client that the tests are abo
 
 from harness.messages import VehicleLost, VehicleSilent
 from harness.supervisor import PortError, bind
-from harness.swarm import SwarmError
+from harness.swarm import SwarmError, SwarmTimeoutError
 
 pytestmark = pytest.mark.multiprocess
 
@@ -147,6 +148,47 @@ def test_a_vehicle_that_was_spoken_to_and_then_killed_still_marks_the_run(swarm)
     assert summary["deterministic"] is False
     manifest = json.loads((flight.path / "manifest.json").read_text())
     assert manifest["nondeterminism"] == ["uav 1 was spoken to by a ground station or companion"]
+
+
+def test_an_emulator_that_stands_still_for_a_while_costs_no_vehicle(swarm):
+    flight = swarm(ARTICLE, agents=2, overrides=["run.silence_limit_s=0.5"])
+    flight.run_for(1.0)
+    os.kill(flight.pids["radio"], signal.SIGSTOP)
+    threading.Timer(2.0, os.kill, (flight.pids["radio"], signal.SIGCONT)).start()
+    truth = flight.run_for(1.0)
+    assert truth.alive.all()
+    assert flight.summary(draw=False)["deterministic"] is True
+
+
+def test_a_run_that_is_broken_off_cannot_be_flown_on_and_is_marked(swarm):
+    flight = swarm(ARTICLE, agents=2)
+    flight.run_for(0.5)
+    threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT)).start()
+    with pytest.raises(KeyboardInterrupt):
+        flight.run_for(600.0)
+    with pytest.raises(SwarmError, match="broken off"):
+        flight.run_for(0.5)
+    summary = flight.summary(draw=False)
+    assert (summary["status"], summary["deterministic"]) == ("failed", False)
+
+
+def test_a_formation_that_comes_late_is_formed(swarm):
+    flight = swarm(ARTICLE, agents=2, overrides=["wind.mean_n=0"])
+    with pytest.raises(SwarmTimeoutError, match="within 1 s"):
+        flight.run_until_formed(timeout_s=1.0)
+    flight.run_until_formed(timeout_s=60.0)
+    summary = flight.summary(draw=False)
+    assert (summary["status"], summary["deterministic"]) == ("completed", True)
+
+
+def test_without_the_application_the_launcher_leaves_the_flying_to_others(tmp_path):
+    ports = [
+        f"--set=ports.{name}=0"
+        for name in ("simulator_tcp", "gcs_local_udp", "companion_local_udp", "radio_tcp")
+    ]
+    options = ["--agents=1", "--duration=1.5", "--set=onboard.enabled=false"]
+    summary = json.loads(finish(launch(tmp_path / "run", *options, *ports)))
+    assert (summary["status"], summary["simulated_s"]) == ("completed", pytest.approx(1.5, abs=0.01))
 
 
 def test_a_radio_that_dies_ends_the_run_by_name(swarm):

@@ -146,12 +146,10 @@ def test_workers_give_the_same_results_in_the_same_order():
 @pytest.mark.multiprocess
 def test_workers_end_with_a_killed_parent():
     program = """
-import os, sys
-from antenna.parallel import worker_pool
-if __name__ == "__main__":
-    with worker_pool(2) as pool:
-        print(pool.submit(os.getpid).result(), flush=True)
-        sys.stdin.read()
+import sys
+from antenna.parallel import start_worker
+print(start_worker().pid, flush=True)
+sys.stdin.read()
 """
     with subprocess.Popen(
         [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -163,6 +161,23 @@ if __name__ == "__main__":
     for orphan in alive:
         orphan.kill()
     assert gone == [worker]
+
+
+@pytest.mark.nec2
+@pytest.mark.usefixtures("nec2")
+def test_a_script_without_a_guard_is_run_once(tmp_path):
+    script = tmp_path / "plain.py"
+    script.write_text(
+        "import numpy as np\n"
+        "from antenna.config import AntennaConfig\n"
+        "from antenna.geometry import grid, vertical_snapshot\n"
+        "from antenna.parallel import CHUNK, compute_patterns\n"
+        "print('run')\n"
+        "snapshots = [vertical_snapshot(grid(2, 2, 8.5, 2.5), 10.0)] * (2 * CHUNK)\n"
+        "print(len(compute_patterns(AntennaConfig(grid_deg=15.0), snapshots, workers=2)))\n"
+    )
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True)
+    assert done.stdout == "run\n16\n"
 
 
 @pytest.mark.nec2

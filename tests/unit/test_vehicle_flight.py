@@ -328,3 +328,18 @@ def test_the_onboard_application_flies_to_its_place_by_mavlink_alone():
         ]
         assert {m.custom_mode for m in heartbeats} == {int(flight.vehicle.app.phase)}
         assert len(heartbeats) in {1, 2}
+
+
+def test_the_disturbance_observer_leaves_the_ground_with_the_thrust_that_is_really_there(flight):
+    make_ready(flight)
+    assert flight.command(ARM, 1.0) == ACCEPTED
+    altitude_m = flight.vehicle.flight.state.origin_alt_m + 2.5
+    assert flight.command(TAKE_OFF, 0.0, 0.0, 0.0, NAN, NAN, NAN, altitude_m) == ACCEPTED
+    controller = flight.vehicle._controller
+    assert flight.run(10.0, until=lambda: bool(controller.disturbance_ned_m_s2.any()))
+    pushes_m_s2 = []
+    for _ in range(50):
+        flight.run(STEP_US * 1e-6)
+        pushes_m_s2.append(float(controller.disturbance_ned_m_s2[2]))
+    # in calm air nothing lifts it: a motor model that starts from rest there would see -1.1
+    assert min(pushes_m_s2) > -0.3
