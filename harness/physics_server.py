@@ -129,7 +129,8 @@ class Simulation:
         truth = self._world.truth
         alive = [seat.alive for seat in self.lockstep.seats]
         self.lockstep.send(self._encoder.encode(self.time_us, self._sensors.sample(self.time_us, truth)))
-        if self.time_us % self._scenario.record_period_us == 0:
+        recorded = self.time_us % self._scenario.record_period_us == 0
+        if recorded:
             self._record(truth, alive)
         self.notice_collisions()
         self._wind_ned_n = self._wind.step(self._step_us * 1e-6)
@@ -138,6 +139,8 @@ class Simulation:
         self.settle()
         self._obey(answers)
         if self._air is not None:
+            if recorded:
+                self._air_log.append([(self.time_us, self._air.busy_ns)])
             self._air.begin(self.time_us, self._step_us, truth.pos_ned_m, truth.vel_ned_m_s, self._gone())
         self._world.step(
             np.array(self._controls),
@@ -219,8 +222,6 @@ class Simulation:
                 strict=True,
             )
         )
-        if self._air is not None:
-            self._air_log.append([(self.time_us, self._air.busy_ns)])
 
     def notice_collisions(self) -> None:
         """Report collisions of the last step that have just begun; harmless when repeated."""

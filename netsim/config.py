@@ -31,7 +31,7 @@ class FtmConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     mode: Mode = "vht_mcs0"
     """Transmission mode of the measurement frames; their time stamps have the bandwidth of the channel."""
     access_category: AccessCategory = "vo"
-    request_timeout_us: Annotated[int, Meta(ge=1_000, le=10_000_000)] = 100_000
+    request_timeout_us: Annotated[int, Meta(ge=1_000, le=1_500_000)] = 100_000
     """From the application's request to the time-out result, if nothing else ended the session."""
     clock_ppm: Annotated[float, Meta(ge=0.0, le=100.0)] = 20.0
     """Largest crystal error of a radio; each radio's is drawn uniformly in +- this."""

@@ -107,11 +107,13 @@ class Server:
         question.answer(_ACK)
 
     def _motion(self, request: Advance) -> _Motion | None:
-        """Positions and velocities of an `Advance`, or None if they are of another number of stations."""
+        """Positions and velocities of an `Advance`; None unless they are all stations', finite and ahead."""
         stations = self._config.stations
         pos_ned_m = unpack_rows(request.pos_ned_m, stations=stations, columns=3)
         vel_ned_m_s = unpack_rows(request.vel_ned_m_s, stations=stations, columns=3)
-        return None if pos_ned_m is None or vel_ned_m_s is None else (pos_ned_m, vel_ned_m_s)
+        if pos_ned_m is None or vel_ned_m_s is None or request.to_us < self._reached_us:
+            return None
+        return (pos_ned_m, vel_ned_m_s) if np.isfinite(pos_ned_m + vel_ned_m_s).all() else None
 
     def _advance(self, request: Advance, motion: _Motion) -> Advanced:
         for station in frozenset(request.silent) - self._silent:

@@ -186,9 +186,13 @@ def test_hostile_bytes_change_nothing_and_are_counted(radio):
             ).answer()
             is None
         )
+        nowhere, still = pack_rows(np.full((3, 3), np.nan)), pack_rows(np.zeros((3, 3)))
+        for pos_ned_m, vel_ned_m_s in ((nowhere, still), (still, nowhere)):
+            request = Advance(to_us=1, release_us=2, at_us=0, pos_ned_m=pos_ned_m, vel_ned_m_s=vel_ned_m_s)
+            assert asker.ask(encode(request)).answer() is None
         assert radio.advance(8000).to_us == 8000
         assert client.malformed == 4
-    assert radio.stop()["malformed"] == 9
+    assert radio.stop()["malformed"] == 11
 
 
 def test_a_station_that_is_gone_does_not_hold_up_the_others(radio):
