@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from autopilot.vehicle import Vehicle
 from harness.scenario import Scenario, ScenarioError, load
 
 ROOT = Path(__file__).parents[2]
@@ -105,3 +106,11 @@ def test_a_missing_a_broken_and_a_binary_file_are_named(tmp_path):
     broken.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ScenarioError, match=r"broken\.toml: cannot be read"):
         load(broken)
+
+
+def test_a_vehicle_is_told_of_its_devices_what_their_models_say():
+    overrides = ["sensors.gps.delay_s=0.2", "radio.bandwidth_mhz=40"]
+    told = load(ARTICLE, overrides).vehicle(0, run_id="test", radio_endpoint=None, log_path=None)
+    assert told.devices.gps_delay_s == 0.2
+    assert told.devices.ftm_trip_std_m == pytest.approx(0.161, abs=0.001)  # 1075 ps, c/2
+    assert Vehicle(told).parameters.get("EKF2_GPS_DELAY") == pytest.approx(200.0)
