@@ -4,6 +4,7 @@ A worker is this module run as a program. The standard pools would have each wor
 module, and so fly whatever a plain script flies once more.
 """
 
+import contextlib
 import os
 import pickle
 import subprocess
@@ -12,10 +13,15 @@ from collections.abc import Sequence
 from threading import Thread
 from typing import BinaryIO
 
-from antenna.backend import BackendUnavailable, make_backend
+from antenna.backend import make_backend
 from antenna.config import AntennaConfig
 from antenna.geometry import ElementsTouch, Snapshot
 from antenna.patterns import Pattern
+
+
+class WorkerError(RuntimeError):
+    """A worker ended before it had its results; the text is one line."""
+
 
 CHUNK = 8
 """Fewer snapshots than this, a fifth of a second of NEC2, are not worth a worker."""
@@ -27,11 +33,13 @@ def compute_patterns(
 ) -> list[Pattern | ElementsTouch]:
     """One result for each snapshot, the same whatever ``workers`` is.
 
-    One worker computes in this process; more are processes of their own, started and ended here.
+    One worker computes in this process; more are processes of their own, started and ended here. Raises
+    BackendUnavailable, WorkerError.
     """
+    backend = make_backend(config)  # one that cannot be had is said here, not by every worker
     workers = min(workers, -(-len(snapshots) // CHUNK))
     if workers <= 1:
-        return make_backend(config).patterns(snapshots)
+        return backend.patterns(snapshots)
     results: list[Pattern | ElementsTouch | None] = [None] * len(snapshots)
     pool: list[subprocess.Popen[bytes]] = []
     try:
@@ -43,7 +51,8 @@ def compute_patterns(
     finally:
         for worker in pool:
             worker.kill()
-            worker.communicate()
+            with contextlib.suppress(BrokenPipeError):
+                worker.communicate()
     return [result for result in results if result is not None]
 
 
@@ -56,15 +65,16 @@ def start_worker() -> "subprocess.Popen[bytes]":
 def _send(worker: "subprocess.Popen[bytes]", work: object) -> None:
     assert worker.stdin is not None  # noqa: S101  started with a pipe
     content = pickle.dumps(work)
-    worker.stdin.write(len(content).to_bytes(_SIZE_BYTES, "little") + content)
-    worker.stdin.flush()  # and left open: its end is the worker's
+    with contextlib.suppress(BrokenPipeError):  # how it ended is told when its results are wanted
+        worker.stdin.write(len(content).to_bytes(_SIZE_BYTES, "little") + content)
+        worker.stdin.flush()  # and left open: its end is the worker's
 
 
 def _receive(worker: "subprocess.Popen[bytes]") -> list[Pattern | ElementsTouch]:
     assert worker.stdout is not None  # noqa: S101  started with a pipe
     content = worker.stdout.read()
-    if not content:
-        raise BackendUnavailable(f"an antenna worker ended with status {worker.wait()}")
+    if status := worker.wait():
+        raise WorkerError(f"an antenna worker ended with status {status}")
     results: list[Pattern | ElementsTouch] = pickle.loads(content)  # noqa: S301  from our own child
     return results
 
@@ -78,7 +88,6 @@ def _work(stdin: BinaryIO, stdout: BinaryIO) -> None:
     config, snapshots = pickle.loads(content)  # noqa: S301  from our own parent
     stdout.write(pickle.dumps(make_backend(config).patterns(snapshots)))
     stdout.flush()
-    os._exit(0)  # the thread still reads, and Python would wait for its buffer's lock
 
 
 def _end_with_parent() -> None:

@@ -22,7 +22,7 @@ LEAST_SHARE = 0.25
 LEAST_LOOK_S = 0.05
 """Shares of a processor over less than this say nothing."""
 _HELD = {psutil.STATUS_STOPPED, psutil.STATUS_TRACING_STOP}
-_GONE = {psutil.STATUS_STOPPED, psutil.STATUS_TRACING_STOP, psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD}
+_GONE = _HELD | {psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

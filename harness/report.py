@@ -18,6 +18,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from antenna.backend import BackendUnavailable
+from antenna.parallel import WorkerError
 from antenna.patterns import Pattern
 from antenna.statistics import gain_statistics
 from harness import figures
@@ -188,14 +189,14 @@ def _ftm_error_m(sessions: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _antenna(window: Flight, scenario: Scenario) -> tuple[GainSeries | None, Pattern | None, str | None]:
-    """Patterns of the window and the ideal one; without NEC2, nothing and the reason."""
+    """Patterns of the window and the ideal one; where they cannot be had, nothing and the reason."""
     heading_deg = scenario.formation.heading_deg
     try:
         ideal = ideal_pattern(scenario.places_ned_m(), heading_deg, scenario.antenna)
         if not len(window):
             return None, ideal, "the formation was not reached"
         return gain_series(window, heading_deg, scenario.antenna, workers=os.cpu_count() or 1), ideal, None
-    except BackendUnavailable as error:
+    except (BackendUnavailable, WorkerError) as error:
         return None, None, str(error)
 
 

@@ -3,9 +3,11 @@
 A stream depends on the run's seed, its model and its indices alone: not on which was asked for first.
 """
 
+from collections.abc import Callable
 from enum import IntEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
 
 class Model(IntEnum):
@@ -33,37 +35,37 @@ class Streams:
         return np.random.default_rng(np.random.SeedSequence(self._seed.entropy, spawn_key=key))
 
 
-class Uniforms:
-    """Uniform floats in [0, 1) from one Generator, in blocks because single draws cost a microsecond."""
+class _Draws:
+    """Floats from one Generator, in blocks because single draws cost a microsecond."""
 
-    __slots__ = ("_block", "_generator")
+    __slots__ = ("_block", "_more")
     BLOCK = 256
 
-    def __init__(self, generator: np.random.Generator) -> None:
-        self._generator = generator
+    def __init__(self, more: Callable[[int], NDArray[np.float64]]) -> None:
+        self._more = more
         self._block: list[float] = []
 
     def draw(self) -> float:
         """Next float of the stream."""
         if not self._block:
-            self._block = self._generator.random(self.BLOCK).tolist()
+            self._block = self._more(self.BLOCK).tolist()
             self._block.reverse()
         return self._block.pop()
 
 
-class Normals:
-    """Standard normal floats from one Generator, in blocks for the same reason."""
+class Uniforms(_Draws):
+    """Uniform floats in [0, 1)."""
 
-    __slots__ = ("_block", "_generator")
-    BLOCK = 256
+    __slots__ = ()
 
     def __init__(self, generator: np.random.Generator) -> None:
-        self._generator = generator
-        self._block: list[float] = []
+        super().__init__(generator.random)
 
-    def draw(self) -> float:
-        """Next float of the stream."""
-        if not self._block:
-            self._block = self._generator.standard_normal(self.BLOCK).tolist()
-            self._block.reverse()
-        return self._block.pop()
+
+class Normals(_Draws):
+    """Standard normal floats."""
+
+    __slots__ = ()
+
+    def __init__(self, generator: np.random.Generator) -> None:
+        super().__init__(generator.standard_normal)

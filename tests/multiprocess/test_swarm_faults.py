@@ -17,6 +17,7 @@ import pytest
 from pymavlink import mavutil  # noqa: TID251  the client that the tests are about
 
 from harness.messages import VehicleLost, VehicleSilent
+from harness.scenario import load
 from harness.supervisor import PortError, bind
 from harness.swarm import SwarmError, SwarmTimeoutError
 
@@ -207,12 +208,12 @@ def test_an_autopilot_without_a_simulator_says_so_in_one_line():
 
 
 LAUNCHER = Path(__file__).parents[2] / "scripts" / "launch_swarm.py"
+ARTICLE_PATH = Path(__file__).parents[2] / ARTICLE
 
 
 def launch(out, *options):
     """The launcher's process, with the summary on its stdout."""
-    scenario = Path(__file__).parents[2] / ARTICLE
-    command = [sys.executable, str(LAUNCHER), str(scenario), "--json", "--out", str(out), *options]
+    command = [sys.executable, str(LAUNCHER), str(ARTICLE_PATH), "--json", "--out", str(out), *options]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
@@ -225,16 +226,19 @@ def finish(launched):
 
 def free_offsets(count, vehicles):
     """Port offsets with which the standard ports of so many vehicles are free at the moment."""
+    ports = load(ARTICLE_PATH).ports
+    bases = [(socket.SOCK_STREAM, base) for base in (ports.simulator_tcp, ports.radio_tcp)]
+    bases += [
+        (socket.SOCK_DGRAM, base)
+        for base in (ports.gcs_remote_udp, ports.companion_local_udp, ports.gcs_local_udp)
+    ]
     offsets = []
     for offset in range(10_000, 40_000, 100):
         with contextlib.ExitStack() as stack:
             try:
-                for base in (4560, 7447):
+                for kind, base in bases:
                     for port in range(base + offset, base + offset + vehicles):
-                        stack.enter_context(bind(socket.SOCK_STREAM, "127.0.0.1", port))
-                for base in (14550, 14580, 18570):
-                    for port in range(base + offset, base + offset + vehicles):
-                        stack.enter_context(bind(socket.SOCK_DGRAM, "127.0.0.1", port))
+                        stack.enter_context(bind(kind, ports.host, port))
             except PortError:
                 continue
         offsets.append(offset)

@@ -7,6 +7,7 @@ import psutil
 import pytest
 from antenna_hertzian import gain_dbi
 
+from antenna import parallel
 from antenna.backend import BackendUnavailable, make_backend
 from antenna.config import AntennaConfig
 from antenna.geometry import ElementsTouch, Snapshot, grid, vertical_snapshot
@@ -178,6 +179,19 @@ def test_a_script_without_a_guard_is_run_once(tmp_path):
     )
     done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True)
     assert done.stdout == "run\n16\n"
+
+
+@pytest.mark.nec2
+@pytest.mark.usefixtures("nec2")
+def test_a_worker_that_dies_is_one_clear_line(monkeypatch):
+    def dead():
+        command = [sys.executable, "-c", "raise SystemExit(3)"]
+        return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+
+    monkeypatch.setattr(parallel, "start_worker", dead)
+    snapshots = [vertical_snapshot(np.zeros((1, 3)), LAMBDA_M)] * (2 * CHUNK)
+    with pytest.raises(parallel.WorkerError, match=r"^an antenna worker ended with status 3$"):
+        compute_patterns(CONFIG, snapshots, workers=2)
 
 
 @pytest.mark.nec2
