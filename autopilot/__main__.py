@@ -15,15 +15,19 @@ import time
 from pathlib import Path
 
 import msgspec
+from pymavlink.dialects.v20 import common
 
-from autopilot.config import VehicleConfig, VehiclePorts
+from autopilot import parameter_file
+from autopilot.config import AutopilotConfig, VehicleConfig, VehiclePorts
 from autopilot.mavlink.codec import Encoder, Message
 from autopilot.mavlink.hil import HilEncoder, HilParser, HilSensor
 from autopilot.mavlink.links import UdpLink
+from autopilot.parameter_file import ParameterFileError
 from autopilot.params import ParameterError
 from autopilot.recording import VEHICLE_RECORD, record
+from autopilot.site_plan import PlanError
 from autopilot.vehicle import COMPANION, GROUND_STATION, Vehicle, is_clock
-from netsim.child import Finished, Influenced, Ready, emit, end_with_parent
+from netsim.child import Finished, Influenced, Ready, Warned, emit, end_with_parent
 from netsim.radio import BATCH_HANDED_OVER, RadioClient
 from netsim.record_log import RecordLog
 
@@ -148,7 +152,10 @@ class Process:
             link_active=tuple(link.active for link in self._links),
         )
         actuators = output.actuators
+        if output.save_parameters:
+            self._save_parameters()
         if output.links:
+            self._tell_launcher(now_us, output.links)
             for i, link in enumerate(self._links):
                 link.send(message for to, message in output.links if to == i)
         if output.radio and self._radio is not None:
@@ -157,6 +164,32 @@ class Process:
         if self._log is not None and now_us % self._config.record_period_us == 0:
             self._log.append([record(self._vehicle)])
         return b"".join(self._encoder.encode(message) for message in (*output.simulator, actuators))
+
+    def _tell_launcher(self, now_us: int, messages: list[tuple[int, Message]]) -> None:
+        """Pass on what the ground station is warned of, so that whoever looks on without one sees it."""
+        for to, message in messages:
+            if (
+                to == GROUND_STATION
+                and message.get_msgId() == common.MAVLINK_MSG_ID_STATUSTEXT
+                and message.severity <= common.MAV_SEVERITY_WARNING
+            ):
+                emit(Warned(name=self._name, time_us=now_us, text=_text(message)))
+
+    def _save_parameters(self) -> None:
+        """Write the parameter file; a disk that will not have it is no reason to fall out of the sky."""
+        path, system = self._config.params_path, self._config.instance + 1
+        if path is None:
+            return
+        try:
+            parameter_file.save(Path(path), self._vehicle.parameters, system_id=system)
+        except OSError as error:
+            print(f"{self._name}: parameters not saved: {error}", file=sys.stderr)
+
+
+def _text(message: Message) -> str:
+    """Text of a STATUSTEXT that is made here: its bytes are what pymavlink makes of them on the wire."""
+    text = message.text
+    return text.decode("ascii", "replace") if isinstance(text, bytes) else str(text)
 
 
 def main() -> int:
@@ -168,19 +201,21 @@ def main() -> int:
     add("--instance", type=int, default=0, help="vehicle number: system id less one, PX4's port offsets")
     add("--config", type=Path, help="JSON file with everything; without it a lone vehicle on PX4's ports")
     add("--connect-timeout-s", type=float, default=30.0, help="how long to look for the simulator")
+    add("--params", type=Path, help="parameter file to start with, and to save to, of a lone vehicle")
     add("--supervised", action="store_true", help="end when stdin does")
     arguments = parser.parse_args()
     try:
         if arguments.config is not None:
             config = msgspec.json.decode(arguments.config.read_bytes(), type=VehicleConfig)
         else:
-            config = lone_vehicle(arguments.instance, arguments.connect_timeout_s)
+            config = lone_vehicle(arguments.instance, arguments.connect_timeout_s, arguments.params)
         if arguments.supervised:
             end_with_parent()
             _yield_to_the_simulator()
         with contextlib.ExitStack() as stack:
             Process(config, stack).run()
-    except (OSError, msgspec.DecodeError, ParameterError) as error:  # unreachable simulators and radios too
+    except (OSError, msgspec.DecodeError, ParameterError, ParameterFileError, PlanError) as error:
+        # unreachable simulators and radios are among the first
         print(f"uav: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -198,8 +233,12 @@ def _yield_to_the_simulator() -> None:
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
-def lone_vehicle(instance: int, connect_timeout_s: float) -> VehicleConfig:
-    """A vehicle that was started by hand: PX4's ports, no radio, and nobody aboard but the ground station."""
+def lone_vehicle(instance: int, connect_timeout_s: float, params: Path | None = None) -> VehicleConfig:
+    """A vehicle that was started by hand: PX4's ports, no radio, and nobody aboard but the ground station.
+
+    Raises ParameterFileError for a parameter file that is there and wrong.
+    """
+    values = parameter_file.load(params) if params is not None and params.exists() else {}
     base = VehiclePorts()
     return msgspec.convert(
         {
@@ -212,6 +251,8 @@ def lone_vehicle(instance: int, connect_timeout_s: float) -> VehicleConfig:
                 "companion_local_udp": base.companion_local_udp + instance,
                 "companion_remote_udp": base.companion_remote_udp + instance,
             },
+            "autopilot": msgspec.to_builtins(AutopilotConfig(params=values)),
+            "params_path": None if params is None else str(params),
             "onboard": {"enabled": False},
             "places_ned_m": [[0.0, 0.0, 0.0]] * (instance + 1),
             "connect_timeout_s": connect_timeout_s,

@@ -6,6 +6,7 @@ What the launcher hands to ``python -m autopilot``, and what scenarios may say o
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
+from msgspec.structs import replace
 
 Vector = tuple[float, float, float]
 NonNegative = Annotated[float, Meta(ge=0.0)]
@@ -23,11 +24,64 @@ class Site(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     magnetic_field_ned_gauss: Vector = (0.21523, 0.00771, 0.42741)
 
 
+class CircleConfig(
+    Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="shape", tag="circle"
+):
+    """A circle of the geofence, in metres from the site's origin."""
+
+    north_m: float = 0.0
+    east_m: float = 0.0
+    radius_m: Positive
+    inclusion: bool = True
+    """To stay inside of; false: outside."""
+
+
+class PolygonConfig(
+    Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="shape", tag="polygon"
+):
+    """A polygon of the geofence."""
+
+    vertices_m: Annotated[tuple[tuple[float, float], ...], Meta(min_length=3)]
+    """North and east from the site's origin."""
+    inclusion: bool = True
+
+
+class MissionItemConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One item of a mission; see `autopilot.navigation.mission.MissionItem`."""
+
+    command: Literal[
+        "takeoff", "waypoint", "loiter_time", "loiter_unlimited", "delay", "change_speed", "jump", "return",
+        "land",
+    ]  # fmt: skip
+    north_m: float | None = None
+    """From the site's origin, with ``east_m``; neither: where the vehicle is."""
+    east_m: float | None = None
+    height_m: float = 0.0
+    """Above home."""
+    acceptance_m: NonNegative = 0.0
+    hold_s: NonNegative = 0.0
+    yaw_deg: float | None = None
+    speed_m_s: float | None = None
+    jump_to: Annotated[int, Meta(ge=0)] = 0
+    jump_count: Annotated[int, Meta(ge=-1)] = 1
+
+
 class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The scenario's ``[autopilot]`` table."""
 
     params: dict[str, float] = {}
     """Parameters by PX4's names that differ from their defaults."""
+    params_file: str | None = None
+    """Parameter file as ground stations save it, beside the scenario; ``params`` go before what it says."""
+    per_uav: dict[str, dict[str, float]] = {}
+    """Parameters of single vehicles by their number, which go before all others."""
+    fence: tuple[CircleConfig | PolygonConfig, ...] = ()
+    mission: tuple[MissionItemConfig, ...] = ()
+
+    def for_uav(self, instance: int) -> "AutopilotConfig":
+        """Settings of one vehicle: all its parameters in ``params``."""
+        params = {**self.params, **self.per_uav.get(str(instance), {})}
+        return replace(self, params=params, params_file=None, per_uav={})
 
 
 class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -103,5 +157,7 @@ class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The formation: each UAV's place from the site's origin."""
     log_path: str | None = None
     """Binary log of estimates; None writes none."""
+    params_path: str | None = None
+    """Where MAV_CMD_PREFLIGHT_STORAGE writes the parameters; None: it is not supported."""
     record_period_us: Annotated[int, Meta(ge=1_000)] = 20_000
     connect_timeout_s: Positive = 30.0

@@ -19,6 +19,9 @@ VEHICLE_RECORD = np.dtype(
         ("mode", "u4"),
         ("phase", "u1"),
         ("landed", "?"),
+        ("failsafe", "?"),
+        ("causes", "u4"),
+        ("battery_remaining", "f4"),
         ("estimator_pos_ned_m", "f8", 3),
         ("estimator_vel_ned_m_s", "f4", 3),
         ("estimator_q_ned_frd", "f4", 4),
@@ -31,13 +34,15 @@ VEHICLE_RECORD = np.dtype(
     ]
 )
 """Positions are in the site's frame and NaN while not known. ``mode`` is PX4's custom mode, ``phase`` the
-on-board application's (255 without one). The estimator's and the setpoint's height is over the ground of
-the start, as the barometer gives it: the origin's GPS altitude is left out. ``gps_pos_ned_m`` is the last
-fix, of 0.12 s before it came. ``correction_ned_m`` is what the application takes off the estimator's
-position to get its own; ``odometry_offset_ned_m`` is the part of that which ranging and everybody's GPS make,
-and stands still while nothing comes over the radio."""
+on-board application's (255 without one), ``causes`` the bits of `autopilot.commander.failsafe.Cause`. The
+estimator's and the setpoint's height is over the ground of the start, as the barometer gives it: the origin's
+GPS altitude is left out. ``gps_pos_ned_m`` is the last fix, of 0.12 s before it came. ``correction_ned_m`` is
+what the application takes off the estimator's position to get its own; ``odometry_offset_ned_m`` is the part
+of that which ranging and everybody's GPS make, and stands still while nothing comes over the radio."""
 
 NO_PHASE = 255
+LEAST_FIX_TYPE = 3
+"""GPS_FIX_TYPE_3D_FIX"""
 _UNKNOWN = np.full(3, np.nan)
 
 
@@ -61,10 +66,13 @@ class SiteFrame:
         return self._origin_ned_m
 
     def fix_ned_m(self, gps: Message | None) -> Array:
-        """(3,) where a HIL_GPS puts the vehicle; NaN without one."""
+        """(3,) where a HIL_GPS puts the vehicle; NaN without one, or if it has no fix in three dimensions."""
         if gps is not None and gps is not self._fix:
             self._fix = gps
-            self._fix_ned_m = self._ned_m(gps.lat * 1e-7, gps.lon * 1e-7, gps.alt * 1e-3)
+            if gps.fix_type < LEAST_FIX_TYPE:
+                self._fix_ned_m = _UNKNOWN
+            else:
+                self._fix_ned_m = self._ned_m(gps.lat * 1e-7, gps.lon * 1e-7, gps.alt * 1e-3)
         return self._fix_ned_m
 
     def _ned_m(self, lat_deg: float, lon_deg: float, alt_m: float) -> Array:
@@ -96,6 +104,9 @@ def record(vehicle: "Vehicle") -> tuple[Any, ...]:
         flight.commander.mode.custom_mode,
         int(app.phase) if app is not None else NO_PHASE,
         flight.commander.landed,
+        flight.commander.failsafe,
+        flight.causes,
+        flight.battery.remaining,
         state.pos_ned_m + origin_ned_m,
         state.vel_ned_m_s.copy(),
         state.q_ned_frd.copy(),

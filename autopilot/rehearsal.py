@@ -11,7 +11,10 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.config import Site, VehicleConfig
 from autopilot.estimation.atmosphere import pressure_pa
+from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.geodesy import ned_to_geodetic
+from autopilot.navigation.manual import ManualInput
+from autopilot.navigation.setpoints import Navigator
 from autopilot.onboard.phases import Phase
 from autopilot.types import Array
 from autopilot.vehicle import Vehicle
@@ -54,8 +57,27 @@ def rehearse() -> None:
             vehicle.app is not None and vehicle.app.phase >= Phase.JOINING for vehicle in vehicles
         )
         if joining_steps > JOINING_STEPS:
+            _rehearse_modes(vehicles[0])
             return
     raise RehearsalError("the vehicles of the rehearsal did not get on their way")
+
+
+def _rehearse_modes(vehicle: Vehicle) -> None:
+    """Ask for the setpoints of the modes that the flight has no part in."""
+    state = vehicle.flight.state
+    settings = vehicle.parameters.settings
+    navigator = Navigator(settings.navigation, settings.control.trajectory, settings.control.position)
+    sticks = ManualInput(time_us=state.time_us, roll=0.5, pitch=0.5, yaw=0.5, throttle=0.8)
+    home_ned_m = (0.0, 0.0, 0.0)
+    for mode in (
+        FlightMode.POSITION, FlightMode.ALTITUDE, FlightMode.STABILIZED, FlightMode.RETURN, FlightMode.LAND,
+    ):  # fmt: skip
+        navigator.enter(mode, state, landed=False, takeoff_down_m=0.0, home_ned_m=home_ned_m)
+        for _ in range(2):
+            setpoint = navigator.update(
+                state, dt_s=0.004, landed=False, touching=False, home_ned_m=home_ned_m, manual=sticks
+            )
+        vehicle.pilot.controller.update(state, setpoint, dt_s=0.004, landed=False)
 
 
 def _sensors(site: Site, time_us: int, pos_ned_m: Array, climb_m_s: float) -> list[common.MAVLink_message]:

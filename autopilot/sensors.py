@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.commander.conditions import Condition
 from autopilot.estimation.estimator import Estimator
 from autopilot.mavlink.codec import Message
+from autopilot.mavlink.esc_status import ESC_STATUS
 from autopilot.types import GpsFix, ImuSample
 
 IMU_FIELDS = 0b11_1111
@@ -38,6 +39,9 @@ class SensorInput:
         """The last one that held a pressure."""
         self.gps: Message | None = None
         self.gps_us = 0
+        self.motor_currents_a: list[float] | None = None
+        """(4,) of the last ESC_STATUS; None before there was one."""
+        self.motor_currents_us = 0
         self._estimator = estimator
         self._seen_us = dict.fromkeys(TIMEOUTS_US, _LONG_AGO_US)
 
@@ -52,6 +56,8 @@ class SensorInput:
             elif kind == common.MAVLINK_MSG_ID_HIL_GPS:
                 self._take_gps(message, now_us)
                 new_fix = True
+            elif kind == ESC_STATUS and message.index == 0:
+                self.motor_currents_a, self.motor_currents_us = message.current, now_us
         return new_fix
 
     def conditions(self, now_us: int) -> int:

@@ -5,7 +5,7 @@ Frames: NED (local, from the estimator's origin) and FRD (body). Quaternions are
 one copies it. What is made at every step is a msgspec Struct, which costs a fraction of a frozen dataclass.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from msgspec import Struct
@@ -76,6 +76,18 @@ class EstimatorState:
     height_valid: bool
     reset_counter: int
     """Rises by one whenever position, velocity or heading jumped other than by fusion."""
+    navigation_failed: bool = False
+    """Velocity and position of every fix were refused for a second: neither is valid then."""
+    pos_reset_counter: int = 0
+    """Resets of the horizontal position among ``reset_counter``; likewise the next three."""
+    height_reset_counter: int = 0
+    vel_reset_counter: int = 0
+    yaw_reset_counter: int = 0
+    pos_reset_delta_ned_m: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,) how far position jumped in the step of the last reset, of whatever kind: new less old."""
+    vel_reset_delta_ned_m_s: Array = field(default_factory=lambda: np.zeros(3))
+    yaw_reset_delta_rad: float = 0.0
+    """Turn about down of the last reset, in [-pi, pi]"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -35,6 +35,14 @@ class Influenced(Struct, frozen=True, kw_only=True, tag="influenced", tag_field=
     by: str
 
 
+class Warned(Struct, frozen=True, kw_only=True, tag="warned", tag_field="event"):
+    """A warning or worse that people should see, as it was said over the process's own links."""
+
+    name: str
+    time_us: int
+    text: str
+
+
 class Stop(Struct, frozen=True, kw_only=True, tag="stop", tag_field="command"):
     """To a child: write what is to be written and end, after `Finished`."""
 

@@ -1,40 +1,35 @@
-"""Arming, modes and failsafes of one vehicle: requests and conditions over the tables in `conditions`.
+"""Arming, modes and failsafes of one vehicle: requests, conditions and causes over the tables beside it.
 
 It decides and says why; it moves nothing. `navigation` turns the mode into setpoints, `protocol` carries
 requests and answers. A request returns None when it was granted, else the reason.
 """
 
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
-from msgspec import Meta, Struct
 from pymavlink.dialects.v20 import common
 
 from autopilot.commander.conditions import (
     AFTER_DISARMING,
-    ARMING_NEEDS,
-    FALLBACKS,
     MODE_NEEDS,
     MODES_TO_ARM_IN,
     Condition,
     Reason,
+    all_missing,
+    arming_needs,
     first_missing,
 )
+from autopilot.commander.failsafe import (
+    ARMING_CAUSES,
+    MODE_OF,
+    NOTHING,
+    US_PER_S,
+    Action,
+    Cause,
+    Decision,
+    Failsafe,
+)
+from autopilot.commander.params import CommanderParams
 from autopilot.mavlink.modes import FlightMode
-
-US_PER_S = 1_000_000
-
-
-class CommanderParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Time limits; the parameter table states them by PX4's names."""
-
-    offboard_loss_s: Annotated[float, Meta(ge=0.0, le=60.0)] = 1.0
-    """COM_OF_LOSS_T: age of the last offboard setpoint from which the stream counts as lost"""
-    disarm_landed_s: Annotated[float, Meta(ge=-1.0, le=60.0)] = 2.0
-    """COM_DISARM_LAND: from landing to disarming; negative never"""
-    disarm_preflight_s: Annotated[float, Meta(ge=-1.0, le=60.0)] = 10.0
-    """COM_DISARM_PRFLT: from arming to disarming without take-off; negative never"""
-    spool_up_s: Annotated[float, Meta(ge=0.0, le=30.0)] = 1.0
-    """COM_SPOOLUP_TIME: from arming until thrust may rise"""
 
 
 class Notice(NamedTuple):
@@ -51,68 +46,108 @@ class Commander:
     def __init__(self, params: CommanderParams) -> None:
         self.params = params
         self.mode = FlightMode.HOLD
+        """What is flown: the mode that was asked for, or the failsafe's."""
         self.armed = False
+        self.terminated = False
+        """The flight was terminated: the motors stay off for good."""
+        self.landed = True
         self.failsafe = False
         """The present mode was forced by a failsafe."""
-        self.landed = True
+        self._wanted = FlightMode.HOLD
+        """What was asked for; flown again when a failsafe is over that ends with its cause."""
+        self._mode_chosen = False
+        self._failsafe = Failsafe()
+        self._decision = NOTHING
         self._conditions = 0
+        self._causes = 0
         self._armed_us = 0
         self._landed_us = 0
         self._has_flown = False
         """Since arming."""
 
+    # ---- requests
+
     def arm(self, now_us: int, *, forced: bool = False) -> Reason | None:
         """Arm; ``forced`` skips the checks, as MAV_CMD_COMPONENT_ARM_DISARM's 21196 does."""
         if self.armed:
             return None
+        if self.terminated:
+            return Reason.TERMINATED
         if not forced:
-            if self.mode not in MODES_TO_ARM_IN:
-                return Reason.MODE_CANNOT_ARM
-            missing = first_missing(ARMING_NEEDS | MODE_NEEDS[self.mode], self._conditions)
-            if missing is not None:
-                return missing
+            reason = next(iter(self.arming_refusals()), None)
+            if reason is not None:
+                return reason
         self.armed = True
-        self.failsafe = False
         self._armed_us = now_us
         self._has_flown = False
         return None
+
+    def arming_refusals(self) -> list[Reason]:
+        """Give everything for which arming in the present mode would be refused, the most basic first."""
+        reasons = [] if self.mode in MODES_TO_ARM_IN else [Reason.MODE_CANNOT_ARM]
+        if self.mode in MODE_NEEDS:
+            reasons += all_missing(arming_needs(self.mode), self._conditions)
+        for cause, reason in ARMING_CAUSES:
+            if self._causes & cause and reason not in reasons and self._matters(cause):
+                reasons.append(reason)
+        return reasons
 
     def disarm(self, *, forced: bool = False) -> Reason | None:
         """Disarm; only ``forced`` does so in the air."""
         if self.armed and not self.landed and not forced:
             return Reason.IN_AIR
-        self.armed = False
-        self.failsafe = False
-        self.mode = AFTER_DISARMING.get(self.mode, self.mode)
+        if self.armed:
+            self.armed = False
+            if self.failsafe:
+                self._wanted = FlightMode.HOLD
+            self.mode = self._wanted = AFTER_DISARMING.get(self._wanted, self._wanted)
+            self.failsafe = False
         return None
 
     def set_mode(self, mode: FlightMode | None) -> Reason | None:
-        """Enter a mode if what it needs is there.
+        """Enter a mode if what it needs is there; during a failsafe this is the pilot taking over.
 
         Disarmed, as in PX4, any mode may be chosen and arming is what is refused; but offboard always needs
         its setpoints.
         """
         if mode not in MODE_NEEDS or mode is FlightMode.DESCEND:
             return Reason.MODE_UNAVAILABLE
+        if self.terminated:
+            return Reason.TERMINATED
         needs = MODE_NEEDS[mode] if self.armed else MODE_NEEDS[mode] & Condition.SETPOINTS
         missing = first_missing(needs, self._conditions)
         if missing is None:
-            self.mode = mode
+            self.mode = self._wanted = mode
+            self._mode_chosen = True
             self.failsafe = False
         return missing
+
+    def terminate(self) -> None:
+        """Stop the motors for good (MAV_CMD_DO_FLIGHTTERMINATION)."""
+        self.terminated = True
+        self.disarm(forced=True)
 
     def spooled_up(self, now_us: int) -> bool:
         """Whether the rotors have had the time to reach idle speed, so that thrust may rise."""
         return self.armed and now_us - self._armed_us >= self.params.spool_up_s * US_PER_S
 
-    def update(
-        self, now_us: int, *, conditions: int, landed: bool, mode_completed: bool
-    ) -> tuple[Notice, ...]:
-        """Take what holds now (`Condition` bits) and whether the mode is done; returns what happened.
+    # ---- time
 
-        In most steps nothing does.
+    def update(
+        self,
+        now_us: int,
+        *,
+        conditions: int,
+        landed: bool,
+        causes: int = 0,
+        next_mode: FlightMode | None = None,
+    ) -> tuple[Notice, ...]:
+        """Take what holds now (`Condition` bits) and what is wrong (`Cause` bits).
+
+        ``next_mode`` is what follows where the mode in flight has done what it is for. Returns what happened;
+        in most steps nothing does.
         """
-        self._conditions = conditions
+        self._conditions, self._causes = conditions, causes
         notices: tuple[Notice, ...] = ()
         if landed is not self.landed:
             self.landed = landed
@@ -120,23 +155,49 @@ class Commander:
             if self.armed:
                 self._has_flown = True
                 notices += (_info("Landing detected" if landed else "Takeoff detected"),)
-        if self.armed:
-            if mode_completed and self.mode is FlightMode.TAKEOFF:
-                self.mode = FlightMode.HOLD
-            if _MODE_NEED_BITS[self.mode] & ~conditions:
-                notices += self._fall_back(conditions)
-            if landed:
-                notices += self._disarm_when_idle(now_us)
+        if next_mode is not None and self.armed and self.mode is self._wanted:
+            self.mode = self._wanted = next_mode
+        decision = self._failsafe.update(
+            now_us, params=self.params, causes=causes, conditions=conditions,
+            mode=self._wanted, armed=self.armed, landed=landed, mode_chosen=self._mode_chosen,
+        )  # fmt: skip
+        self._mode_chosen = False
+        if self._failsafe.warnings:
+            notices += tuple(
+                Notice(common.MAV_SEVERITY_WARNING, f"Warning: {text}") for text in self._failsafe.warnings
+            )
+        if decision is not self._decision:
+            notices += self._obey(decision)
+        if self.armed and landed:
+            notices += self._disarm_when_idle(now_us)
         return notices
 
-    def _fall_back(self, conditions: int) -> tuple[Notice, ...]:
-        reason = first_missing(_MODE_NEED_BITS[self.mode], conditions)
-        options = FALLBACKS[self.mode]
-        if reason is None or not options:
+    def _obey(self, decision: Decision) -> tuple[Notice, ...]:
+        before, self._decision = self._decision, decision
+        if not self.armed:
             return ()
-        self.mode = next((mode for mode in options if not _MODE_NEED_BITS[mode] & ~conditions), options[-1])
-        self.failsafe = True
-        return (Notice(common.MAV_SEVERITY_CRITICAL, f"Failsafe: {reason.text}, {self.mode.label}"),)
+        action = decision.action
+        notices: tuple[Notice, ...] = ()
+        if action is Action.TERMINATE:
+            self.terminate()
+        elif action is Action.DISARM:
+            self.disarm(forced=True)
+        else:
+            if self.landed and before.action in MODE_OF and action not in MODE_OF:
+                self._wanted = FlightMode.HOLD  # it came down: what was wanted must not lift it again
+            self.mode = MODE_OF.get(action, self._wanted)
+            self.failsafe = action in MODE_OF
+        if decision._replace(delay_s=0.0) != before._replace(delay_s=0.0):
+            notices = _tell(before, decision, self.mode)
+        return notices
+
+    def _matters(self, cause: Cause) -> bool:
+        """Whether a cause keeps from arming: of some only if the parameters make something of them."""
+        if cause is Cause.GCS_LOST:
+            return self.params.gcs_loss_action > 0
+        if cause is Cause.GEOFENCE:
+            return self.params.geofence_action > 1
+        return True
 
     def _disarm_when_idle(self, now_us: int) -> tuple[Notice, ...]:
         if self._has_flown:
@@ -149,8 +210,20 @@ class Commander:
         return (_info(text),)
 
 
-_MODE_NEED_BITS = {mode: int(needs) for mode, needs in MODE_NEEDS.items()}
-"""Plain integers: the test at every step costs a tenth of the flag type's."""
+_DONE = {Action.TERMINATE: "flight terminated", Action.DISARM: "disarmed"}
+
+
+def _tell(before: Decision, now: Decision, mode: FlightMode) -> tuple[Notice, ...]:
+    """Say what a failsafe does, when it begins, gets worse, is taken over or ends."""
+    action = now.action
+    if action <= Action.WARN:  # warnings are told one by one, whatever else there is
+        if now.taken_over and not before.taken_over:
+            return (_info(f"Pilot took over, {mode.label}"),)
+        return (_info(f"Failsafe over, {mode.label}"),) if before.action > Action.WARN else ()
+    what = _DONE.get(action, mode.label)
+    if now.then is not None:
+        what += f", {MODE_OF[now.then].label} in {now.delay_s:.0f} s"
+    return (Notice(common.MAV_SEVERITY_CRITICAL, f"Failsafe: {now.text}, {what}"),)
 
 
 def _info(text: str) -> Notice:

@@ -19,9 +19,17 @@ class Condition(IntFlag):
     HEIGHT = 32
     VELOCITY = 64
     POSITION = 128
-    """The estimator vouches for it."""
-    SETPOINTS = 256
+    """The estimator vouches for it, within COM_VEL_FS_EVH and COM_POS_FS_EPH."""
+    HOME = 256
+    """The place to return to is known."""
+    SETPOINTS = 512
     """Offboard setpoints have come within COM_OF_LOSS_T."""
+    MANUAL = 1024
+    """Sticks have come within COM_RC_LOSS_T."""
+    MISSION = 2048
+    """There is a valid mission."""
+    CHARGE = 4096
+    """The battery has what COM_ARM_BAT_MIN asks for."""
 
 
 class Reason(Enum):
@@ -38,8 +46,18 @@ class Reason(Enum):
     NO_HEIGHT = ("no height estimate", common.MAV_RESULT_TEMPORARILY_REJECTED)
     NO_VELOCITY = ("no velocity estimate", common.MAV_RESULT_TEMPORARILY_REJECTED)
     NO_POSITION = ("no position estimate", common.MAV_RESULT_TEMPORARILY_REJECTED)
+    NO_HOME = ("no home position", common.MAV_RESULT_TEMPORARILY_REJECTED)
     NO_SETPOINTS = ("no offboard setpoints", common.MAV_RESULT_TEMPORARILY_REJECTED)
+    NO_MANUAL = ("no manual control", common.MAV_RESULT_TEMPORARILY_REJECTED)
+    NO_MISSION = ("no valid mission", common.MAV_RESULT_TEMPORARILY_REJECTED)
+    NO_CHARGE = ("battery below COM_ARM_BAT_MIN", common.MAV_RESULT_TEMPORARILY_REJECTED)
+    NO_GROUND_STATION = ("no ground station", common.MAV_RESULT_TEMPORARILY_REJECTED)
+    BATTERY_LOW = ("battery low", common.MAV_RESULT_TEMPORARILY_REJECTED)
+    OUTSIDE_GEOFENCE = ("outside the geofence", common.MAV_RESULT_TEMPORARILY_REJECTED)
+    ESTIMATOR_FAILED = ("estimator failed", common.MAV_RESULT_TEMPORARILY_REJECTED)
+    TIPPED_OVER = ("not upright", common.MAV_RESULT_TEMPORARILY_REJECTED)
     IN_AIR = ("not landed", common.MAV_RESULT_TEMPORARILY_REJECTED)
+    TERMINATED = ("flight was terminated", common.MAV_RESULT_DENIED)
     MODE_CANNOT_ARM = ("this mode does not take off", common.MAV_RESULT_TEMPORARILY_REJECTED)
     MODE_UNAVAILABLE = ("this mode is not available", common.MAV_RESULT_DENIED)
     BAD_ARGUMENT = ("wrong parameter", common.MAV_RESULT_DENIED)
@@ -54,47 +72,54 @@ _FLIES_TO_A_PLACE = Condition.ATTITUDE | Condition.HEIGHT | Condition.VELOCITY |
 MODE_NEEDS: dict[FlightMode, Condition] = {
     FlightMode.TAKEOFF: _FLIES_TO_A_PLACE,
     FlightMode.HOLD: _FLIES_TO_A_PLACE,
+    FlightMode.MISSION: _FLIES_TO_A_PLACE | Condition.HOME | Condition.MISSION,
+    FlightMode.RETURN: _FLIES_TO_A_PLACE | Condition.HOME,
     FlightMode.LAND: _FLIES_TO_A_PLACE,
     FlightMode.OFFBOARD: _FLIES_TO_A_PLACE | Condition.SETPOINTS,
-    FlightMode.DESCEND: Condition.ATTITUDE | Condition.HEIGHT,
+    FlightMode.POSITION: _FLIES_TO_A_PLACE | Condition.MANUAL,
+    FlightMode.ALTITUDE: Condition.ATTITUDE | Condition.HEIGHT | Condition.MANUAL,
+    FlightMode.STABILIZED: Condition.ATTITUDE | Condition.MANUAL,
+    FlightMode.DESCEND: Condition.ATTITUDE,
 }
 """The modes that this autopilot flies."""
 
-ARMING_NEEDS = Condition.IMU | Condition.BARO | Condition.MAG | Condition.GPS
-"""On top of what the mode needs."""
+MODE_NEED_BITS = {mode: int(needs) for mode, needs in MODE_NEEDS.items()}
+"""Plain integers: the test at every step costs a tenth of the flag type's."""
 
-MODES_TO_ARM_IN = frozenset({FlightMode.TAKEOFF, FlightMode.HOLD, FlightMode.OFFBOARD})
+ARMING_NEEDS = Condition.IMU | Condition.BARO | Condition.MAG | Condition.CHARGE
+"""On top of what the mode needs; a mode that needs the position needs the GPS, too."""
 
-FALLBACKS: dict[FlightMode, tuple[FlightMode, ...]] = {
-    FlightMode.OFFBOARD: (FlightMode.HOLD, FlightMode.LAND, FlightMode.DESCEND),
-    FlightMode.TAKEOFF: (FlightMode.LAND, FlightMode.DESCEND),
-    FlightMode.HOLD: (FlightMode.LAND, FlightMode.DESCEND),
-    FlightMode.LAND: (FlightMode.DESCEND,),
-    FlightMode.DESCEND: (),
-}
-"""When a mode's needs are no longer met in flight: the first of these whose needs are, else the last."""
+MODES_TO_ARM_IN = frozenset({
+    FlightMode.TAKEOFF, FlightMode.HOLD, FlightMode.MISSION, FlightMode.OFFBOARD,
+    FlightMode.POSITION, FlightMode.ALTITUDE, FlightMode.STABILIZED,
+})  # fmt: skip
+
+MANUAL_MODES = frozenset({FlightMode.POSITION, FlightMode.ALTITUDE, FlightMode.STABILIZED})
 
 AFTER_DISARMING: dict[FlightMode, FlightMode] = {
     FlightMode.TAKEOFF: FlightMode.HOLD,
+    FlightMode.MISSION: FlightMode.HOLD,
+    FlightMode.RETURN: FlightMode.HOLD,
     FlightMode.LAND: FlightMode.HOLD,
     FlightMode.DESCEND: FlightMode.HOLD,
 }
 """A flight's last mode must not be the next one's first."""
 
-_REASONS = {
-    Condition.IMU: Reason.NO_IMU,
-    Condition.BARO: Reason.NO_BARO,
-    Condition.MAG: Reason.NO_MAG,
-    Condition.GPS: Reason.NO_GPS,
-    Condition.ATTITUDE: Reason.NO_ATTITUDE,
-    Condition.HEIGHT: Reason.NO_HEIGHT,
-    Condition.VELOCITY: Reason.NO_VELOCITY,
-    Condition.POSITION: Reason.NO_POSITION,
-    Condition.SETPOINTS: Reason.NO_SETPOINTS,
-}
+_REASONS = {condition: Reason[f"NO_{condition.name}"] for condition in Condition}
+
+
+def arming_needs(mode: FlightMode) -> int:
+    """Give the `Condition` bits without which a vehicle in this mode is not armed."""
+    needs = int(ARMING_NEEDS) | MODE_NEED_BITS[mode]
+    return needs | int(Condition.GPS) if needs & Condition.POSITION else needs
 
 
 def first_missing(needs: int, conditions: int) -> Reason | None:
     """Find the most basic of the needs that the conditions leave unmet; None when all are met."""
     missing = needs & ~conditions
     return _REASONS[Condition(missing & -missing)] if missing else None
+
+
+def all_missing(needs: int, conditions: int) -> list[Reason]:
+    """Give a reason for each of the needs that the conditions leave unmet, the most basic first."""
+    return [reason for condition, reason in _REASONS.items() if needs & ~conditions & condition]

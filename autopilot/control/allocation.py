@@ -133,6 +133,11 @@ class Allocator:
         self.mix = mixer(params)
         """(4, 3)"""
 
+    def set_params(self, params: AllocationParams) -> None:
+        """Act by these from the next demand on. Raises ValueError for a frame that cannot fly."""
+        self.mix = mixer(params)
+        self.params = params
+
     def reset(self) -> None:
         """Nothing was asked and nothing given."""
         self.thrust = 0.0

@@ -67,6 +67,10 @@ class AttitudeController:
     def __init__(self, params: AttitudeParams) -> None:
         self.tilt_cosine = 1.0
         """Cosine of the angle between the wanted and the present thrust axis at the last `update`"""
+        self.set_params(params)
+
+    def set_params(self, params: AttitudeParams) -> None:
+        """Act by these from the next update on."""
         self.yaw_weight = params.yaw_weight
         # only the weighted part of a yaw error enters the error quaternion: undo that in the gain
         yaw_gain = params.yaw_p / params.yaw_weight if params.yaw_weight > 1e-4 else 0.0

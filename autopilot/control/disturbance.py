@@ -46,6 +46,10 @@ class DisturbanceObserver:
         self.thrust = 0.0
         """Collective thrust 0..1 that the motors have reached by their model"""
 
+    def set_params(self, params: DisturbanceParams) -> None:
+        """Act by these from the next update on; the estimate stays, to be judged by the caller."""
+        self._params = params
+
     def reset(self) -> None:
         """Nothing is known of what pushes: on the ground, which pushes too. The motors go on as they are."""
         self.acc_ned_m_s2[:] = 0.0

@@ -29,15 +29,13 @@ class FlightController:
         self.params = params
         self.attitude_setpoint: AttitudeSetpoint | None = None
         """What the attitude controller follows; None while the motors idle"""
-        share = params.disturbance.integral_share if params.disturbance.enabled else 1.0
-        self._position = PositionController(params.position, integral_share=share)
+        self._position = PositionController(params.position, integral_share=_integral_share(params))
         self._disturbance = DisturbanceObserver(params.disturbance)
         self._hover = HoverThrustEstimator(params.hover_thrust, start=params.position.thr_hover)
         self._rates = RateController(params.rate)
         self._allocator = Allocator(params.allocation)
-        self._inner = InnerLoop(AttitudeController(params.attitude), self._rates, self._allocator)
-        # at the least thrust it may be touching down: torque against the ground must not lift it again
-        self._airmode_above = params.position.thr_min * _ABOVE_LEAST
+        self._attitude = AttitudeController(params.attitude)
+        self._inner = InnerLoop(self._attitude, self._rates, self._allocator)
         self._takeoff = TakeoffRamp(params.position)
         self._setpoint: TrajectorySetpoint | None = None
         self._position_output: PositionOutput | None = None
@@ -45,6 +43,24 @@ class FlightController:
         self._reset_counter = 0
         self._updates = 0
         self._since_position_s = 0.0
+
+    def set_params(self, params: ControlParams) -> None:
+        """Act by these from the next update on, in flight too. Raises ValueError for a frame that cannot fly.
+
+        What flight has taught stays: integrals, filters, hover thrust, phase of the take-off. The observer's
+        estimate and the velocity integrals hold the same thing, so switching the observer on or off moves it
+        from one to the other.
+        """
+        self._allocator.set_params(params.allocation)  # the only one that may refuse: nothing has changed yet
+        was_observing, self.params = self.params.disturbance.enabled, params
+        self._position.set_params(params.position, integral_share=_integral_share(params))
+        self._disturbance.set_params(params.disturbance)
+        self._hover.set_params(params.hover_thrust, start=params.position.thr_hover)
+        self._attitude.set_params(params.attitude)
+        self._rates.set_params(params.rate)
+        self._takeoff.set_params(params.position)
+        if was_observing != params.disturbance.enabled:
+            self._hand_over_disturbance(to_observer=not was_observing)
 
     @property
     def thrust(self) -> float:
@@ -132,7 +148,8 @@ class FlightController:
         return self._inner.update(
             state.q_ned_frd, state.omega_frd_rad_s, attitude, dt_s=dt_s,
             by_tilt=isinstance(setpoint, TrajectorySetpoint), integrate=not landed,
-            airmode_above=math.inf if landed else self._airmode_above,
+            # at the least thrust it may be touching down: torque against the ground must not lift it again
+            airmode_above=math.inf if landed else self.params.position.thr_min * _ABOVE_LEAST,
         )  # fmt: skip
 
     def _follow(
@@ -179,6 +196,17 @@ class FlightController:
         acc_down = float(output.acc_ned_m_s2[2] - self._disturbance.acc_ned_m_s2[2])
         self._position.hover_thrust_changed(old=old, new=new, acc_down_m_s2=acc_down)
 
+    def _hand_over_disturbance(self, *, to_observer: bool) -> None:
+        """Let the integrals hold what the observer held, or the other way round: the demand stays."""
+        held_ned_m_s2 = self._disturbance.acc_ned_m_s2.copy()
+        if to_observer:
+            held_ned_m_s2 = self._position.integral
+            norm_m_s2 = math.sqrt(held_ned_m_s2 @ held_ned_m_s2)
+            held_ned_m_s2 *= min(self.params.disturbance.acc_max_m_s2 / max(norm_m_s2, 1e-12), 1.0)
+        if self._position_output is not None:  # else nobody flies by the integrals, and they stay empty
+            self._position.add_to_integral(-held_ned_m_s2)
+        self._disturbance.acc_ned_m_s2[:] = -held_ned_m_s2 if to_observer else 0.0
+
     def _leave_position(self) -> None:
         """Forget the position loop: idle, or somebody else commands the attitude."""
         if self._position_output is not None:
@@ -187,3 +215,8 @@ class FlightController:
             self._setpoint = None
             self._updates = 0
             self._since_position_s = 0.0
+
+
+def _integral_share(params: ControlParams) -> float:
+    """Give the part of the velocity integral gains that acts beside the observer."""
+    return params.disturbance.integral_share if params.disturbance.enabled else 1.0

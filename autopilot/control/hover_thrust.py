@@ -22,8 +22,16 @@ class HoverThrustEstimator:
         self._start = start
         self.reset()
 
+    def set_params(self, params: HoverThrustParams, *, start: float) -> None:
+        """Act by these from the next update on; what was learned stays, as far as their range lets it."""
+        self._params = params
+        self._start = start
+        if not self._has_learned:
+            self.reset()
+
     def reset(self) -> None:
         """Back to the start, for the next take-off from nothing known."""
+        self._has_learned = False
         self.hover_thrust = self._start
         self._variance = self._params.initial_std**2
         self._acc_variance = _ACC_VARIANCE_START
@@ -32,6 +40,7 @@ class HoverThrustEstimator:
     def update(self, *, acc_up_m_s2: float, thrust_up: float, dt_s: float) -> float:
         """Learn from acceleration over ground and the vertical part of the thrust given; the new estimate."""
         p = self._params
+        self._has_learned = True
         self._variance += (p.process_noise_1_s * dt_s) ** 2
         slope = -GRAVITY_M_S2 * thrust_up / self.hover_thrust**2
         innovation = acc_up_m_s2 - GRAVITY_M_S2 * (thrust_up / self.hover_thrust - 1.0)

@@ -61,18 +61,20 @@ class PositionParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class DisturbanceParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Disturbance observer of the position loop. PX4 has no counterpart."""
+    """Disturbance observer of the position loop. PX4 has no counterpart, so the names are coflight's."""
 
     enabled: bool = True
+    """CF_DOB_EN"""
     cutoff_hz: Annotated[float, Meta(gt=0.0, le=20.0)] = 2.0
-    """Low-pass of the estimate"""
+    """CF_DOB_CUTOFF: low-pass of the estimate"""
     thrust_lag_s: NonNegative = 0.02
     """Time constant of the motors: thrust that is ordered but not yet there is no disturbance"""
     acc_max_m_s2: Positive = 8.0
-    """Largest estimate, as a vector; 5 N on an Iris is 3.2 m/s^2"""
+    """CF_DOB_ACC_MAX: largest estimate, as a vector; 5 N on an Iris is 3.2 m/s^2"""
     integral_share: Fraction = 0.5
-    """Of the velocity integral gains, while the observer is on: it takes over what they are for, and it takes
-    away the drag that damped them. Overshoot of a 2 m/s velocity step on the Iris: 6 % against 11 % at 1"""
+    """CF_DOB_I_SHARE: of the velocity integral gains, while the observer is on: it takes over what they are
+    for, and it takes away the drag that damped them. Overshoot of a 2 m/s velocity step on the Iris: 6 %
+    against 11 % at 1"""
 
 
 class HoverThrustParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

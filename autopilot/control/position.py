@@ -17,6 +17,8 @@ from autopilot.types import Array, AttitudeSetpoint, EstimatorState, TrajectoryS
 
 # rows of what `_control` decides
 VELOCITY, ACCELERATION, THRUST, ATTITUDE = range(4)
+LEAST_THRUST = 1e-6
+"""Of full thrust; less has no direction."""
 
 
 @njit(cache=True)
@@ -64,7 +66,8 @@ def _limited_thrust(
     """(3,) NED thrust vector for an acceleration over ground, and whether limits cut its horizontal part.
 
     The tilt gives the horizontal acceleration as if the thrust's vertical part were the weight
-    (MPC_ACC_DECOUPLE), so a climb does not change it.
+    (MPC_ACC_DECOUPLE), so a climb does not change it. The margin is worth at most what full thrust has at the
+    steepest tilt: beyond it vertical thrust would be given up for nothing.
     """
     steepest = math.tan(tilt_max)
     wanted_tan = math.hypot(acc[0], acc[1]) / GRAVITY_M_S2
@@ -73,7 +76,8 @@ def _limited_thrust(
     up = max(hover * (1.0 - acc[2] / GRAVITY_M_S2), thr_min * cosine)
     wanted = up * wanted_tan
     horizontal = up * tilt_tan
-    up = min(up, math.sqrt(thr_max * thr_max - min(horizontal, xy_margin, thr_max) ** 2))
+    kept = min(horizontal, xy_margin, thr_max * math.sin(tilt_max))
+    up = min(up, math.sqrt(thr_max * thr_max - kept * kept))
     horizontal = min(horizontal, math.sqrt(max(thr_max * thr_max - up * up, 0.0)), up * steepest)
     north, east = 0.0, 0.0
     if wanted_tan > 0.0:
@@ -84,9 +88,11 @@ def _limited_thrust(
 
 @njit(cache=True)
 def _attitude(thrust_ned: Array, yaw_rad: float) -> Array:
-    """(4,) q_ned_frd with -z along the thrust and x over the heading."""
+    """(4,) q_ned_frd with -z along the thrust and x over the heading; level where there is no thrust."""
     norm = math.sqrt(thrust_ned[0] ** 2 + thrust_ned[1] ** 2 + thrust_ned[2] ** 2)
-    z = -thrust_ned / norm
+    z = np.array([0.0, 0.0, 1.0])
+    if norm > LEAST_THRUST:
+        z = -thrust_ned / norm
     # x = (horizontal, right of the heading) x z: perpendicular to both; the tilt limit keeps z[2] > 0
     x = np.array([math.cos(yaw_rad) * z[2], math.sin(yaw_rad) * z[2], 0.0])
     x[2] = -math.sin(yaw_rad) * z[1] - math.cos(yaw_rad) * z[0]
@@ -131,9 +137,10 @@ def _control(
     at_most = collective >= thr_max * (1.0 - 1e-9)
     if (at_least and error[2] > 0.0) or (at_most and error[2] < 0.0):
         error[2] = 0.0
-    if cut:
+    squared = demand[0] ** 2 + demand[1] ** 2
+    if cut and squared > 0.0:
         along = error[0] * demand[0] + error[1] * demand[1]
-        more = max(along, 0.0) / (demand[0] ** 2 + demand[1] ** 2)
+        more = max(along, 0.0) / squared
         error[0] -= more * demand[0]
         error[1] -= more * demand[1]
     for i in range(3):
@@ -175,6 +182,16 @@ class PositionController:
     """Position P and velocity PID with limits and anti-windup; ``integral_share`` scales the I gains."""
 
     def __init__(self, params: PositionParams, *, integral_share: float = 1.0) -> None:
+        self.set_params(params, integral_share=integral_share)
+        self._integral: Array = np.zeros(3)
+        self._acc_filtered: Array = np.zeros(3)
+        self._wanted: Array = np.zeros((3, 3))
+        self._mask: NDArray[np.bool_] = np.zeros((3, 3), dtype=np.bool_)
+        self._taken: tuple[TrajectorySetpoint, bool, bool, bool] | None = None
+        """What ``_wanted`` and ``_mask`` were made of."""
+
+    def set_params(self, params: PositionParams, *, integral_share: float = 1.0) -> None:
+        """Act by these from the next update on; integrals and the acceleration filter stay."""
         p = params
         self._params = p
         self._gains: Array = np.array(
@@ -187,13 +204,7 @@ class PositionController:
         )
         self._gains[2] *= integral_share
         self._thr_limits: Array = np.array((p.thr_min, p.thr_max, p.thr_xy_margin))
-        self._integral: Array = np.zeros(3)
-        self._acc_filtered: Array = np.zeros(3)
-        self._wanted: Array = np.zeros((3, 3))
-        self._mask: NDArray[np.bool_] = np.zeros((3, 3), dtype=np.bool_)
         self._vel_max: Array = np.array((p.xy_vel_max_m_s, p.z_vel_max_up_m_s, p.z_vel_max_dn_m_s))
-        self._taken: tuple[TrajectorySetpoint, bool, bool, bool] | None = None
-        """What ``_wanted`` and ``_mask`` were made of."""
 
     @property
     def integral(self) -> Array:
@@ -204,6 +215,10 @@ class PositionController:
         """Empty the integrators and the acceleration filter."""
         self._integral[:] = 0.0
         self._acc_filtered[:] = 0.0
+
+    def add_to_integral(self, acc_ned_m_s2: Array) -> None:
+        """Take over (3,) m/s^2, NED, that something else held so far."""
+        self._integral += acc_ned_m_s2
 
     def hover_thrust_changed(self, *, old: float, new: float, acc_down_m_s2: float) -> None:
         """Shift the vertical integral so that a new hover thrust leaves the present thrust alone.
@@ -220,8 +235,8 @@ class PositionController:
 
         An axis without any group keeps its velocity (acceleration 0). Where the position is not known, its
         axes follow the velocity setpoint, or stop; where velocity is not known either, the acceleration
-        alone counts. ``climb_max_m_s`` limits the climb further than the parameters; negative while a
-        take-off ramps up.
+        alone counts. A known height means a known vertical velocity. ``climb_max_m_s`` limits the climb
+        further than the parameters; negative while a take-off ramps up.
         """
         p = self._params
         self._take(state, setpoint)
@@ -267,4 +282,6 @@ class PositionController:
             self._mask[1] |= lost
             self._mask[0] &= known
         if not state.velocity_valid:
-            self._mask[:2] = False
+            # the vertical one comes from barometer and accelerometer and is known as long as the height is
+            self._mask[:2, :2] = False
+            self._mask[:2, 2] &= state.height_valid

@@ -41,6 +41,13 @@ class RateController:
     """PID from body rate error to normalised torque."""
 
     def __init__(self, params: RateParams) -> None:
+        self.set_params(params)
+        self.state: Array = np.zeros((3, 3))
+        """Rows as `rate_torque` has them"""
+        self._started = False
+
+    def set_params(self, params: RateParams) -> None:
+        """Act by these from the next update on; integrals and the gyro's history stay."""
         k = np.array((params.roll_k, params.pitch_k, params.yaw_k))
         self.gains: Array = np.array((
             k * (params.roll_p, params.pitch_p, params.yaw_p),
@@ -51,9 +58,6 @@ class RateController:
         """(4, 3) P, I, D, feed-forward about FRD axes"""
         self.integral_max = params.integral_max
         self.cutoff_hz = params.derivative_cutoff_hz
-        self.state: Array = np.zeros((3, 3))
-        """Rows as `rate_torque` has them"""
-        self._started = False
 
     @property
     def integral(self) -> Array:

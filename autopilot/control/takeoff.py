@@ -34,13 +34,17 @@ class TakeoffRamp:
     """Phase of the flight and the climb limit that goes with it."""
 
     def __init__(self, params: PositionParams) -> None:
-        self._params = params
-        # the vertical speed error at which the velocity P term takes all thrust away
-        self._start_m_s = -GRAVITY_M_S2 / params.z_vel_p_acc
+        self._set(params)
         self.phase = Phase.GROUND
         self.climb_max_m_s = self._start_m_s
         """Climb limit; negative early in the ramp, where the thrust does not carry yet"""
         self._ramp_s = 0.0
+
+    def set_params(self, params: PositionParams) -> None:
+        """Act by these from the next update on; the phase and the time spent in it stay."""
+        self._set(params)
+        if self.phase is Phase.GROUND:
+            self.climb_max_m_s = self._start_m_s
 
     def reset(self) -> None:
         """On the ground, disarmed."""
@@ -64,6 +68,11 @@ class TakeoffRamp:
         elif landed:
             self._enter(Phase.GROUND)
         return self.phase
+
+    def _set(self, params: PositionParams) -> None:
+        self._params = params
+        # the vertical speed error at which the velocity P term takes all thrust away
+        self._start_m_s = -GRAVITY_M_S2 / params.z_vel_p_acc
 
     def _enter(self, phase: Phase) -> None:
         self.phase = phase

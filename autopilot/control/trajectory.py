@@ -161,6 +161,13 @@ class PositionTrajectory:
     """Reference that moves to a target and comes to rest there, with a yaw that turns the short way."""
 
     def __init__(self, params: TrajectoryParams) -> None:
+        self.set_params(params)
+        self._motion: Array = np.zeros((4, 3))
+        self._yaw: Array = np.zeros(4)
+        self._yaw_target = 0.0
+
+    def set_params(self, params: TrajectoryParams) -> None:
+        """Move by these from the next update on; a motion beyond new limits is brought within them."""
         p = params
         self._params = p
         self._packed: Array = np.array((
@@ -172,9 +179,6 @@ class PositionTrajectory:
             -p.yaw_rate_max_rad_s, p.yaw_rate_max_rad_s,
             -p.yaw_acc_max_rad_s2, p.yaw_acc_max_rad_s2, yaw_jerk,
         ))  # fmt: skip
-        self._motion: Array = np.zeros((4, 3))
-        self._yaw: Array = np.zeros(4)
-        self._yaw_target = 0.0
 
     def reset(
         self,

@@ -11,6 +11,7 @@ import numpy as np
 
 from autopilot.estimation import kernels
 from autopilot.estimation.atmosphere import GRAVITY_M_S2
+from autopilot.estimation.health import field_disturbed
 from autopilot.estimation.params import EstimatorParams
 from autopilot.estimation.rotation import quat_from_euler, quat_to_dcm
 from autopilot.types import Array, ImuSample
@@ -45,6 +46,8 @@ class Alignment:
 
     def __init__(self, params: EstimatorParams) -> None:
         self._params = params
+        self.field_rejected = False
+        """Whether the last window's magnetic field was not the site's."""
         self._start_us: int | None = None
         self._accels_m_s2: list[Array] = []
         self._gyros_rad_s: list[Array] = []
@@ -55,6 +58,10 @@ class Alignment:
         self._start_us = None
         for samples in (self._accels_m_s2, self._gyros_rad_s, self._fields_gauss, self._altitudes_m):
             samples.clear()
+
+    def set_params(self, params: EstimatorParams) -> None:
+        """Take other settings; they hold for the present window too."""
+        self._params = params
 
     def add_mag(self, field_frd_gauss: Array) -> None:
         """Take a magnetometer sample, (3,)."""
@@ -95,6 +102,9 @@ class Alignment:
             return None
         field_frd = np.mean(self._fields_gauss, axis=0)
         x, cov = align_at_rest(self._params, accel_m_s2, gyro_rad_s, field_frd, window_s)
+        self.field_rejected = field_disturbed(self._params, x[:4], field_frd)
+        if self.field_rejected:
+            return None
         return Aligned(x, cov, float(np.mean(self._altitudes_m)))
 
 

@@ -1,8 +1,9 @@
 """The estimator: an error-state Kalman filter in the manner of PX4's EKF2, 15 errors at a delayed horizon.
 
 Aligns on the ground at rest, takes the first good GPS fixes as its origin, and then fuses GPS velocity and
-horizontal position, barometric height and magnetic heading. This module decides what is fused, refused and
-reset; the arithmetic is in ``kernels``, the delay in ``horizon``, the first second in ``alignment``.
+horizontal position, barometric height and magnetic heading. This module holds the sensors' queues and says
+what of the state is valid and how it jumped; what is fused, refused and reset is decided in ``fusion``, the
+arithmetic is in ``kernels``, the delay in ``horizon``, the first second in ``alignment``.
 """
 
 import math
@@ -14,24 +15,18 @@ import numpy as np
 from autopilot.estimation import atmosphere, kernels
 from autopilot.estimation.alignment import Aligned, Alignment
 from autopilot.estimation.diagnostics import Aiding, EstimatorDiagnostics
+from autopilot.estimation.fusion import HEIGHT_RESET_US, HOLD_PERIOD_US, Fusion, Jump, Origin
 from autopilot.estimation.horizon import ACC, ESTIMATE, NOT_FINITE, OMEGA, STD, DelayedHorizon
 from autopilot.estimation.params import EstimatorParams
-from autopilot.estimation.rotation import quat_from_rotation_vector, quat_multiply
-from autopilot.navigation.geodesy import geodetic_to_ned
+from autopilot.estimation.rotation import quat_conjugate, quat_multiply
 from autopilot.types import Array, EstimatorState, GpsFix, ImuSample
 
-HORIZONTAL_RESET_US = 7_000_000
-HEIGHT_RESET_US = 5_000_000
-"""Refused for longer, a measurement is believed and the state reset to it; PX4's times."""
 DEAD_RECKONING_US = 1_000_000
 NEVER_US = 1 << 62
-FIX_3D = 3
-ORIGIN_FIXES = 5
-HOLD_PERIOD_US = 200_000
-VERTICAL_VELOCITY_NOISE_RATIO = 1.5
-"""GPS velocity is worse vertically; PX4's ratio."""
 WAITING_MAX = 256
 """Measurements waiting for the horizon, of each kind: beyond it the inertial sensor has failed anyway."""
+TILT_STD_MAX_RAD = math.radians(20.0)
+"""A tilt known worse than this is no attitude to fly by."""
 
 
 class Estimator:
@@ -43,26 +38,16 @@ class Estimator:
 
     def __init__(self, params: EstimatorParams) -> None:
         self._params = params
-        self._field_ned = np.array(params.magnetic_field_ned_gauss)
-        self._bias_limits = np.array([params.gyro_bias_limit_rad_s, params.accel_bias_limit_m_s2])
-        vel_var = params.gps_vel_noise_m_s**2
-        self._vel_var = np.array([vel_var, vel_var, VERTICAL_VELOCITY_NOISE_RATIO**2 * vel_var])
-        self._baro_var = np.array([params.baro_noise_m**2])
-        self._hold_var = np.full(2, params.no_aid_noise_m**2)
         self._alignment = Alignment(params)
         self._filter: DelayedHorizon | None = None
-        self._ground_altitude_m = 0.0
-        self._origin_fixes: list[GpsFix] = []
-        self._origin_deg_m: tuple[float, float, float] | None = None
+        self._fusion: Fusion | None = None
+        self._ground_altitude_m: float | None = None
+        """Pressure altitude of the first alignment."""
+        self._origin: Origin | None = None
+        self._failed = False
         self._fixes: deque[GpsFix] = deque(maxlen=WAITING_MAX)
         self._baros: deque[tuple[int, float]] = deque(maxlen=WAITING_MAX)
         self._mags: deque[tuple[int, Array]] = deque(maxlen=WAITING_MAX)
-        self._velocity = Aiding(np.zeros(3))
-        self._position = Aiding(np.zeros(2))
-        self._height = Aiding(np.zeros(1))
-        self._heading = Aiding(np.zeros(1))
-        self._held_pos_m: Array | None = None
-        self._held_us = 0
         self._time_us = -1
         self._due_us = 0
         """Nothing is to be fused while the horizon is before this."""
@@ -81,15 +66,18 @@ class Estimator:
         """Take the inertial sample of the interval that ends at its time, and bring the state there."""
         if sample.time_us <= self._time_us:
             return
-        if self._filter is None:
+        if self._filter is None or self._fusion is None:
             self._align(sample)
+            return
+        if self._failed:
+            self._coast(sample)
             return
         horizon_us = self._filter.add(sample.time_us, sample.gyro_frd_rad_s, sample.accel_frd_m_s2)
         if horizon_us == NOT_FINITE:
             return
         self._time_us = sample.time_us
         if horizon_us >= self._due_us:
-            self._fuse_due(self._filter, horizon_us)
+            self._fuse_due(self._filter, self._fusion, horizon_us)
         self._bring_up_to_date(horizon_us)
 
     def on_gps(self, fix: GpsFix) -> None:
@@ -123,7 +111,52 @@ class Estimator:
             self._mags.append((time_us, field_frd_gauss.copy()))
             self._due_us = 0
 
+    # -- commands
+
+    @property
+    def params(self) -> EstimatorParams:
+        """The settings in force."""
+        return self._params
+
+    def set_params(self, params: EstimatorParams) -> None:
+        """Take other noises, gates and limits, which act from the next measurement on.
+
+        Raises ValueError for another GPS delay once the alignment is done: the horizon would have to move.
+        `restart` takes it.
+        """
+        if self._filter is not None and params.gps_delay_us != self._params.gps_delay_us:
+            raise ValueError("the GPS delay cannot change while the estimator runs")
+        self._params = params
+        self._alignment.set_params(params)
+        if self._filter is not None and self._fusion is not None:
+            self._fusion.set_params(params)
+
+    def restart(self, params: EstimatorParams | None = None) -> None:
+        """Begin anew with an alignment, for a vehicle that rests on the ground, disarmed.
+
+        Origin and height reference stay, so that the local frame is the one before; what was estimated goes.
+        """
+        self._params = params or self._params
+        self._alignment = Alignment(self._params)
+        self._filter = self._fusion = None
+        self._failed = False
+        for waiting in (self._fixes, self._baros, self._mags):
+            waiting.clear()
+        self._aided_until_us = self._height_until_us = -1
+        self.live.attitude_valid = self.live.navigation_failed = False
+        self._bring_up_to_date(self._time_us)
+
+    def on_landed(self) -> None:
+        """Note that the vehicle came to rest on the ground: a compass found faulty gets another chance."""
+        if self._fusion is not None:
+            self._fusion.compass.clear()
+
     # -- results
+
+    @property
+    def numerical_failure(self) -> bool:
+        """The filter's numbers are none any more: only `restart` helps."""
+        return self._failed
 
     @property
     def state(self) -> EstimatorState:
@@ -139,28 +172,61 @@ class Estimator:
     @property
     def diagnostics(self) -> EstimatorDiagnostics | None:
         """How the filter does, once it is aligned. The records of aiding are live, the arrays copies."""
-        if self._filter is None:
+        if self._filter is None or self._fusion is None:
             return None
+        fusion = self._fusion
         return EstimatorDiagnostics(
             horizon_us=self._filter.horizon_us,
-            velocity=self._velocity,
-            position=self._position,
-            height=self._height,
-            heading=self._heading,
-            dead_reckoning=self._unaided(self._filter.horizon_us, DEAD_RECKONING_US),
-            position_held=self._held_pos_m is not None,
+            velocity=fusion.velocity,
+            position=fusion.position,
+            height=fusion.height,
+            heading=fusion.heading,
+            dead_reckoning=fusion.unaided(self._filter.horizon_us, DEAD_RECKONING_US),
+            position_held=fusion.held_pos_m is not None,
+            navigation_failed=fusion.navigation.failed,
+            numerical_failure=self._failed,
+            compass_disturbed=fusion.compass.disturbed,
+            compass_faulty=fusion.compass.faulty,
+            barometer_stuck=fusion.barometer.stuck,
+            accelerometer_bad=fusion.vertical.bad,
+            gsf_turn_rad=fusion.bank_turn_rad,
+            gsf_std_rad=fusion.bank.std_rad,
             x=self._filter.x.copy(),
             covariance=self._filter.cov.copy(),
         )
 
-    # -- what is fused
+    @property
+    def aidings(self) -> dict[str, Aiding]:
+        """Live records of the measurements by name, as in `EstimatorDiagnostics`, once it is aligned."""
+        fusion = self._fusion
+        if fusion is None:
+            return {}
+        return {
+            "velocity": fusion.velocity,
+            "position": fusion.position,
+            "height": fusion.height,
+            "heading": fusion.heading,
+        }
+
+    @property
+    def compass_usable(self) -> bool:
+        """Whether the magnetometer is believed: neither disturbed nor contradicted by GPS."""
+        compass = self._fusion.compass if self._fusion is not None else None
+        return compass is not None and not (compass.disturbed or compass.faulty)
+
+    @property
+    def compass_rejected(self) -> bool:
+        """Whether the alignment waits because the magnetic field is not the site's."""
+        return self._filter is None and self._alignment.field_rejected
+
+    # -- parts of a step
 
     def _align(self, sample: ImuSample) -> None:
         gyro_frd_rad_s = sample.gyro_frd_rad_s
         if not (kernels.all_finite(sample.accel_frd_m_s2) and kernels.all_finite(gyro_frd_rad_s)):
             return
         self._time_us = sample.time_us
-        self.live.omega_frd_rad_s[:] = gyro_frd_rad_s
+        self.live.omega_frd_rad_s[:] = gyro_frd_rad_s - self.live.gyro_bias_rad_s
         aligned = self._alignment.add_imu(sample)
         if aligned is not None:
             self._start(aligned)
@@ -168,9 +234,9 @@ class Estimator:
         self._bring_up_to_date(self._time_us)
 
     def _start(self, aligned: Aligned) -> None:
-        self._ground_altitude_m = aligned.baro_altitude_m
-        self._height.accepted_us = self._time_us
-        self._heading.accepted_us = self._time_us
+        if self._ground_altitude_m is None:
+            self._ground_altitude_m = aligned.baro_altitude_m
+        aligned.x[kernels.POS + 2] = self._ground_altitude_m - aligned.baro_altitude_m
         self._filter = DelayedHorizon(
             aligned.x,
             aligned.cov,
@@ -178,9 +244,17 @@ class Estimator:
             delay_us=self._params.gps_delay_us,
             noise_psd=np.array(self._params.process_noise_psd),
         )
-        self.live = _state_over(self._filter.estimate)
+        self._fusion = Fusion(
+            self._params, self._filter, ground_altitude_m=self._ground_altitude_m, origin=self._origin
+        )
+        before = self.live
+        self.live = replace(
+            before, **{name: getattr(_state_over(self._filter.estimate), name) for name in _VIEWS}
+        )
         self.live.attitude_valid = True
-        self._note_validity()
+        if self._origin is not None:
+            self._note_jump(before, Jump.POSITION | Jump.HEIGHT | Jump.VELOCITY | Jump.YAW)
+        self._note_validity(self._fusion)
 
     def _bring_up_to_date(self, horizon_us: int) -> None:
         """Set what the kernels do not write of the live state."""
@@ -188,211 +262,107 @@ class Estimator:
         live.time_us = self._time_us
         aided = horizon_us <= self._aided_until_us
         live.velocity_valid = aided
-        live.position_valid = aided and self._origin_deg_m is not None
+        live.position_valid = aided and self._origin is not None
         live.height_valid = horizon_us <= self._height_until_us
         self._state = None
 
-    def _note_validity(self) -> None:
+    def _note_validity(self, fusion: Fusion) -> None:
         """Set until when the state counts as known, from what was accepted last."""
-        for aiding in (self._velocity, self._position):
-            if aiding.accepted_us is not None:
-                until_us = aiding.accepted_us + self._params.no_aid_timeout_us
-                self._aided_until_us = max(self._aided_until_us, until_us)
-        if self._height.accepted_us is not None:
-            self._height_until_us = self._height.accepted_us + HEIGHT_RESET_US
+        live = self.live
+        live.navigation_failed = fusion.navigation.failed
+        if live.navigation_failed:
+            self._aided_until_us = -1
+        else:
+            accepted_us = max(fusion.velocity.accepted_us or -1, fusion.position.accepted_us or -1)
+            if accepted_us >= 0:
+                self._aided_until_us = accepted_us + self._params.no_aid_timeout_us
+        if fusion.height.accepted_us is not None:
+            self._height_until_us = fusion.height.accepted_us + HEIGHT_RESET_US
 
-    def _fuse_due(self, delayed: DelayedHorizon, horizon_us: int) -> None:
+    def _fuse_due(self, delayed: DelayedHorizon, fusion: Fusion, horizon_us: int) -> None:
         """Fuse what the horizon has reached."""
         mags, baros, fixes = self._mags, self._baros, self._fixes
         delay_us = self._params.gps_delay_us
         corrected = False
         while mags and mags[0][0] <= horizon_us:
-            corrected |= self._fuse_mag(delayed, *mags.popleft())
+            corrected |= fusion.fuse_mag(*mags.popleft())
         while baros and baros[0][0] <= horizon_us:
-            corrected |= self._fuse_baro(delayed, *baros.popleft())
+            corrected |= fusion.fuse_baro(*baros.popleft())
         while fixes and fixes[0].time_us - delay_us <= horizon_us:
-            corrected |= self._fuse_fix(delayed, fixes.popleft())
-        if horizon_us - self._held_us >= HOLD_PERIOD_US:
-            corrected |= self._hold_position(delayed)
-        if corrected:
+            corrected |= fusion.fuse_fix(fixes.popleft())
+        if horizon_us - fusion.held_us >= HOLD_PERIOD_US:
+            corrected |= fusion.hold_position()
+        if fusion.jumps:
+            self._carry_jump(delayed, fusion)
+        elif corrected:
             delayed.corrected()
-        self._note_validity()
+        if kernels.is_sound(delayed.x, delayed.cov):
+            variances = delayed.cov.diagonal()
+            self.live.attitude_valid = bool(max(variances[0], variances[1]) <= TILT_STD_MAX_RAD**2)
+            self._note_validity(fusion)
+        else:
+            self._fail(delayed)
         self._due_us = min(
-            self._held_us + HOLD_PERIOD_US,
+            fusion.held_us + HOLD_PERIOD_US,
             mags[0][0] if mags else NEVER_US,
             baros[0][0] if baros else NEVER_US,
             fixes[0].time_us - delay_us if fixes else NEVER_US,
         )
 
-    def _fuse_mag(self, delayed: DelayedHorizon, time_us: int, field_frd_gauss: Array) -> bool:
-        innovation_rad = kernels.heading_innovation(delayed.x, field_frd_gauss, self._field_ned)
-        variance = self._params.heading_noise_rad**2
-        self._heading.innovation[0] = innovation_rad
-        ratio = kernels.fuse_heading(
-            delayed.x,
-            delayed.cov,
-            innovation_rad,
-            self._field_ned,
-            variance,
-            self._params.heading_gate,
-            self._bias_limits,
-        )
-        if self._heading.record(ratio, time_us):
-            return True
-        if not self._heading.absent(time_us, HORIZONTAL_RESET_US):
-            return False
-        turn = quat_from_rotation_vector(np.array([0.0, 0.0, innovation_rad]))
-        delayed.x[:4] = quat_multiply(turn, delayed.x[:4])
-        delayed.reset_covariance(2, np.array([variance]))
-        self._note_reset(self._heading, time_us)
-        return True
-
-    def _fuse_baro(self, delayed: DelayedHorizon, time_us: int, altitude_m: float) -> bool:
-        down_m = np.array([self._ground_altitude_m - altitude_m])
-        return self._fuse_or_reset(
-            delayed,
-            self._height,
-            kernels.POS + 2,
-            down_m,
-            self._baro_var,
-            self._params.baro_gate,
-            time_us,
-            HEIGHT_RESET_US,
-        )
-
-    def _fuse_fix(self, delayed: DelayedHorizon, fix: GpsFix) -> bool:
-        measured_us = fix.time_us - self._params.gps_delay_us
-        if not self._good(fix):
-            self._origin_fixes.clear()
-            return False
-        pos_var = np.full(2, max(fix.eph_m, self._params.gps_pos_noise_m) ** 2)
-        if self._origin_deg_m is None:
-            self._origin_fixes.append(fix)
-            if len(self._origin_fixes) < ORIGIN_FIXES:
-                return False
-            self._set_origin(delayed)
-            delayed.reset(kernels.POS, self._horizontal_pos_m(fix), pos_var)
-            self._note_reset(self._position, measured_us)
-        # the fix may be older than the horizon by a fraction of a step, or by what it came late
-        age_s = (delayed.horizon_us - measured_us) * 1e-6
-        pos_m = self._horizontal_pos_m(fix) + age_s * fix.vel_ned_m_s[:2]
-        params = self._params
-        fused = self._fuse_or_reset(
-            delayed,
-            self._velocity,
-            kernels.VEL,
-            fix.vel_ned_m_s,
-            self._vel_var,
-            params.gps_vel_gate,
-            measured_us,
-            HORIZONTAL_RESET_US,
-        )
-        fused |= self._fuse_or_reset(
-            delayed,
-            self._position,
-            kernels.POS,
-            pos_m,
-            pos_var,
-            params.gps_pos_gate,
-            measured_us,
-            HORIZONTAL_RESET_US,
-        )
-        if fused:
-            self._held_pos_m = None
-        return fused
-
-    def _hold_position(self, delayed: DelayedHorizon) -> bool:
-        """Without horizontal measurements pull loosely to the last known position: it keeps tilt bounded."""
-        self._held_us = delayed.horizon_us
-        if not self._unaided(delayed.horizon_us, self._params.no_aid_timeout_us):
-            return False
-        if self._held_pos_m is None:
-            self._held_pos_m = delayed.x[kernels.POS : kernels.POS + 2].copy()
-        kernels.fuse_direct(
-            delayed.x,
-            delayed.cov,
-            kernels.POS,
-            self._held_pos_m,
-            self._hold_var,
-            math.inf,
-            self._bias_limits,
-            np.empty(2),
-        )
-        return True
-
-    # -- helpers
-
-    def _fuse_or_reset(
-        self,
-        delayed: DelayedHorizon,
-        aiding: Aiding,
-        first: int,
-        measured: Array,
-        variance: Array,
-        gate: float,
-        measured_us: int,
-        reset_us: int,
-    ) -> bool:
-        """Fuse a measurement of the states from ``first``, or set them to it after a long refusal."""
-        ratio = kernels.fuse_direct(
-            delayed.x, delayed.cov, first, measured, variance, gate, self._bias_limits, aiding.innovation
-        )
-        if aiding.record(ratio, measured_us):
-            return True
-        if not aiding.absent(measured_us, reset_us):
-            return False
-        delayed.reset(first, measured, variance)
-        self._note_reset(aiding, measured_us)
-        return True
-
-    def _note_reset(self, aiding: Aiding, measured_us: int) -> None:
-        aiding.accepted_us = measured_us
-        self.live.reset_counter += 1
-
-    def _unaided(self, horizon_us: int, timeout_us: int) -> bool:
-        return self._velocity.absent(horizon_us, timeout_us) and self._position.absent(horizon_us, timeout_us)
-
-    def _good(self, fix: GpsFix) -> bool:
-        numbers = np.array((fix.lat_deg, fix.lon_deg, fix.alt_m, fix.eph_m, *fix.vel_ned_m_s))
-        return bool(
-            fix.fix_type >= FIX_3D
-            and fix.satellites >= self._params.gps_required_satellites
-            and fix.eph_m <= self._params.gps_required_eph_m
-            and kernels.all_finite(numbers)
-        )
-
-    def _set_origin(self, delayed: DelayedHorizon) -> None:
-        fixes = self._origin_fixes
-        down_m = float(delayed.x[kernels.POS + 2])
-        # longitudes are averaged as differences: the site may lie on the date line
-        first_lon_deg = fixes[0].lon_deg
-        lon_offset_deg = sum(math.remainder(fix.lon_deg - first_lon_deg, 360.0) for fix in fixes) / len(fixes)
-        self._origin_deg_m = (
-            sum(fix.lat_deg for fix in fixes) / len(fixes),
-            math.remainder(first_lon_deg + lon_offset_deg, 360.0),
-            sum(fix.alt_m for fix in fixes) / len(fixes) + down_m,
-        )
+    def _carry_jump(self, delayed: DelayedHorizon, fusion: Fusion) -> None:
+        """Carry a reset to the estimate of now, and tell what it did there."""
+        if self._origin is None and fusion.origin is not None:
+            self._origin = fusion.origin
+            self.live.origin_lat_deg, self.live.origin_lon_deg, self.live.origin_alt_m = fusion.origin
         live = self.live
-        live.origin_lat_deg, live.origin_lon_deg, live.origin_alt_m = self._origin_deg_m
-        fixes.clear()
-
-    def _horizontal_pos_m(self, fix: GpsFix) -> Array:
-        lat_deg, lon_deg, alt_m = self._origin_deg_m or (0.0, 0.0, 0.0)
-        pos_ned_m = geodetic_to_ned(
-            fix.lat_deg,
-            fix.lon_deg,
-            fix.alt_m,
-            origin_lat_deg=lat_deg,
-            origin_lon_deg=lon_deg,
-            origin_alt_m=alt_m,
+        before = replace(
+            live,
+            q_ned_frd=live.q_ned_frd.copy(),
+            pos_ned_m=live.pos_ned_m.copy(),
+            vel_ned_m_s=live.vel_ned_m_s.copy(),
         )
-        return pos_ned_m[:2]
+        delayed.corrected()
+        self._note_jump(before, fusion.jumps)
+        fusion.jumps = Jump.NONE
+
+    def _note_jump(self, before: EstimatorState, kinds: Jump) -> None:
+        """Count a reset and tell by how much it moved the live state."""
+        live = self.live
+        live.reset_counter += 1
+        live.pos_reset_counter += Jump.POSITION in kinds
+        live.height_reset_counter += Jump.HEIGHT in kinds
+        live.vel_reset_counter += Jump.VELOCITY in kinds
+        live.yaw_reset_counter += Jump.YAW in kinds
+        live.pos_reset_delta_ned_m = live.pos_ned_m - before.pos_ned_m
+        live.vel_reset_delta_ned_m_s = live.vel_ned_m_s - before.vel_ned_m_s
+        turn = quat_multiply(live.q_ned_frd, quat_conjugate(before.q_ned_frd))
+        live.yaw_reset_delta_rad = math.remainder(2.0 * math.atan2(turn[3], turn[0]), 2.0 * math.pi)
+
+    def _fail(self, delayed: DelayedHorizon) -> None:
+        """End a filter whose numbers broke: nothing is valid, and what it leaves behind is finite."""
+        self._failed = True
+        self._aided_until_us = self._height_until_us = -1
+        live, estimate = self.live, delayed.estimate
+        live.attitude_valid = live.navigation_failed = False
+        estimate[~np.isfinite(estimate)] = 0.0
+        if not np.any(live.q_ned_frd):
+            live.q_ned_frd[0] = 1.0
+
+    def _coast(self, sample: ImuSample) -> None:
+        """After a failure: the rates alone."""
+        if not kernels.all_finite(sample.gyro_frd_rad_s):
+            return
+        self._time_us = sample.time_us
+        self.live.omega_frd_rad_s[:] = sample.gyro_frd_rad_s - self.live.gyro_bias_rad_s
+        self._bring_up_to_date(self._time_us)
 
 
-_ARRAYS = (
+_VIEWS = (
     "q_ned_frd", "vel_ned_m_s", "pos_ned_m", "omega_frd_rad_s", "acc_ned_m_s2", "gyro_bias_rad_s",
     "accel_bias_m_s2", "pos_std_m", "vel_std_m_s", "attitude_std_rad",
 )  # fmt: skip
+"""What of the state lies in the horizon's estimate."""
+_ARRAYS = (*_VIEWS, "pos_reset_delta_ned_m", "vel_reset_delta_ned_m_s")
 
 
 def _state_over(estimate: Array) -> EstimatorState:

@@ -21,6 +21,7 @@ from autopilot.estimation.kernels import (
     integrate,
     predict_covariance,
 )
+from autopilot.estimation.yaw_gsf import carry_level, level_start
 from autopilot.types import Array
 
 SHORTEST_SAMPLE_US = 1_000
@@ -58,12 +59,13 @@ def advance(
     samples: Array,
     times_us: NDArray[np.int64],
     cursor: NDArray[np.int64],
+    tilt: Array,
     noise_psd: Array,
     time_us: int,
     gyro_frd_rad_s: Array,
     accel_frd_m_s2: Array,
 ) -> int:
-    """Put a sample into the ring, move ``x`` and ``cov`` on to the newest that the delay lets through.
+    """Put a sample into the ring, move ``x``, ``cov``, ``tilt`` on to the newest that the delay lets through.
 
     ``samples`` rows are gyro, accelerometer and interval; ``estimate`` (ESTIMATE,) moves by the new sample.
     Returns the horizon's time, or NOT_FINITE for a sample that is dropped.
@@ -85,6 +87,7 @@ def advance(
         from_bias, vel_from_attitude = error_transition(x, sample[3:6], sample[6])
         integrate(x, sample[0:3], sample[3:6], sample[6])
         predict_covariance(cov, from_bias, vel_from_attitude, noise_psd, sample[6])
+        carry_level(tilt, sample[0:3], sample[3:6], sample[6])
         cursor[HORIZON_US] = times_us[cursor[OLDEST]]
         cursor[OLDEST] = (cursor[OLDEST] + 1) % capacity
         cursor[WAITING] -= 1
@@ -118,7 +121,10 @@ class DelayedHorizon:
         self.now = self.estimate[:STATES]
         """(16,) nominal state at ``time_us``"""
         self.acc_ned_m_s2 = self.estimate[ACC:OMEGA]
-        self._noise_psd = noise_psd
+        self.noise_psd = noise_psd
+        """(4,) process noise as ``kernels`` orders it; may be replaced at any time"""
+        self.tilt = level_start(x[:4], x[GYRO_BIAS : GYRO_BIAS + 3])
+        """``yaw_gsf``'s complementary filter at the horizon"""
         capacity = delay_us // SHORTEST_SAMPLE_US + 2
         self._samples = np.zeros((capacity, 7))
         self._times_us = np.zeros(capacity, dtype=np.int64)
@@ -147,7 +153,8 @@ class DelayedHorizon:
             self._samples,
             self._times_us,
             self._cursor,
-            self._noise_psd,
+            self.tilt,
+            self.noise_psd,
             time_us,
             gyro_frd_rad_s,
             accel_frd_m_s2,

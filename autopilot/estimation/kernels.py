@@ -6,6 +6,10 @@ always true minus estimated, with q_true = exp(rotation) * q_estimated. With the
 covariance's attitude block is the tilt and heading uncertainty itself, and no attitude is singular.
 Equations: J. Sola, arXiv 1711.02508, section 7 (global angular errors).
 
+Magnetic field and wind are no states: on a multicopter without airspeed or a drag model nothing observes the
+wind, and the field's own states would be told apart from heading only by long flights with many turns; the
+site's field is a setting, and a compass that is off shows in the heading's innovations and in ``yaw_gsf``.
+
 Arrays are written in place where a docstring says so. Without numba's compiler (NUMBA_DISABLE_JIT=1) the same
 code runs as plain Python.
 """
@@ -177,17 +181,18 @@ def fuse_direct(
     gate: float,
     bias_limits: Array,
     innovation: Array,
+    innovation_var: Array,
 ) -> float:
     """Fuse a measurement (n,) of the states ``x[first : first + n]``, all or nothing; return the test ratio.
 
     The ratio is the greatest |innovation| / (gate x its standard deviation). At 1 or more nothing is written
-    but ``innovation`` (n,), measured minus estimated.
+    but ``innovation`` (n,), measured minus estimated, and its variance (n,).
     """
     ratio = 0.0
     for i in range(measured.size):
         innovation[i] = measured[i] - x[first + i]
-        innovation_var = cov[first - 1 + i, first - 1 + i] + variance[i]
-        ratio = max(ratio, abs(innovation[i]) / (gate * math.sqrt(innovation_var)))
+        innovation_var[i] = cov[first - 1 + i, first - 1 + i] + variance[i]
+        ratio = max(ratio, abs(innovation[i]) / (gate * math.sqrt(innovation_var[i])))
     if ratio < 1.0:
         for i in range(measured.size):
             cross_cov = cov[:, first - 1 + i].copy()
@@ -230,14 +235,29 @@ def fuse_heading(
     variance: float,
     gate: float,
     bias_limits: Array,
-) -> float:
-    """Fuse an angle of ``heading_innovation``, refused at a test ratio of 1 or more; return the ratio."""
+    take: bool = True,  # noqa: FBT001, FBT002 - compiled code takes no keyword-only arguments
+) -> tuple[float, float]:
+    """Fuse an angle of ``heading_innovation``, refused at a test ratio of 1 or more.
+
+    Return the ratio and the innovation's variance. Without ``take`` nothing is written.
+    """
     jacobian = heading_jacobian(field_ned)
     cross_cov = jacobian[0] * cov[:, 0] + jacobian[1] * cov[:, 1] + jacobian[2] * cov[:, 2]
     innovation_var = variance
     for i in range(3):
         innovation_var += jacobian[i] * cross_cov[i]
     ratio: float = abs(innovation) / (gate * math.sqrt(innovation_var))
-    if ratio < 1.0:
+    if take and ratio < 1.0:
         update(x, cov, cross_cov, innovation, innovation_var, bias_limits)
-    return ratio
+    return ratio, innovation_var
+
+
+@njit(cache=True)
+def is_sound(x: Array, cov: Array) -> bool:
+    """Whether all of the state is finite and no variance is infinite or negative."""
+    if not all_finite(x):
+        return False
+    for i in range(ERRORS):  # noqa: SIM110 - compiled, a loop is all it takes
+        if not (math.isfinite(cov[i, i]) and cov[i, i] >= 0.0):
+            return False
+    return True

@@ -61,6 +61,13 @@ class EstimatorParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     magnetic_field_ned_gauss: Vector = Site().magnetic_field_ned_gauss
     """Of the site: declination (EKF2_MAG_DECL) and inclination; its horizontal part must not vanish."""
 
+    mag_check: Annotated[int, Meta(ge=0, le=3)] = 1
+    """EKF2_MAG_CHECK: what of the field must be the site's: 1 its strength, 2 its inclination, 3 both"""
+    mag_check_strength_gauss: PositiveSmall = 0.2
+    """EKF2_MAG_CHK_STR: a field that is stronger or weaker by more is of something near, and not used"""
+    mag_check_inclination_rad: Annotated[float, Meta(gt=0.0, le=math.pi)] = math.radians(20.0)
+    """EKF2_MAG_CHK_INC (there in degrees): likewise of its angle below the horizon"""
+
     no_aid_timeout_us: Annotated[int, Meta(ge=500_000, le=10_000_000)] = 5_000_000
     """EKF2_NOAID_TOUT: dead reckoning longer than this invalidates velocity and position"""
     no_aid_noise_m: Annotated[float, Meta(ge=0.5, le=50.0)] = 10.0

@@ -36,6 +36,8 @@ SHAPE_STD_M = 0.35
 LOCALISE_TIMEOUT_US = 10_000_000
 TAKE_OFF_HEIGHT_M = 2.5
 HAND_OVER_HEIGHT_M = 1.2
+FLOWN_HEIGHT_M = 0.5
+"""From here on a vehicle that is disarmed has landed, and is not sent up again."""
 HEARTBEAT_LAG_US = 1_500_000
 """A HEARTBEAT (1 Hz) shows a change that a COMMAND_ACK announced after this at the latest."""
 OFFBOARD_MAIN_MODE = 6
@@ -131,6 +133,7 @@ class OnboardApp:
         self._phase_since_us = 0
         self._arrived_us: int | None = None
         self._offboard_seen = False
+        self._has_flown = False
         self._supported = False
         self._setpoint_us = 0
         self._heartbeat_out_us = 0
@@ -333,7 +336,7 @@ class OnboardApp:
                 return self._in_formation(now_us, disarmed=disarmed)
             case Phase.YIELDED:
                 self._commands.want(None, now_us)
-                if self._own.main_mode == OFFBOARD_MAIN_MODE:
+                if self._own.main_mode == OFFBOARD_MAIN_MODE and not self._own.failsafe:
                     return Phase.JOINING
                 return Phase.LANDED if disarmed else self.phase
             case Phase.LANDED:
@@ -344,7 +347,10 @@ class OnboardApp:
         place_height_m = -float(self._place_ned_m[2])
         take_off_height_m = min(TAKE_OFF_HEIGHT_M, place_height_m)
         if disarmed:
-            return Phase.ARMING
+            return Phase.LANDED if self._has_flown else Phase.ARMING
+        if self._own.failsafe:
+            return self._yield("failsafe")
+        self._has_flown |= height_m > FLOWN_HEIGHT_M
         if height_m < min(HAND_OVER_HEIGHT_M, 0.5 * take_off_height_m) and not self._commands.wants(OFFBOARD):
             self._commands.want(take_off(self._own.origin_alt_m + take_off_height_m), now_us)
             return Phase.TAKE_OFF
@@ -355,12 +361,12 @@ class OnboardApp:
     def _in_formation(self, now_us: int, *, disarmed: bool) -> Phase:
         if disarmed:
             return Phase.LANDED
+        if self._own.failsafe:
+            return self._yield("failsafe")
         if self._own.main_mode == OFFBOARD_MAIN_MODE:
             self._offboard_seen = True
         elif self._offboard_seen:
-            self._offboard_seen = False
-            self._say("offboard left: yielding")
-            return Phase.YIELDED
+            return self._yield("offboard left")
         miss_m = math.dist(self._own_ned_m().tolist(), self._place_ned_m.tolist())
         if miss_m > self._config.on_station_tolerance_m:
             self._arrived_us = None
@@ -369,6 +375,13 @@ class OnboardApp:
         elif now_us - self._arrived_us >= self._config.on_station_hold_s * 1e6:
             return Phase.ON_STATION
         return self.phase
+
+    def _yield(self, why: str) -> Phase:
+        """Leave the flying to whoever has it now, and ask for nothing more."""
+        self._offboard_seen = False
+        self._commands.want(None, self._now_us)
+        self._say(f"{why}: yielding")
+        return Phase.YIELDED
 
     def _own_ned_m(self) -> Array:
         """(3,) where the UAV believes itself to be, site NED."""

@@ -27,7 +27,7 @@ class OwnState:
         origin_ned_m: (3,) the autopilot's origin in the site's frame, or None.
         origin_alt_m: its altitude above mean sea level, as the autopilot has it.
         fix: newest GPS position.
-        armed, main_mode, heartbeat_us: by the newest HEARTBEAT and when that came.
+        armed, failsafe, main_mode, heartbeat_us: by the newest HEARTBEAT and when that came.
 
     """
 
@@ -40,6 +40,7 @@ class OwnState:
         self.origin_alt_m = 0.0
         self.fix: Fix | None = None
         self.armed = False
+        self.failsafe = False
         self.main_mode = 0
         self.heartbeat_us = -1
         self._site = site
@@ -94,6 +95,7 @@ class OwnState:
         if msg.autopilot == common.MAV_AUTOPILOT_INVALID:
             return
         self.armed = bool(msg.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED)
+        self.failsafe = self.armed and msg.system_status >= common.MAV_STATE_CRITICAL
         self.main_mode = msg.custom_mode >> 16 & 0xFF
         self.heartbeat_us = now_us
 

@@ -18,6 +18,6 @@ class Phase(IntEnum):
     ON_STATION = 5
     """Has been at the own place for long enough; kept from then on."""
     YIELDED = 6
-    """Somebody else chose another mode. The application goes on with beacons and ranging, and takes over
-    again if that somebody sets the mode to offboard."""
+    """Somebody else chose another mode, or a failsafe did. The application goes on with beacons and ranging,
+    and takes over again if that somebody sets the mode to offboard."""
     LANDED = 7

@@ -42,15 +42,28 @@ class TakeoffAltitude:
 class CommandService:
     """The commands of one link."""
 
-    def __init__(self, commander: Commander, takeoff_altitude: TakeoffAltitude, streams: Streams) -> None:
+    def __init__(
+        self,
+        commander: Commander,
+        takeoff_altitude: TakeoffAltitude,
+        streams: Streams,
+        *,
+        save_parameters: Callable[[], bool] = lambda: False,
+    ) -> None:
         self._commander = commander
         self._takeoff_altitude = takeoff_altitude
         self._streams = streams
+        self._save_parameters = save_parameters
         self._actions: dict[int, Callable[[Params, int], Answer]] = {
             common.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_or_disarm,
             common.MAV_CMD_DO_SET_MODE: self._set_mode,
             common.MAV_CMD_NAV_TAKEOFF: self._take_off,
             common.MAV_CMD_NAV_LAND: self._land,
+            common.MAV_CMD_NAV_RETURN_TO_LAUNCH: self._return,
+            common.MAV_CMD_MISSION_START: self._start_mission,
+            common.MAV_CMD_DO_FLIGHTTERMINATION: self._terminate,
+            common.MAV_CMD_RUN_PREARM_CHECKS: self._check,
+            common.MAV_CMD_PREFLIGHT_STORAGE: self._store,
             common.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_message_interval,
             common.MAV_CMD_REQUEST_MESSAGE: self._request_message,
         }
@@ -113,6 +126,38 @@ class CommandService:
 
     def _land(self, params: Params, now_us: int) -> Answer:  # noqa: ARG002
         return self._enter(FlightMode.LAND, "Landing")
+
+    def _return(self, params: Params, now_us: int) -> Answer:  # noqa: ARG002
+        return self._enter(FlightMode.RETURN, "Return")
+
+    def _start_mission(self, params: Params, now_us: int) -> Answer:  # noqa: ARG002
+        """Enter mission mode and arm, as PX4 does; the items of the parameters are not looked at."""
+        answer = self._enter(FlightMode.MISSION, "Mission")
+        if answer.result != common.MAV_RESULT_ACCEPTED:
+            return answer
+        return _answer("Arming", self._commander.arm(now_us))
+
+    def _terminate(self, params: Params, now_us: int) -> Answer:  # noqa: ARG002
+        if params[0] < 0.5:
+            return Answer(common.MAV_RESULT_UNSUPPORTED)  # a terminated flight is not taken up again
+        if not params[0] >= 0.5:
+            return _answer("Termination", Reason.BAD_ARGUMENT)
+        self._commander.terminate()
+        text = status_text(common.MAV_SEVERITY_EMERGENCY, "Flight terminated by command")
+        return Answer(messages=(text,))
+
+    def _check(self, params: Params, now_us: int) -> Answer:  # noqa: ARG002
+        """Say everything for which arming would be refused."""
+        if self._commander.armed:
+            return Answer(common.MAV_RESULT_TEMPORARILY_REJECTED)
+        refusals = self._commander.arming_refusals()
+        return Answer(messages=tuple(_refusal_text("Arming", refusal) for refusal in refusals))
+
+    def _store(self, params: Params, now_us: int) -> Answer:  # noqa: ARG002
+        """Write the parameters to their file; reading and resetting are done by a new start."""
+        if params[0] != 1.0 or not self._save_parameters():
+            return Answer(common.MAV_RESULT_UNSUPPORTED)
+        return Answer()
 
     def _enter(self, mode: FlightMode | None, what: str, *, amsl_m: float | None = None) -> Answer:
         refusal = self._commander.set_mode(mode)

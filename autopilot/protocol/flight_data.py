@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from autopilot.commander.battery import BatteryMonitor, BatteryParams
 from autopilot.commander.commander import Commander
 from autopilot.estimation.estimator import Estimator
 from autopilot.mavlink.codec import Message
@@ -35,6 +36,9 @@ class FlightData:
     now_us: int = 0
     conditions: int = 0
     """`autopilot.commander.conditions.Condition` bits."""
+    causes: int = 0
+    """`autopilot.commander.failsafe.Cause` bits."""
+    battery: BatteryMonitor = field(default_factory=lambda: BatteryMonitor(BatteryParams()))
     sensor: Message | None = None
     """The last HIL_SENSOR."""
     baro: Message | None = None

@@ -28,6 +28,7 @@ class Service(Protocol):
 
 def is_addressed_to(message: Message, *, system: int, component: int) -> bool:
     """Whether a message is for this component, by number or as broadcast (0), or has no target at all."""
-    target_system = getattr(message, "target_system", 0)
+    # MANUAL_CONTROL and a few others call it by another name
+    target_system = getattr(message, "target_system", getattr(message, "target", 0))
     target_component = getattr(message, "target_component", 0)
     return target_system in {0, system} and target_component in {0, component}

@@ -33,10 +33,11 @@ GROUND_STATION_HZ: dict[int, float] = {
     common.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
     common.MAVLINK_MSG_ID_SCALED_PRESSURE: 1.0,
     common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: 1.0,
+    common.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
     common.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 0.5,
     common.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
 }
-"""As PX4 v1.17 streams to 14550, less what has no source here yet (missions, battery, vibration)."""
+"""As PX4 v1.17 streams to 14550, less what has no source here yet (vibration)."""
 
 COMPANION_HZ: dict[int, float] = {
     _HEARTBEAT: 1.0,
@@ -57,6 +58,7 @@ COMPANION_HZ: dict[int, float] = {
     common.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
     common.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
     common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: 1.0,
+    common.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
     common.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
 }
 """As PX4 v1.17 streams to 14540."""
@@ -64,13 +66,12 @@ COMPANION_HZ: dict[int, float] = {
 APPLICATION_HZ: dict[int, float] = {
     message_id: COMPANION_HZ[message_id]
     for message_id in (
-        _HEARTBEAT,
         common.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
         common.MAVLINK_MSG_ID_GPS_RAW_INT,
         common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
     )
 }
-"""What the on-board application in this process listens to, at a companion's rates."""
+"""What the on-board application in this process listens to, at a companion's rates, beside the heartbeat."""
 
 ON_NEW_DATA = frozenset({common.MAVLINK_MSG_ID_GPS_RAW_INT})
 """Sent when there is something new, at most at the stream's rate."""

@@ -5,6 +5,7 @@ import math
 from pymavlink.dialects.v20 import common
 
 from autopilot.commander.conditions import Condition
+from autopilot.commander.failsafe import Cause
 from autopilot.estimation.rotation import quat_rotate_inverse, quat_to_euler
 from autopilot.mavlink.codec import Message
 from autopilot.navigation.geodesy import ned_to_geodetic
@@ -13,6 +14,9 @@ from autopilot.protocol.status import heartbeat, landed_state
 from autopilot.protocol.streams import Builder
 
 _UNKNOWN_U16 = 65_535
+_UNKNOWN_I16 = 32_767
+_CELLS_MAX = 10
+"""That BATTERY_STATUS has room for."""
 _CENTIDEGREES = 36_000
 
 
@@ -109,11 +113,49 @@ class Telemetry:
         )
 
     def sys_status(self) -> Message:
-        """SYS_STATUS: which sensors answer. The battery is not modelled, and is said to be unknown."""
-        healthy = sum(bit for condition, bit in _SENSOR_BITS if self._flight.conditions & condition)
+        """SYS_STATUS: what is there, what is well, the battery, and whether arming would be granted."""
+        flight = self._flight
+        healthy = sum(bit for condition, bit in _SENSOR_BITS if flight.conditions & condition)
+        healthy |= sum(bit for cause, bit in _HEALTH_BITS if not flight.causes & cause)
+        if flight.commander.armed or not flight.commander.arming_refusals():
+            healthy |= common.MAV_SYS_STATUS_PREARM_CHECK
+        voltage_mv, current_ca, remaining_percent = _UNKNOWN_U16, -1, -1
+        battery = flight.battery
+        if battery.sampled_us is not None:
+            voltage_mv = min(round(1e3 * battery.voltage_v), _UNKNOWN_U16 - 1)
+            current_ca = -1 if battery.current_a is None else round(1e2 * battery.current_a)
+            remaining_percent = math.ceil(1e2 * battery.remaining)
         return common.MAVLink_sys_status_message(
-            _ALL_SENSORS, _ALL_SENSORS, healthy, 0, _UNKNOWN_U16, -1, -1, 0, 0, 0, 0, 0, 0
+            _ALL_SENSORS,
+            _ALL_SENSORS,
+            healthy,
+            0,
+            voltage_mv,
+            current_ca,
+            remaining_percent,
+            0,
+            0,
+            0,
+            0,
+            0,
+            0,
         )
+
+    def battery_status(self) -> Message | None:
+        """BATTERY_STATUS; a cell's voltage is the pack's by their number, as a power module sees it."""
+        battery = self._flight.battery
+        if battery.sampled_us is None:
+            return None
+        cells = min(battery.params.cells, _CELLS_MAX)
+        cell_mv = round(1e3 * battery.voltage_v / battery.params.cells)
+        time_s = battery.time_remaining_s
+        return common.MAVLink_battery_status_message(
+            0, common.MAV_BATTERY_FUNCTION_ALL, common.MAV_BATTERY_TYPE_LIPO, _UNKNOWN_I16,
+            [cell_mv] * cells + [_UNKNOWN_U16] * (_CELLS_MAX - cells),
+            -1 if battery.current_a is None else round(1e2 * battery.current_a),
+            round(battery.consumed_mah), -1, math.ceil(1e2 * battery.remaining),
+            0 if time_s is None else round(time_s), common.MAV_BATTERY_CHARGE_STATE_OK + battery.warning,
+        )  # fmt: skip
 
     def altitude(self) -> Message | None:
         """ALTITUDE."""
@@ -166,6 +208,9 @@ class Telemetry:
                 (state.velocity_valid, common.ESTIMATOR_VELOCITY_HORIZ | common.ESTIMATOR_VELOCITY_VERT),
                 (state.position_valid, common.ESTIMATOR_POS_HORIZ_REL | common.ESTIMATOR_POS_HORIZ_ABS),
                 (state.height_valid, common.ESTIMATOR_POS_VERT_ABS),
+                (fit.position_held, common.ESTIMATOR_CONST_POS_MODE),
+                (max(fit.velocity.test_ratio, fit.position.test_ratio) >= 1.0, common.ESTIMATOR_GPS_GLITCH),
+                (fit.accelerometer_bad, common.ESTIMATOR_ACCEL_ERROR),
             )
             if valid
         )
@@ -279,6 +324,7 @@ def _pairs(telemetry: Telemetry) -> tuple[tuple[type[Message], Builder], ...]:
         (common.MAVLink_home_position_message, telemetry.home_position),
         (common.MAVLink_extended_sys_state_message, telemetry.extended_sys_state),
         (common.MAVLink_sys_status_message, telemetry.sys_status),
+        (common.MAVLink_battery_status_message, telemetry.battery_status),
         (common.MAVLink_altitude_message, telemetry.altitude),
         (common.MAVLink_vfr_hud_message, telemetry.vfr_hud),
         (common.MAVLink_odometry_message, telemetry.odometry),
@@ -306,7 +352,15 @@ _SENSOR_BITS = (
     (int(Condition.GPS), common.MAV_SYS_STATUS_SENSOR_GPS),
     (int(Condition.ATTITUDE), common.MAV_SYS_STATUS_AHRS),
 )
-_ALL_SENSORS = sum(bit for _, bit in _SENSOR_BITS)
+_HEALTH_BITS = (
+    (int(Cause.MOTOR_FAILED), common.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS),
+    (int(Cause.GEOFENCE), common.MAV_SYS_STATUS_GEOFENCE),
+    (
+        int(Cause.BATTERY_LOW | Cause.BATTERY_CRITICAL | Cause.BATTERY_EMERGENCY),
+        common.MAV_SYS_STATUS_SENSOR_BATTERY,
+    ),
+)
+_ALL_SENSORS = sum(bit for _, bit in (*_SENSOR_BITS, *_HEALTH_BITS)) | common.MAV_SYS_STATUS_PREARM_CHECK
 
 
 def _mm(accuracy_cm: int) -> int:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.commander import Commander, CommanderParams
-from autopilot.commander.conditions import ARMING_NEEDS, MODE_NEEDS
+from autopilot.commander.commander import Commander
+from autopilot.commander.conditions import Condition
+from autopilot.commander.params import CommanderParams
 from autopilot.estimation.estimator import Estimator
 from autopilot.estimation.params import EstimatorParams
 from autopilot.mavlink.codec import Encoder, Parser, stamp
@@ -22,7 +23,7 @@ from autopilot.protocol.streams import COMPANION_HZ, GROUND_STATION_HZ, ON_NEW_D
 from autopilot.protocol.telemetry import Telemetry
 
 NAN = math.nan
-ALL = int(ARMING_NEEDS | MODE_NEEDS[FlightMode.OFFBOARD])
+ALL = sum(Condition)
 STEP = 4_000
 
 
@@ -135,7 +136,7 @@ class Commanded:
         self.hold(ALL)
 
     def hold(self, conditions, *, landed=True):
-        self.commander.update(0, conditions=conditions, landed=landed, mode_completed=False)
+        self.commander.update(0, conditions=conditions, landed=landed)
 
     def long(self, command, *params):
         message = common.MAVLink_command_long_message(1, 1, command, 0, *params, *[0.0] * (7 - len(params)))
@@ -165,7 +166,8 @@ def test_a_refusal_is_acknowledged_with_its_reason_in_words():
     ("command", "params", "result"),
     [
         (common.MAV_CMD_DO_SET_MODE, (1.0, 4.0, 3.0), common.MAV_RESULT_ACCEPTED),
-        (common.MAV_CMD_DO_SET_MODE, (1.0, 4.0, 5.0), common.MAV_RESULT_DENIED),
+        (common.MAV_CMD_DO_SET_MODE, (1.0, 4.0, 5.0), common.MAV_RESULT_ACCEPTED),
+        (common.MAV_CMD_DO_SET_MODE, (1.0, 4.0, 1.0), common.MAV_RESULT_DENIED),
         (common.MAV_CMD_DO_SET_MODE, (0.0, 4.0, 3.0), common.MAV_RESULT_DENIED),
         (common.MAV_CMD_DO_SET_MODE, (NAN, NAN, NAN), common.MAV_RESULT_DENIED),
         (common.MAV_CMD_COMPONENT_ARM_DISARM, (NAN,), common.MAV_RESULT_DENIED),

@@ -1,28 +1,28 @@
-"""The commander as a pure machine: which requests are granted, and timelines of its failsafes."""
-
-import itertools
+"""The commander as a pure machine: which requests are granted, and how a flight begins and ends."""
 
 import pytest
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.commander import Commander, CommanderParams
+from autopilot.commander.commander import Commander
 from autopilot.commander.conditions import (
-    ARMING_NEEDS,
-    FALLBACKS,
     MODE_NEEDS,
+    MODES_TO_ARM_IN,
     Condition,
     Reason,
+    arming_needs,
     first_missing,
 )
+from autopilot.commander.failsafe import ARMING_CAUSES, Cause
+from autopilot.commander.params import CommanderParams
 from autopilot.mavlink.modes import FlightMode
 
-ALL = int(ARMING_NEEDS | MODE_NEEDS[FlightMode.OFFBOARD])
+ALL = sum(Condition)
 S = 1_000_000
 STEP = 4_000
 
 
-def step(commander, now_us, *, conditions=ALL, landed=True, mode_completed=False):
-    return commander.update(now_us, conditions=conditions, landed=landed, mode_completed=mode_completed)
+def step(commander, now_us, *, conditions=ALL, landed=True, causes=0, next_mode=None):
+    return commander.update(now_us, conditions=conditions, causes=causes, landed=landed, next_mode=next_mode)
 
 
 def ready(conditions=ALL):
@@ -39,16 +39,49 @@ def flying(mode):
     return commander
 
 
-@pytest.mark.parametrize("missing", [c for c in Condition if c in ARMING_NEEDS | MODE_NEEDS[FlightMode.HOLD]])
-def test_each_missing_condition_alone_refuses_arming_and_names_itself(missing):
-    commander = ready(ALL & ~missing)
+@pytest.mark.parametrize("mode", sorted(MODES_TO_ARM_IN, key=lambda mode: mode.label))
+@pytest.mark.parametrize("missing", list(Condition))
+def test_a_missing_condition_refuses_arming_where_it_matters_and_names_itself(mode, missing):
+    commander = ready()
+    assert commander.set_mode(mode) is None
+    step(commander, STEP, conditions=ALL & ~missing)
+    if not arming_needs(mode) & missing:
+        assert commander.arm(0) is None
+        return
     reason = commander.arm(0)
     assert reason is first_missing(missing, 0)
     assert reason.name == f"NO_{missing.name}"
     assert reason.result == common.MAV_RESULT_TEMPORARILY_REJECTED
+    assert commander.arming_refusals() == [reason]
     assert not commander.armed
     assert commander.arm(0, forced=True) is None
     assert commander.armed
+
+
+def test_every_reason_against_arming_is_named_the_most_basic_first():
+    commander = ready(ALL & ~(Condition.GPS | Condition.POSITION | Condition.BARO))
+    assert commander.arming_refusals() == [Reason.NO_BARO, Reason.NO_GPS, Reason.NO_POSITION]
+
+
+@pytest.mark.parametrize(("cause", "reason"), ARMING_CAUSES)
+def test_what_is_wrong_refuses_arming_where_the_parameters_make_something_of_it(cause, reason):
+    commander = ready()
+    step(commander, STEP, causes=cause)
+    depends = {Cause.GCS_LOST: {"gcs_loss_action": 0}, Cause.GEOFENCE: {"geofence_action": 1}}
+    commander.params = CommanderParams(gcs_loss_action=1)
+    assert commander.arm(0) is reason
+    if cause in depends:
+        commander.params = CommanderParams(**depends[cause])
+        assert commander.arm(0) is None
+
+
+def test_only_the_stick_modes_that_need_no_place_arm_without_gps():
+    for mode in MODES_TO_ARM_IN:
+        commander = ready()
+        assert commander.set_mode(mode) is None
+        step(commander, STEP, conditions=ALL & ~(Condition.GPS | Condition.POSITION | Condition.VELOCITY))
+        without_place = mode in {FlightMode.ALTITUDE, FlightMode.STABILIZED}
+        assert (commander.arm(0) is None) is without_place
 
 
 def test_modes_that_cannot_take_off_cannot_be_armed_in():
@@ -86,7 +119,7 @@ def test_takeoff_ends_in_hold():
     commander = flying(FlightMode.TAKEOFF)
     step(commander, 2 * STEP, landed=False)
     assert commander.mode is FlightMode.TAKEOFF
-    step(commander, 3 * STEP, landed=False, mode_completed=True)
+    step(commander, 3 * STEP, landed=False, next_mode=FlightMode.HOLD)
     assert commander.mode is FlightMode.HOLD
 
 
@@ -116,41 +149,13 @@ def test_disarms_without_takeoff(limit_s, disarmed):
     assert commander.armed is not disarmed
 
 
-def test_lost_setpoints_hold_and_their_return_does_not_take_over():
-    commander = flying(FlightMode.OFFBOARD)
-    (notice,) = step(commander, 2 * STEP, conditions=ALL & ~Condition.SETPOINTS, landed=False)
-    assert notice.severity == common.MAV_SEVERITY_CRITICAL
-    assert notice.text == "Failsafe: no offboard setpoints, Hold"
-    assert (commander.mode, commander.failsafe) == (FlightMode.HOLD, True)
-    assert step(commander, 3 * STEP, landed=False) == ()
-    assert commander.mode is FlightMode.HOLD
-    assert commander.set_mode(FlightMode.OFFBOARD) is None
-    assert not commander.failsafe
-
-
-@pytest.mark.parametrize("mode", [FlightMode.OFFBOARD, FlightMode.HOLD, FlightMode.TAKEOFF, FlightMode.LAND])
-def test_without_position_the_vehicle_descends(mode):
-    commander = flying(mode)
-    step(commander, 2 * STEP, conditions=ALL & ~(Condition.POSITION | Condition.VELOCITY), landed=False)
-    assert commander.mode is FlightMode.DESCEND
-    assert (
-        step(commander, 3 * STEP, conditions=0, landed=False) == ()
-    )  # nothing better is left, and it is said once
-
-
-@pytest.mark.parametrize("mode", list(FALLBACKS))
-def test_after_any_loss_the_mode_has_what_it_needs_or_is_descend(mode):
-    flags = [c for c in Condition if c not in ARMING_NEEDS]
-    for lost in itertools.chain.from_iterable(
-        itertools.combinations(flags, n) for n in range(len(flags) + 1)
-    ):
-        commander = ready()
-        commander.arm(0)
-        commander.mode = mode
-        conditions = ALL & ~sum(lost)
-        step(commander, STEP, conditions=conditions, landed=False)
-        assert commander.mode is FlightMode.DESCEND or not MODE_NEEDS[commander.mode] & ~conditions
-        assert commander.mode is mode or commander.failsafe
+def test_termination_is_for_good():
+    commander = flying(FlightMode.HOLD)
+    commander.terminate()
+    assert not commander.armed
+    assert commander.arm(0) is Reason.TERMINATED
+    assert commander.arm(0, forced=True) is Reason.TERMINATED
+    assert commander.set_mode(FlightMode.HOLD) is Reason.TERMINATED
 
 
 def test_nothing_happens_on_the_ground_while_disarmed():

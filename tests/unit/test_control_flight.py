@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from control_fixtures import DT_S, Gusts, Iris, estimate, fly, hover_errors
+from msgspec.structs import replace
 
 from autopilot.control import ControlParams, FlightController, PositionTrajectory
 from autopilot.control.params import DisturbanceParams, PositionParams
@@ -201,6 +202,22 @@ def test_a_reset_heading_becomes_the_one_to_hold():
     turned = estimate(q_ned_frd=np.array((half, 0.0, 0.0, half)), reset_counter=1)
     controller.update(turned, keep, dt_s=DT_S, landed=False)
     assert controller.trajectory_setpoint.yaw_rad == pytest.approx(math.pi / 2.0)
+
+
+@pytest.mark.parametrize("divider", [1, 2, 4])
+def test_rates_and_attitude_run_at_every_sample_and_position_at_its_divider(divider):
+    """By 250 Hz of samples: at the default of 2 the position loop has 125 Hz."""
+    assert PARAMS.position_divider == 2
+    iris = Iris(height_m=5.0, noise_seed=3)
+    controller = FlightController(replace(PARAMS, position_divider=divider))
+    wanted, rates = [], []
+    for _ in range(40):
+        iris.step(fly(controller, iris, hold(5.5)), CALM)
+        wanted.append(controller.attitude_setpoint.q_ned_frd)
+        rates.append(controller.rate_setpoint_frd_rad_s)
+    anew = [k for k in range(1, 40) if not np.array_equal(wanted[k], wanted[k - 1])]
+    assert anew == list(range(divider, 40, divider))
+    assert all(not np.array_equal(rates[k], rates[k - 1]) for k in range(1, 40))
 
 
 def test_idle_forgets_everything():

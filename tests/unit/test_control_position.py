@@ -154,6 +154,9 @@ def test_without_position_it_stops_and_without_velocity_it_levels():
     assert out.vel_ned_m_s[2] == -P.z_vel_max_up_m_s  # the height is still known
     blind = dataclasses.replace(moving, velocity_valid=False)
     out = update(PositionController(P), setpoint, blind)
+    np.testing.assert_allclose(out.thrust_ned[:2], 0.0)
+    assert out.vel_ned_m_s[2] == -P.z_vel_max_up_m_s  # a known height means a known climb
+    out = update(PositionController(P), setpoint, dataclasses.replace(blind, height_valid=False))
     np.testing.assert_allclose(out.thrust_ned, (0.0, 0.0, -0.5))
 
 

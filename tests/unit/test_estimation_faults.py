@@ -4,7 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from estimation_fixtures import STEP_S, Noise, errors, figure_eight, replay, rest, rms, simulate, straight
+from estimation_fixtures import (
+    STEP_S,
+    Noise,
+    errors,
+    figure_eight,
+    replay,
+    rest,
+    rms,
+    simulate,
+    step,
+    straight,
+)
 
 from autopilot.estimation.estimator import Estimator
 from autopilot.estimation.params import EstimatorParams
@@ -12,11 +23,6 @@ from autopilot.types import EstimatorState, ImuSample
 
 METRES_PER_DEGREE = 111_190.0
 QUIET_GPS = Noise(gps_bias_m=0.0, gps_pos_m=0.1)
-
-
-def step(time_s):
-    """Find the step that ends at a time."""
-    return round(time_s / STEP_S) - 1
 
 
 def with_fixes(flight, change):

@@ -135,7 +135,8 @@ def test_fusing_axes_in_turn_equals_the_joint_update(first, count):
     gain, expected_cov = textbook_update(cov, jacobian, np.diag(variance))
     expected_x = moved(x, gain @ (measured - x[first : first + count]))
     innovation = np.empty(count)
-    ratio = kernels.fuse_direct(x, cov, first, measured, variance, 5.0, NO_LIMITS, innovation)
+    innovation_var = np.empty(count)
+    ratio = kernels.fuse_direct(x, cov, first, measured, variance, 5.0, NO_LIMITS, innovation, innovation_var)
     assert ratio < 1.0
     np.testing.assert_allclose(x, expected_x, atol=1e-9)
     np.testing.assert_allclose(cov, expected_cov, atol=1e-12)
@@ -150,7 +151,10 @@ def test_one_bad_axis_refuses_the_whole_measurement():
     sigma = np.sqrt(cov[7, 7] + 0.5)
     innovation = np.empty(2)
     measured = x[7:9] + np.array([0.0, 5.1 * sigma])
-    ratio = kernels.fuse_direct(x, cov, kernels.POS, measured, variance, 5.0, NO_LIMITS, innovation)
+    innovation_var = np.empty(2)
+    ratio = kernels.fuse_direct(
+        x, cov, kernels.POS, measured, variance, 5.0, NO_LIMITS, innovation, innovation_var
+    )
     assert ratio == pytest.approx(5.1 / 5.0)
     np.testing.assert_allclose(innovation, [0.0, 5.1 * sigma], atol=1e-12)
     np.testing.assert_array_equal(x, before_x)
@@ -191,7 +195,10 @@ def test_heading_update_is_the_textbook_one():
     jacobian[0, :3] = kernels.heading_jacobian(FIELD_NED_GAUSS)
     gain, expected_cov = textbook_update(cov, jacobian, np.array([[0.01]]))
     expected_x = moved(x, gain[:, 0] * 0.02)
-    assert kernels.fuse_heading(x, cov, 0.02, FIELD_NED_GAUSS, 0.01, 2.6, NO_LIMITS) < 1.0
+    innovation_var = float((jacobian @ cov @ jacobian.T)[0, 0] + 0.01)
+    ratio, seen_var = kernels.fuse_heading(x, cov, 0.02, FIELD_NED_GAUSS, 0.01, 2.6, NO_LIMITS)
+    assert seen_var == pytest.approx(innovation_var, rel=1e-12)
+    assert ratio == pytest.approx(0.02 / (2.6 * np.sqrt(innovation_var)), rel=1e-12)
     np.testing.assert_allclose(x, expected_x, atol=1e-12)
     np.testing.assert_allclose(cov, expected_cov, atol=1e-12)
 

@@ -260,19 +260,6 @@ def test_messages_for_others_are_not_ours(flight):
     assert flight.heard == []
 
 
-def test_parameters_act_at_once_where_they_can(flight):
-    make_ready(flight)
-    vehicle = flight.vehicle
-    vehicle.set_parameter("COM_DISARM_PRFLT", 2.0)
-    vehicle.set_parameter("MPC_XY_P", 1.1)
-    with pytest.raises(ParameterError, match="at the start"):
-        vehicle.set_parameter("EKF2_GPS_DELAY", 100.0)
-    flight.command(ARM, 1.0)
-    with pytest.raises(ParameterError, match="while armed"):
-        vehicle.set_parameter("MPC_XY_P", 1.0)
-    assert flight.run(2.1, until=lambda: not vehicle.commander.armed)
-
-
 def test_a_wrong_parameter_stops_the_vehicle_from_being_made():
     with pytest.raises(ParameterError, match="there is no parameter 'MPC_NOPE'"):
         Vehicle(vehicle_config(params={"MPC_NOPE": 1.0}))
@@ -335,7 +322,7 @@ def test_the_disturbance_observer_leaves_the_ground_with_the_thrust_that_is_real
     assert flight.command(ARM, 1.0) == ACCEPTED
     altitude_m = flight.vehicle.flight.state.origin_alt_m + 2.5
     assert flight.command(TAKE_OFF, 0.0, 0.0, 0.0, NAN, NAN, NAN, altitude_m) == ACCEPTED
-    controller = flight.vehicle._controller
+    controller = flight.vehicle.pilot.controller
     assert flight.run(10.0, until=lambda: bool(controller.disturbance_ned_m_s2.any()))
     pushes_m_s2 = []
     for _ in range(50):

@@ -1,0 +1,398 @@
+"""Failsafes: what can go wrong, what the parameters say should then be done, and which of it is done now.
+
+After PX4's failsafe framework. Every cause has a row in `ROWS`: a parameter, and for each of its values an
+action, when that ends, and whether the pilot may take over. Of all that is active the most drastic action
+wins; what the vehicle cannot do at the moment falls through to the next more drastic one. Pure: time,
+conditions and parameters come in, a decision goes out.
+"""
+
+from collections.abc import Mapping
+from enum import Enum, IntEnum, IntFlag
+from types import MappingProxyType
+from typing import NamedTuple
+
+from autopilot.commander.conditions import MANUAL_MODES, MODE_NEED_BITS, Condition, Reason, first_missing
+from autopilot.commander.params import CommanderParams
+from autopilot.mavlink.modes import FlightMode
+
+US_PER_S = 1_000_000
+
+
+class Cause(IntFlag):
+    """Something that is wrong at the moment."""
+
+    GPS_LOST = 1
+    """No fix has come for the time-out of the sensor."""
+    ESTIMATOR_FAILED = 2
+    """The estimator contradicts its measurements, or has no attitude to give."""
+    GCS_LOST = 4
+    """No ground station has been heard for COM_DL_LOSS_T."""
+    MANUAL_LOST = 8
+    """Sticks came once, and have stopped for COM_RC_LOSS_T."""
+    BATTERY_LOW = 16
+    BATTERY_CRITICAL = 32
+    BATTERY_EMERGENCY = 64
+    """One of the three at a time."""
+    GEOFENCE = 128
+    MOTOR_FAILED = 256
+    TIPPED_OVER = 512
+    """Roll or pitch beyond FD_FAIL_R, FD_FAIL_P."""
+    MODE_NEEDS = 1024
+    """What the chosen mode needs is not there; found here, not told."""
+
+
+class Action(IntEnum):
+    """In the order of how drastic they are, as in PX4."""
+
+    NONE = 0
+    WARN = 1
+    POSITION = 2
+    ALTITUDE = 3
+    STABILIZED = 4
+    HOLD = 5
+    RETURN = 6
+    LAND = 7
+    DESCEND = 8
+    DISARM = 9
+    TERMINATE = 10
+
+
+class Ends(Enum):
+    """What ends an action."""
+
+    WITH_CAUSE = 0
+    MODE_CHANGE = 1
+    """The cause is gone, and the pilot chooses a mode."""
+    NEVER = 2
+    """Only the end of the flight."""
+
+    @property
+    def strictness(self) -> int:
+        """The greater, the longer it lasts."""
+        return self.value
+
+
+class Response(NamedTuple):
+    """What a parameter's value stands for."""
+
+    action: Action
+    ends: Ends = Ends.MODE_CHANGE
+    delayed: bool = False
+    """Hold for COM_FAIL_ACT_T first, so that the pilot may take over."""
+
+
+class Row(NamedTuple):
+    """One failsafe."""
+
+    cause: Cause
+    text: str
+    parameter: str | None
+    """PX4's name; None where there is nothing to choose."""
+    field: str
+    """Of `CommanderParams`."""
+    responses: Mapping[int, Response]
+    """By the parameter's value; of a value that is not here nothing follows."""
+
+
+_WARN = Response(Action.WARN, Ends.WITH_CAUSE)
+_HOLD = Response(Action.HOLD)
+_TERMINATE = Response(Action.TERMINATE, Ends.NEVER)
+_DISARM = Response(Action.DISARM, Ends.WITH_CAUSE)
+
+
+def _delayed(action: Action, ends: Ends = Ends.MODE_CHANGE) -> Response:
+    return Response(action, ends, delayed=True)
+
+
+_LINK_LOSS: Mapping[int, Response] = MappingProxyType({
+    1: _delayed(Action.HOLD), 2: _delayed(Action.RETURN), 3: _delayed(Action.LAND), 5: _TERMINATE, 6: _DISARM,
+})  # fmt: skip
+_WITH_CAUSE = Ends.WITH_CAUSE
+
+ROWS: tuple[Row, ...] = (
+    Row(Cause.TIPPED_OVER, "not upright", "CBRK_FLIGHTTERM", "termination_breaker",
+        {0: _TERMINATE, 121_212: _WARN}),
+    Row(Cause.ESTIMATOR_FAILED, "estimator failed", None, "", {0: Response(Action.DESCEND, _WITH_CAUSE)}),
+    Row(Cause.MOTOR_FAILED, "motor failure", "COM_ACT_FAIL_ACT", "motor_failure_action",
+        {0: _WARN, 1: _delayed(Action.HOLD, _WITH_CAUSE), 2: _delayed(Action.LAND),
+         3: _delayed(Action.RETURN), 4: _TERMINATE}),
+    Row(Cause.BATTERY_EMERGENCY, "battery empty", "COM_LOW_BAT_ACT", "low_battery_action",
+        {0: _WARN, 1: _delayed(Action.RETURN), 2: _delayed(Action.LAND), 3: _delayed(Action.LAND)}),
+    Row(Cause.BATTERY_CRITICAL, "battery critical", "COM_LOW_BAT_ACT", "low_battery_action",
+        {0: _WARN, 1: _delayed(Action.RETURN), 2: _delayed(Action.LAND), 3: _delayed(Action.RETURN)}),
+    Row(Cause.BATTERY_LOW, "battery low", "COM_LOW_BAT_ACT", "low_battery_action",
+        {0: _WARN, 1: _WARN, 2: _WARN, 3: _WARN}),
+    Row(Cause.GEOFENCE, "geofence", "GF_ACTION", "geofence_action",
+        {1: _WARN, 2: _HOLD, 3: _delayed(Action.RETURN), 4: _TERMINATE, 5: _delayed(Action.LAND)}),
+    Row(Cause.GPS_LOST, "GPS lost", "COM_GNSSLOSS_ACT", "gps_loss_action",
+        {0: _WARN, 1: _delayed(Action.RETURN), 2: _delayed(Action.LAND), 3: _TERMINATE}),
+    Row(Cause.GCS_LOST, "no ground station", "NAV_DLL_ACT", "gcs_loss_action", _LINK_LOSS),
+    Row(Cause.MANUAL_LOST, "no manual control", "NAV_RCL_ACT", "manual_loss_action", _LINK_LOSS),
+)  # fmt: skip
+"""In the order of what is named first when two ask for the same."""
+
+OFFBOARD_LOSS: Mapping[int, Response] = MappingProxyType({
+    0: Response(Action.POSITION), 1: Response(Action.ALTITUDE), 2: Response(Action.STABILIZED),
+    3: Response(Action.RETURN), 4: Response(Action.LAND), 5: Response(Action.HOLD),
+    6: _TERMINATE, 7: _DISARM,
+})  # fmt: skip
+"""COM_OBL_RC_ACT. A stick mode without sticks falls through to hold; setpoints that come again do not bring
+offboard back by themselves."""
+
+MODE_OF: Mapping[Action, FlightMode] = MappingProxyType({
+    Action.POSITION: FlightMode.POSITION, Action.ALTITUDE: FlightMode.ALTITUDE,
+    Action.STABILIZED: FlightMode.STABILIZED, Action.HOLD: FlightMode.HOLD,
+    Action.RETURN: FlightMode.RETURN, Action.LAND: FlightMode.LAND, Action.DESCEND: FlightMode.DESCEND,
+})  # fmt: skip
+
+_AUTO_MODES = frozenset(MODE_NEED_BITS) - MANUAL_MODES - {FlightMode.MISSION, FlightMode.OFFBOARD}
+_EXCEPT_MISSION, _EXCEPT_AUTO, _EXCEPT_OFFBOARD = 1, 2, 4
+"""Bits of COM_RCL_EXCEPT and COM_DLL_EXCEPT."""
+_SETTLING_US = 3 * US_PER_S
+"""After the spool-up a vehicle that tips over is disarmed, where later its flight would be terminated."""
+
+
+_TERMINATE_AFTER_US = 500_000
+"""Without anything that can be flown it descends for so long, in case that passes, before the motors stop."""
+
+
+class Decision(NamedTuple):
+    """What is to be done now, and of what it is for."""
+
+    action: Action = Action.NONE
+    text: str = ""
+    then: Action | None = None
+    """The action that a hold gives the pilot time before."""
+    delay_s: float = 0.0
+    """Until then."""
+    taken_over: bool = False
+    """The pilot flies although something asks for more than a warning."""
+
+
+NOTHING = Decision()
+
+
+class _Active(NamedTuple):
+    response: Response
+    text: str
+    present: bool
+
+
+class Failsafe:
+    """The active failsafes of one flight; ask `update` at every step."""
+
+    def __init__(self) -> None:
+        self.decision = NOTHING
+        self._active: dict[Cause, _Active] = {}
+        self._taken_over = False
+        self._act_us: int | None = None
+        """When the hold before a delayed action ends."""
+        self.warnings: tuple[str, ...] = ()
+        """What has begun since the last call that asks for no more than to be told."""
+        self._ignored = 0
+        """Causes that were there at arming and so are no news: a low battery, sticks put away."""
+        self._armed_us: int | None = None
+        self._helpless_us: int | None = None
+        """Since when there is nothing that could be flown."""
+        self._asking: tuple[CommanderParams, FlightMode, int] | None = None
+
+    def update(
+        self, now_us: int, *, params: CommanderParams, causes: int, conditions: int,
+        mode: FlightMode, armed: bool, landed: bool, mode_chosen: bool,
+    ) -> Decision:  # fmt: skip
+        """Take what is wrong (`Cause` bits) and what holds (`Condition` bits); returns what to do.
+
+        ``mode`` is the one that the pilot wants, ``mode_chosen`` whether that was asked for since the last
+        call: during a failsafe this means that the pilot takes over.
+        """
+        self.warnings = ()
+        if self.decision.action is Action.TERMINATE:
+            return self.decision
+        if not armed:
+            if self._armed_us is not None:
+                self._forget()
+            return NOTHING
+        if self._armed_us is None:
+            self._armed_us = now_us
+            self._ignored = causes & _KNOWN_AT_ARMING
+        self._ignored &= causes  # what has gone once is news when it comes back
+        causes &= self._causes_that_ask(params, mode)
+        missing = MODE_NEED_BITS[mode] & ~conditions
+        if not causes and not missing and not self._active:
+            self._taken_over = False
+            self.decision = NOTHING
+            return NOTHING
+        present = self._responses(now_us, params, causes & ~self._ignored, conditions, mode, missing)
+        self._note(present, now_us, params, mode_chosen=mode_chosen)
+        self.decision = self._decide(now_us, conditions, mode, missing, landed=landed)
+        return self.decision
+
+    def _forget(self) -> None:
+        """The flight is over."""
+        self.decision = NOTHING
+        self._active.clear()
+        self._taken_over = False
+        self._act_us = self._armed_us = self._helpless_us = None
+
+    # ---- what asks for something
+
+    def _causes_that_ask(self, params: CommanderParams, mode: FlightMode) -> int:
+        """Bits of the causes of which the parameters make anything in this mode."""
+        known = self._asking
+        if known is None or known[0] is not params or known[1] is not mode:
+            bits = 0
+            for row in ROWS:
+                if _value(row, params) in row.responses and not _is_excepted(row.cause, mode, params):
+                    bits |= int(row.cause)
+            self._asking = known = (params, mode, bits)
+        return known[2]
+
+    def _responses(
+        self, now_us: int, params: CommanderParams, causes: int, conditions: int, mode: FlightMode,
+        missing: int,
+    ) -> dict[Cause, tuple[Response, str]]:  # fmt: skip
+        present: dict[Cause, tuple[Response, str]] = {}
+        for row in ROWS:
+            if causes & row.cause:
+                response = row.responses[_value(row, params)]
+                if row.cause is Cause.TIPPED_OVER and self._has_just_started(now_us, params):
+                    response = _DISARM
+                present[row.cause] = (response, row.text)
+        if missing:
+            reason = first_missing(missing, 0)
+            assert reason is not None  # noqa: S101  # something is missing
+            present[Cause.MODE_NEEDS] = (_mode_response(mode, missing, conditions, params), reason.text)
+        return present
+
+    def _has_just_started(self, now_us: int, params: CommanderParams) -> bool:
+        armed_us = now_us if self._armed_us is None else self._armed_us
+        return now_us - armed_us < params.spool_up_s * US_PER_S + _SETTLING_US
+
+    def _note(
+        self, present: Mapping[Cause, tuple[Response, str]], now_us: int, params: CommanderParams,
+        *, mode_chosen: bool,
+    ) -> None:  # fmt: skip
+        """Bring the active ones up to date, and who flies."""
+        active = self._active
+        if mode_chosen and Action.HOLD <= self.decision.action <= Action.DESCEND:
+            self._taken_over = True
+            self._act_us = None
+        for cause in list(active):
+            ends = active[cause].response.ends
+            if cause in present:
+                continue
+            if ends is Ends.WITH_CAUSE or (ends is Ends.MODE_CHANGE and mode_chosen):
+                del active[cause]
+            else:
+                active[cause] = active[cause]._replace(present=False)
+        for cause, (response, text) in present.items():
+            known = active.get(cause)
+            if known is None or not known.present:
+                if response.action is Action.WARN:
+                    self.warnings += (text,)
+                if response.action >= Action.HOLD:
+                    self._taken_over = False  # the pilot took over from something else
+                if response.delayed and params.action_delay_s > 0.0 and self._act_us is None:
+                    self._act_us = now_us + round(params.action_delay_s * US_PER_S)
+                active[cause] = _Active(response, text, present=True)
+            else:  # a changed parameter, or another need of the mode; what ends it only gets stricter
+                ends = max(known.response.ends, response.ends, key=lambda ends: ends.strictness)
+                active[cause] = _Active(response._replace(ends=ends), text, present=True)
+
+    # ---- what is done
+
+    def _decide(
+        self, now_us: int, conditions: int, mode: FlightMode, missing: int, *, landed: bool
+    ) -> Decision:
+        if not self._active:
+            self._act_us = self._helpless_us = None
+            self._taken_over = False
+            return NOTHING
+        worst = max(self._active.values(), key=lambda active: active.response.action)
+        action, then, delay_s = worst.response.action, None, 0.0
+        if self._taken_over and action <= Action.DESCEND:
+            fallback = self._active.get(Cause.MODE_NEEDS)
+            if fallback is None or not missing:
+                return Decision(Action.WARN, worst.text, taken_over=action > Action.WARN)
+            action, worst = fallback.response.action, fallback
+        if self._act_us is not None:
+            holdable = not MODE_NEED_BITS[FlightMode.HOLD] & ~conditions
+            if now_us >= self._act_us or not holdable or self.decision.action > Action.HOLD:
+                self._act_us = now_us  # it is over, and stays so while this failsafe lasts
+            elif worst.response.delayed and action > Action.HOLD:
+                then, delay_s, action = action, (self._act_us - now_us) / US_PER_S, Action.HOLD
+        action = self._possible(now_us, feasible(action, conditions), action, landed=landed)
+        if mode is FlightMode.LAND and Action.RETURN in {action, then} and not missing:
+            return Decision(Action.WARN, worst.text)  # it is on its way down already
+        return Decision(action, worst.text, then, delay_s)
+
+    def _possible(self, now_us: int, feasible_action: Action, wanted: Action, *, landed: bool) -> Action:
+        """Put off the end that nothing brings back: what cannot be flown may be a passing glitch."""
+        if feasible_action is not Action.TERMINATE or wanted is Action.TERMINATE:
+            self._helpless_us = None
+            return feasible_action
+        if landed:
+            return Action.DISARM
+        if self._helpless_us is None:
+            self._helpless_us = now_us
+        helpless_us = now_us - self._helpless_us
+        return Action.TERMINATE if helpless_us >= _TERMINATE_AFTER_US else Action.DESCEND
+
+
+_KNOWN_AT_ARMING = int(
+    Cause.MANUAL_LOST | Cause.BATTERY_LOW | Cause.BATTERY_CRITICAL | Cause.BATTERY_EMERGENCY
+)
+
+
+def feasible(action: Action, conditions: int) -> Action:
+    """Find the first action, from this one on to the more drastic, whose mode has what it needs."""
+    if not Action.POSITION <= action <= Action.DESCEND:
+        return action
+    able = (
+        candidate
+        for candidate, mode in MODE_OF.items()
+        if candidate >= action and not MODE_NEED_BITS[mode] & ~conditions
+    )
+    return next(able, Action.TERMINATE)
+
+
+def _mode_response(mode: FlightMode, missing: int, conditions: int, params: CommanderParams) -> Response:
+    """Give the way out of a mode that cannot go on."""
+    if missing & Condition.SETPOINTS:
+        return OFFBOARD_LOSS[params.offboard_loss_action]
+    if mode in MANUAL_MODES and conditions & Condition.MANUAL:
+        return Response(Action.ALTITUDE if mode is FlightMode.POSITION else Action.STABILIZED, _WITH_CAUSE)
+    return Response(Action.HOLD if mode in MANUAL_MODES else Action.RETURN, _WITH_CAUSE)
+
+
+def _value(row: Row, params: CommanderParams) -> int:
+    """Present value of the row's parameter."""
+    value: int = getattr(params, row.field) if row.field else 0
+    return value
+
+
+def _is_excepted(cause: Cause, mode: FlightMode, params: CommanderParams) -> bool:
+    """Whether a lost link is of no concern in this mode."""
+    if cause is Cause.GCS_LOST:
+        mask = params.gcs_loss_except
+        if mode is FlightMode.LAND:
+            return True
+    elif cause is Cause.MANUAL_LOST:
+        mask = params.manual_loss_except
+    else:
+        return False
+    bit = _EXCEPT_AUTO if mode in _AUTO_MODES else 0
+    bit = {FlightMode.MISSION: _EXCEPT_MISSION, FlightMode.OFFBOARD: _EXCEPT_OFFBOARD}.get(mode, bit)
+    return bool(mask & bit)
+
+
+ARMING_CAUSES: tuple[tuple[Cause, Reason], ...] = (
+    (Cause.ESTIMATOR_FAILED, Reason.ESTIMATOR_FAILED),
+    (Cause.TIPPED_OVER, Reason.TIPPED_OVER),
+    (Cause.BATTERY_CRITICAL, Reason.BATTERY_LOW),
+    (Cause.BATTERY_EMERGENCY, Reason.BATTERY_LOW),
+    (Cause.GEOFENCE, Reason.OUTSIDE_GEOFENCE),
+    (Cause.GCS_LOST, Reason.NO_GROUND_STATION),
+)
+"""What arming is refused for beside missing conditions; a lost ground station and a left geofence only where
+something follows from them."""

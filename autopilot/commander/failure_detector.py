@@ -1,0 +1,171 @@
+"""Failures that the vehicle can see of itself: it lies on its side, or a motor draws too little current.
+
+After PX4's FailureDetector. What follows from a failure is left to the failsafes.
+"""
+
+from collections.abc import Iterable, Sequence
+from enum import IntFlag
+from math import asin, atan2, cos, pi, radians
+from typing import Annotated, NamedTuple
+
+from msgspec import Meta, Struct
+
+from autopilot.types import Array
+
+US_PER_S = 1_000_000
+ESC_TIMEOUT_US = 300_000
+"""Age from which ESC telemetry counts as missing."""
+
+Angle = Annotated[float, Meta(ge=0.0, le=pi)]
+Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
+
+
+class FailureDetectorParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What counts as a failure, and after how long."""
+
+    roll_max_rad: Angle = radians(60.0)
+    """FD_FAIL_R; 0 does not look"""
+    pitch_max_rad: Angle = radians(60.0)
+    """FD_FAIL_P; 0 does not look"""
+    roll_trigger_s: Annotated[float, Meta(ge=0.02, le=5.0)] = 0.3
+    """FD_FAIL_R_TTRI"""
+    pitch_trigger_s: Annotated[float, Meta(ge=0.02, le=5.0)] = 0.3
+    """FD_FAIL_P_TTRI"""
+    motor_check: Annotated[int, Meta(ge=0, le=1)] = 1
+    """FD_ACT_EN"""
+    motor_thrust_min: Fraction = 0.2
+    """FD_ACT_MOT_THR: share of full thrust above which a motor is judged"""
+    motor_current_per_thrust_a: Annotated[float, Meta(ge=0.0, le=50.0)] = 2.0
+    """FD_ACT_MOT_C2T: least current at full thrust, and in proportion below"""
+    motor_timeout_us: Annotated[int, Meta(ge=10_000, le=10_000_000)] = 100_000
+    """FD_ACT_MOT_TOUT (there in ms): how long the current must be too low"""
+
+
+class Failure(IntFlag):
+    """Something that is wrong."""
+
+    ROLL = 1
+    PITCH = 2
+    """The angle is beyond its limit, and has been so for the trigger time."""
+    MOTOR = 4
+    """`FailureDetector.failed_motors` says which; until disarmed."""
+    ESC_TELEMETRY = 8
+    """It came since arming, and has stopped: motors can no longer be judged. Not a failure to act upon."""
+
+
+class EscSample(NamedTuple):
+    """What the speed controllers report."""
+
+    time_us: int
+    currents_a: Sequence[float]
+    """(4,) in the order of the motor controls"""
+
+
+def thrust_fractions(controls: Iterable[float], thrust_model_factor: float) -> list[float]:
+    """Share of full thrust that motor controls 0..1 stand for: factor u^2 + (1 - factor) u (THR_MDL_FAC)."""
+    return [u * (thrust_model_factor * u + 1.0 - thrust_model_factor) for u in controls]
+
+
+class FailureDetector:
+    """One vehicle's failures: `update` at every step, `on_esc` when telemetry comes."""
+
+    def __init__(self, params: FailureDetectorParams) -> None:
+        self.failed_motors: frozenset[int] = frozenset()
+        """Indices of the motor controls; it only grows until the vehicle is disarmed."""
+        self._attitude = 0
+        """`Failure` bits of roll and pitch."""
+        self._roll_us: int | None = None
+        self._pitch_us: int | None = None
+        """Since when the angle is beyond its limit."""
+        self._esc_us: int | None = None
+        """Time of the last telemetry since arming."""
+        self._esc_lost = False
+        self._measures_current = False
+        """Some current was seen: there are controllers that report none."""
+        self._low_us: dict[int, int] = {}
+        """Since when a motor's current is too low."""
+        self.set_params(params)
+
+    def set_params(self, params: FailureDetectorParams) -> None:
+        """Change the settings; without the motor check no motor counts as failed."""
+        self.params = params
+        limits_rad = [limit for limit in (params.roll_max_rad, params.pitch_max_rad) if limit > 0.0]
+        # a tilt smaller than both limits, below 90 degrees, is beyond neither
+        self._upright_cos = cos(min([*limits_rad, pi / 2.0])) if limits_rad else -2.0
+        if not params.motor_check:
+            self._forget_motors()
+
+    @property
+    def failures(self) -> int:
+        """`Failure` bits."""
+        bits = self._attitude
+        if self.failed_motors:
+            bits |= _MOTOR
+        return bits | _ESC_TELEMETRY if self._esc_lost else bits
+
+    def update(self, now_us: int, q_ned_frd: Array, *, armed: bool) -> int:
+        """Take the attitude (4,), wxyz; returns the `Failure` bits.
+
+        Roll and pitch are judged disarmed, too, so that arming can be refused.
+        """
+        _, x, y, _ = q_ned_frd.tolist()
+        if 1.0 - 2.0 * (x * x + y * y) > self._upright_cos:  # the cosine of the tilt
+            self._attitude = 0
+            self._roll_us = self._pitch_us = None
+        else:
+            self._judge_attitude(now_us, q_ned_frd)
+        if not armed:
+            self._esc_us, self._esc_lost, self._measures_current = None, False, False
+            self._forget_motors()
+        elif self._esc_us is not None:
+            self._esc_lost = now_us - self._esc_us > ESC_TIMEOUT_US
+        return self.failures
+
+    def on_esc(self, sample: EscSample, thrusts: Sequence[float], *, armed: bool) -> None:
+        """Take telemetry of the motors and the shares of full thrust, 0..1, that were asked of them.
+
+        A motor fails that is asked for more than the least thrust and draws too little current for it, in all
+        samples over the time-out; samples that are too far apart do not add up.
+        """
+        if not armed:
+            return
+        if self._esc_us is None or sample.time_us - self._esc_us > ESC_TIMEOUT_US:
+            self._low_us.clear()
+        self._esc_us = sample.time_us
+        self._measures_current = self._measures_current or max(sample.currents_a) > 0.0
+        if not self._measures_current or not self.params.motor_check:
+            return
+        params = self.params
+        for motor, (current_a, thrust) in enumerate(zip(sample.currents_a, thrusts, strict=True)):
+            if thrust <= params.motor_thrust_min or current_a >= thrust * params.motor_current_per_thrust_a:
+                self._low_us.pop(motor, None)
+            elif sample.time_us - self._low_us.setdefault(motor, sample.time_us) >= params.motor_timeout_us:
+                self.failed_motors |= {motor}
+
+    def _judge_attitude(self, now_us: int, q_ned_frd: Array) -> None:
+        w, x, y, z = q_ned_frd.tolist()
+        roll_rad = atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+        pitch_rad = asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0))
+        params = self.params
+        self._roll_us = _since(self._roll_us, now_us, roll_rad, params.roll_max_rad)
+        self._pitch_us = _since(self._pitch_us, now_us, pitch_rad, params.pitch_max_rad)
+        self._attitude = 0
+        if self._roll_us is not None and now_us - self._roll_us >= params.roll_trigger_s * US_PER_S:
+            self._attitude |= _ROLL
+        if self._pitch_us is not None and now_us - self._pitch_us >= params.pitch_trigger_s * US_PER_S:
+            self._attitude |= _PITCH
+
+    def _forget_motors(self) -> None:
+        self.failed_motors = frozenset()
+        self._low_us.clear()
+
+
+_ROLL, _PITCH, _MOTOR, _ESC_TELEMETRY = (int(failure) for failure in Failure)
+"""Plain integers: the flag type's operations cost more than all the rest of a step."""
+
+
+def _since(since_us: int | None, now_us: int, angle_rad: float, limit_rad: float) -> int | None:
+    """Since when the angle is beyond its limit; None when it is not, or the limit is 0."""
+    if limit_rad == 0.0 or abs(angle_rad) <= limit_rad:
+        return None
+    return now_us if since_us is None else since_us

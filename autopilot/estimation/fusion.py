@@ -1,0 +1,377 @@
+"""What becomes of each measurement: fused, refused, or believed after all and the state reset to it.
+
+One `Fusion` lives from an alignment to the next. It works on the filter at its delayed horizon and keeps the
+record of every kind of measurement; queues and validity are ``estimator``'s, the judgements of longer breath
+``health``'s, the arithmetic ``kernels``'.
+"""
+
+import math
+from enum import IntFlag
+
+import numpy as np
+
+from autopilot.estimation import kernels
+from autopilot.estimation.diagnostics import Aiding
+from autopilot.estimation.health import (
+    COMPASS_ERROR_RAD,
+    HEADING_KNOWN_RAD,
+    Compass,
+    NavigationTest,
+    StuckBarometer,
+    VerticalConflict,
+    field_disturbed,
+)
+from autopilot.estimation.horizon import DelayedHorizon
+from autopilot.estimation.params import PX4_FILTER_PERIOD_S, EstimatorParams
+from autopilot.estimation.rotation import quat_from_rotation_vector, quat_multiply
+from autopilot.estimation.yaw_gsf import YawBank
+from autopilot.navigation.geodesy import geodetic_to_ned
+from autopilot.types import Array, GpsFix
+
+HORIZONTAL_RESET_US = 7_000_000
+HEIGHT_RESET_US = 5_000_000
+"""Refused for longer, a measurement is believed and the state reset to it; PX4's times."""
+YAW_EMERGENCY_US = 1_000_000
+"""Velocity or position refused for longer, the heading is asked for; PX4's EKFGSF_reset_delay."""
+BARO_FRESH_US = 500_000
+"""Older, a pressure has no say in what a fix means."""
+BAD_ACCEL_NOISE_M_S2 = 4.9
+"""In place of EKF2_ACC_NOISE while the accelerometer is contradicted; PX4's number."""
+EMERGENCY_TILT_STD_RAD = math.radians(3.0)
+EMERGENCY_GYRO_BIAS_STD_RAD_S = 0.003
+"""What a yaw emergency leaves known of tilt and gyro bias."""
+FIX_3D = 3
+ORIGIN_FIXES = 5
+HOLD_PERIOD_US = 200_000
+VERTICAL_VELOCITY_NOISE_RATIO = 1.5
+"""GPS velocity is worse vertically; PX4's ratio."""
+
+Origin = tuple[float, float, float]
+"""Latitude and longitude in degrees, altitude in metres above mean sea level."""
+
+
+class Jump(IntFlag):
+    """What of the state was reset."""
+
+    NONE = 0
+    POSITION = 1
+    HEIGHT = 2
+    VELOCITY = 4
+    YAW = 8
+
+
+class Fusion:
+    """Takes the measurements that the horizon has reached into the filter, one after the other."""
+
+    def __init__(
+        self,
+        params: EstimatorParams,
+        delayed: DelayedHorizon,
+        *,
+        ground_altitude_m: float,
+        origin: Origin | None,
+    ) -> None:
+        """Begin from an alignment; ``origin`` is known if this is not the first."""
+        self.origin = origin
+        self.velocity, self.position = Aiding.of(3), Aiding.of(2)
+        self.height, self.heading = Aiding.of(1), Aiding.of(1)
+        self.height.accepted_us = self.heading.accepted_us = delayed.time_us
+        self.compass = Compass()
+        self.barometer = StuckBarometer()
+        self.vertical = VerticalConflict()
+        self.navigation = NavigationTest()
+        self.bank = YawBank(delayed.tilt)
+        self.bank_turn_rad = 0.0
+        """Heading of the bank less the filter's, at the last fix"""
+        self.held_pos_m: Array | None = None
+        """(2,) the position that is held for want of a measurement"""
+        self.held_us = 0
+        """When that was last thought about."""
+        self.jumps = Jump.NONE
+        """Since somebody cleared it."""
+        self._delayed = delayed
+        self._ground_altitude_m = ground_altitude_m
+        self._placed = False
+        """Whether the horizontal position has come from a fix."""
+        self._origin_fixes: list[GpsFix] = []
+        self.set_params(params)
+
+    def set_params(self, params: EstimatorParams) -> None:
+        """Take other noises, gates and limits from the next measurement on."""
+        self._params = params
+        self._field_ned = np.array(params.magnetic_field_ned_gauss)
+        self._bias_limits = np.array([params.gyro_bias_limit_rad_s, params.accel_bias_limit_m_s2])
+        vel_var = params.gps_vel_noise_m_s**2
+        self._vel_var = np.array([vel_var, vel_var, VERTICAL_VELOCITY_NOISE_RATIO**2 * vel_var])
+        self._baro_var = np.array([params.baro_noise_m**2])
+        self._hold_var = np.full(2, params.no_aid_noise_m**2)
+        self._set_noise()
+
+    def unaided(self, horizon_us: int, timeout_us: int) -> bool:
+        """Whether no horizontal measurement was taken for longer than the time-out."""
+        return self.velocity.absent(horizon_us, timeout_us) and self.position.absent(horizon_us, timeout_us)
+
+    # -- one measurement each; they tell whether the state changed
+
+    def fuse_mag(self, time_us: int, field_frd_gauss: Array) -> bool:
+        """Magnetic field (3,) FRD: its heading."""
+        x, cov, compass = self._delayed.x, self._delayed.cov, self.compass
+        compass.disturbed = field_disturbed(self._params, x[:4], field_frd_gauss)
+        innovation_rad = kernels.heading_innovation(x, field_frd_gauss, self._field_ned)
+        variance = self._params.heading_noise_rad**2
+        usable = not (compass.disturbed or compass.faulty)
+        ratio, innovation_var = kernels.fuse_heading(
+            x,
+            cov,
+            innovation_rad,
+            self._field_ned,
+            variance,
+            self._params.heading_gate,
+            self._bias_limits,
+            usable,
+        )
+        self.heading.innovation[0] = innovation_rad
+        self.heading.innovation_var[0] = innovation_var
+        if not usable:
+            self.heading.refuse(ratio, time_us)
+            if compass.faulty:
+                agrees = ratio < 1.0 and abs(innovation_rad) < COMPASS_ERROR_RAD
+                known = cov[2, 2] < HEADING_KNOWN_RAD**2
+                compass.note(consistent=bool(agrees and known and not compass.disturbed), time_us=time_us)
+            return False
+        if self.heading.record(ratio, time_us):
+            return True
+        if not self.heading.absent(time_us, HORIZONTAL_RESET_US):
+            return False
+        if self.bank.std_rad < HEADING_KNOWN_RAD:
+            turn_rad = self.bank.turn_rad(x[:4])
+            if abs(math.remainder(innovation_rad - turn_rad, 2.0 * math.pi)) > COMPASS_ERROR_RAD:
+                compass.faulty = abs(turn_rad) < COMPASS_ERROR_RAD
+                return False
+        self._turn(innovation_rad, variance)
+        self.heading.accepted_us = time_us
+        return True
+
+    def fuse_baro(self, time_us: int, altitude_m: float) -> bool:
+        """Pressure altitude: the height above the ground of the alignment."""
+        vel_down_m_s = float(self._delayed.x[kernels.VEL + 2])
+        if self.barometer.note(altitude_m, vel_down_m_s, time_us):
+            self.height.refuse(math.inf, time_us)
+            return False
+        down_m = np.array([self._ground_altitude_m - altitude_m])
+        params = self._params
+        taken = self._fuse(self.height, kernels.POS + 2, down_m, self._baro_var, params.baro_gate, time_us)
+        if not taken and self.height.absent(time_us, HEIGHT_RESET_US):
+            self._reset(self.height, kernels.POS + 2, down_m, self._baro_var, Jump.HEIGHT, time_us)
+            return True
+        return taken
+
+    def fuse_fix(self, fix: GpsFix) -> bool:
+        """Fix: its velocity and horizontal position."""
+        delayed, params = self._delayed, self._params
+        measured_us = fix.time_us - params.gps_delay_us
+        if not self._good(fix):
+            self._origin_fixes.clear()
+            return False
+        self.bank.fuse(fix.vel_ned_m_s[:2], params.gps_vel_noise_m_s)
+        self.bank_turn_rad = self.bank.turn_rad(delayed.x[:4])
+        if self.origin is None:
+            self._origin_fixes.append(fix)
+            if len(self._origin_fixes) < ORIGIN_FIXES:
+                return False
+            self.origin = self._mean_fix()
+        velocity_taken = self._fuse(
+            self.velocity, kernels.VEL, fix.vel_ned_m_s, self._vel_var, params.gps_vel_gate, measured_us
+        )
+        # the fix may be older than the horizon by a fraction of a step, or by what it came late
+        age_s = (delayed.horizon_us - measured_us) * 1e-6
+        pos_m = self._horizontal_pos_m(fix) + age_s * fix.vel_ned_m_s[:2]
+        pos_var = np.full(2, max(fix.eph_m, params.gps_pos_noise_m) ** 2)
+        velocity_taken = self._believe_climb(fix, measured_us, velocity_taken=velocity_taken)
+        if not self._placed:
+            self._placed = True
+            self._reset(self.position, kernels.POS, pos_m, pos_var, Jump.POSITION, measured_us)
+            return True
+        position_taken = self._fuse(
+            self.position, kernels.POS, pos_m, pos_var, params.gps_pos_gate, measured_us
+        )
+        velocity_lost = not velocity_taken and self.velocity.absent(measured_us, YAW_EMERGENCY_US)
+        position_lost = not position_taken and self.position.absent(measured_us, YAW_EMERGENCY_US)
+        emergency = (velocity_lost or position_lost) and self._yaw_emergency()
+        if emergency or (velocity_lost and self.velocity.absent(measured_us, HORIZONTAL_RESET_US)):
+            self._reset(
+                self.velocity, kernels.VEL, fix.vel_ned_m_s, self._vel_var, Jump.VELOCITY, measured_us
+            )
+            velocity_taken = True
+        if emergency or (position_lost and self.position.absent(measured_us, HORIZONTAL_RESET_US)):
+            self._reset(self.position, kernels.POS, pos_m, pos_var, Jump.POSITION, measured_us)
+            position_taken = True
+        self.navigation.note(
+            velocity_taken=velocity_taken, position_taken=position_taken, measured_us=measured_us
+        )
+        if velocity_taken and not self.compass.faulty:
+            self.bank.learn_gyro_bias(delayed.x[kernels.GYRO_BIAS : kernels.ACCEL_BIAS])
+        if velocity_taken or position_taken:
+            self.held_pos_m = None
+        return velocity_taken or position_taken
+
+    def hold_position(self) -> bool:
+        """Without horizontal measurements pull loosely to the last known position: it keeps tilt bounded."""
+        delayed = self._delayed
+        self.held_us = delayed.horizon_us
+        if not self.unaided(delayed.horizon_us, self._params.no_aid_timeout_us):
+            return False
+        if self.held_pos_m is None:
+            self.held_pos_m = delayed.x[kernels.POS : kernels.POS + 2].copy()
+        kernels.fuse_direct(
+            delayed.x,
+            delayed.cov,
+            kernels.POS,
+            self.held_pos_m,
+            self._hold_var,
+            math.inf,
+            self._bias_limits,
+            np.empty(2),
+            np.empty(2),
+        )
+        return True
+
+    # -- resets
+
+    def _believe_climb(self, fix: GpsFix, measured_us: int, *, velocity_taken: bool) -> bool:
+        """Where GPS velocity and barometer contradict the accelerometer, reset vertically to them.
+
+        Whether the fix's velocity is taken now: horizontally it may have been refused for its vertical part
+        alone. Until the accelerometer agrees again its noise is taken for so much that the filter leans on
+        the other two.
+        """
+        velocity, height, delayed = self.velocity, self.height, self._delayed
+        if height.measured_us is None or measured_us - height.measured_us > BARO_FRESH_US:
+            return velocity_taken
+        was_bad = self.vertical.bad
+        believed = not self.barometer.stuck and self.vertical.note(
+            velocity.innovation[2] / math.sqrt(velocity.innovation_var[2]),
+            height.innovation[0] / math.sqrt(height.innovation_var[0]),
+            measured_us,
+        )
+        if self.vertical.bad != was_bad:
+            self._set_noise()
+        if not believed:
+            return velocity_taken
+        down_m = delayed.x[kernels.POS + 2 : kernels.POS + 3] + height.innovation
+        self._reset(height, kernels.POS + 2, down_m, self._baro_var, Jump.HEIGHT, measured_us)
+        delayed.reset(kernels.VEL + 2, fix.vel_ned_m_s[2:], self._vel_var[2:])
+        self.jumps |= Jump.VELOCITY
+        if not velocity_taken:
+            ratio = kernels.fuse_direct(
+                delayed.x,
+                delayed.cov,
+                kernels.VEL,
+                fix.vel_ned_m_s[:2],
+                self._vel_var[:2],
+                self._params.gps_vel_gate,
+                self._bias_limits,
+                np.empty(2),
+                np.empty(2),
+            )
+            velocity_taken = bool(ratio < 1.0)
+            if velocity_taken:
+                velocity.accepted_us = measured_us
+        return velocity_taken
+
+    def _set_noise(self) -> None:
+        noise_psd = np.array(self._params.process_noise_psd)
+        if self.vertical.bad:
+            bad_psd = BAD_ACCEL_NOISE_M_S2**2 * PX4_FILTER_PERIOD_S
+            noise_psd[kernels.ACCEL_PSD] = max(noise_psd[kernels.ACCEL_PSD], bad_psd)
+        self._delayed.noise_psd = noise_psd
+
+    def _yaw_emergency(self) -> bool:
+        """Turn to the heading that GPS velocity speaks for, if it is known and another.
+
+        What was fused under the wrong heading went into tilt and biases: attitude and gyro bias become those
+        of the bank's complementary filter, which has seen no GPS; the accelerometer's bias is free to move.
+        """
+        delayed, bank, params = self._delayed, self.bank, self._params
+        turn_rad = bank.turn_rad(delayed.x[:4])
+        known = bank.std_rad < HEADING_KNOWN_RAD and abs(turn_rad) > COMPASS_ERROR_RAD
+        if not known:  # nor if one of them is not a number
+            return False
+        delayed.x[:4] = bank.q_ned_frd()
+        delayed.x[kernels.GYRO_BIAS : kernels.ACCEL_BIAS] = bank.gyro_bias_rad_s
+        tilt_var = EMERGENCY_TILT_STD_RAD**2
+        delayed.reset_covariance(0, np.array([tilt_var, tilt_var, bank.std_rad**2]))
+        delayed.reset_covariance(9, np.full(3, EMERGENCY_GYRO_BIAS_STD_RAD_S**2))
+        delayed.reset_covariance(12, np.full(3, params.accel_bias_init_m_s2**2))
+        # that it agrees at this moment proves nothing: under way a wrong one sweeps over all headings
+        self.compass.faulty = True
+        self.jumps |= Jump.YAW
+        return True
+
+    def _turn(self, turn_rad: float, heading_var: float) -> None:
+        delayed = self._delayed
+        turn = quat_from_rotation_vector(np.array([0.0, 0.0, turn_rad]))
+        delayed.x[:4] = quat_multiply(turn, delayed.x[:4])
+        delayed.reset_covariance(2, np.array([heading_var]))
+        self.jumps |= Jump.YAW
+
+    def _reset(
+        self, aiding: Aiding, first: int, measured: Array, variance: Array, kind: Jump, measured_us: int
+    ) -> None:
+        self._delayed.reset(first, measured, variance)
+        aiding.accepted_us = measured_us
+        self.jumps |= kind
+
+    # -- helpers
+
+    def _fuse(
+        self, aiding: Aiding, first: int, measured: Array, variance: Array, gate: float, measured_us: int
+    ) -> bool:
+        """Fuse a measurement of the states from ``first``; tell whether it was taken."""
+        ratio = kernels.fuse_direct(
+            self._delayed.x,
+            self._delayed.cov,
+            first,
+            measured,
+            variance,
+            gate,
+            self._bias_limits,
+            aiding.innovation,
+            aiding.innovation_var,
+        )
+        return aiding.record(ratio, measured_us)
+
+    def _good(self, fix: GpsFix) -> bool:
+        numbers = np.array((fix.lat_deg, fix.lon_deg, fix.alt_m, fix.eph_m, *fix.vel_ned_m_s))
+        return bool(
+            fix.fix_type >= FIX_3D
+            and fix.satellites >= self._params.gps_required_satellites
+            and fix.eph_m <= self._params.gps_required_eph_m
+            and kernels.all_finite(numbers)
+        )
+
+    def _mean_fix(self) -> Origin:
+        fixes = self._origin_fixes
+        down_m = float(self._delayed.x[kernels.POS + 2])
+        # longitudes are averaged as differences: the site may lie on the date line
+        first_lon_deg = fixes[0].lon_deg
+        lon_offset_deg = sum(math.remainder(fix.lon_deg - first_lon_deg, 360.0) for fix in fixes) / len(fixes)
+        origin = (
+            sum(fix.lat_deg for fix in fixes) / len(fixes),
+            math.remainder(first_lon_deg + lon_offset_deg, 360.0),
+            sum(fix.alt_m for fix in fixes) / len(fixes) + down_m,
+        )
+        fixes.clear()
+        return origin
+
+    def _horizontal_pos_m(self, fix: GpsFix) -> Array:
+        lat_deg, lon_deg, alt_m = self.origin or (0.0, 0.0, 0.0)
+        pos_ned_m = geodetic_to_ned(
+            fix.lat_deg,
+            fix.lon_deg,
+            fix.alt_m,
+            origin_lat_deg=lat_deg,
+            origin_lon_deg=lon_deg,
+            origin_alt_m=alt_m,
+        )
+        return pos_ned_m[:2]

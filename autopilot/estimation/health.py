@@ -1,0 +1,152 @@
+"""Judgements on sensors and estimate that take time: lost navigation, a stuck barometer, a wrong compass.
+
+Pure state machines over the moments that measurements describe; what follows from them is ``fusion``'s.
+"""
+
+import math
+
+from autopilot.estimation.params import EstimatorParams
+from autopilot.estimation.rotation import quat_rotate
+from autopilot.types import Array
+
+NAVIGATION_FAILURE_US = 1_000_000
+NAVIGATION_RECOVERY_US = 2_000_000
+NAVIGATION_GAP_US = 1_000_000
+"""Fixes further apart do not make a series."""
+CONFLICT_SIGMA = 3.0
+"""PX4's vertical innovation test: both beyond it and of one sign."""
+CONFLICT_US = 400_000
+PROBATION_US = 10_000_000
+STUCK_US = 500_000
+STUCK_MOTION_M = 1.0
+COMPASS_RECOVERY_US = 10_000_000
+COMPASS_ERROR_RAD = math.radians(25.0)
+"""PX4's limit of what still counts as the same heading."""
+HEADING_KNOWN_RAD = math.radians(15.0)
+"""PX4's greatest standard deviation of a heading that judges others."""
+STRENGTH, INCLINATION = 1, 2
+"""Bits of EKF2_MAG_CHECK."""
+
+
+class NavigationTest:
+    """PX4's navigation test: velocity and position of every fix refused for a second is a failure.
+
+    It clears when both have been taken for two seconds, as they are after a reset to the GPS that mended the
+    cause. Where one is taken and the other refused nothing is concluded.
+    """
+
+    def __init__(self) -> None:
+        self.failed = False
+        self._refused_since_us: int | None = None
+        self._taken_since_us: int | None = None
+        self._last_us = 0
+
+    def note(self, *, velocity_taken: bool, position_taken: bool, measured_us: int) -> None:
+        """Take what became of one fix."""
+        if velocity_taken != position_taken or measured_us - self._last_us > NAVIGATION_GAP_US:
+            self._refused_since_us = self._taken_since_us = None
+        self._last_us = measured_us
+        if velocity_taken and position_taken:
+            self._refused_since_us = None
+            if self._taken_since_us is None:
+                self._taken_since_us = measured_us
+            if measured_us - self._taken_since_us >= NAVIGATION_RECOVERY_US:
+                self.failed = False
+        elif not velocity_taken and not position_taken:
+            self._taken_since_us = None
+            if self._refused_since_us is None:
+                self._refused_since_us = measured_us
+            if measured_us - self._refused_since_us >= NAVIGATION_FAILURE_US:
+                self.failed = True
+
+
+class VerticalConflict:
+    """GPS velocity and barometer agree on a climb that the accelerometer denies: that one is wrong (PX4).
+
+    It then counts as bad until it has not been contradicted for ten seconds.
+    """
+
+    def __init__(self) -> None:
+        self.bad = False
+        self._since_us: int | None = None
+        self._last_us = 0
+
+    def note(self, velocity_sigma: float, height_sigma: float, measured_us: int) -> bool:
+        """Take both innovations down over their standard deviations; tell whether to believe them instead."""
+        least = min(abs(velocity_sigma), abs(height_sigma))
+        if least < CONFLICT_SIGMA or velocity_sigma * height_sigma < 0.0:
+            self._since_us = None
+            self.bad = self.bad and measured_us - self._last_us < PROBATION_US
+            return False
+        if self._since_us is None:
+            self._since_us = measured_us
+        if measured_us - self._since_us < CONFLICT_US:
+            return False
+        self.bad = True
+        self._last_us = measured_us
+        self._since_us = None
+        return True
+
+
+class StuckBarometer:
+    """Finds a barometer that repeats one reading to the bit while the vehicle moves up or down.
+
+    At rest an ideal barometer does the same, so it takes a metre of motion by the filter's own velocity.
+    """
+
+    def __init__(self) -> None:
+        self.stuck = False
+        self._altitude_m = math.nan
+        self._since_us = self._last_us = 0
+        self._moved_m = 0.0
+
+    def note(self, altitude_m: float, vel_down_m_s: float, time_us: int) -> bool:
+        """Take a reading and the filter's velocity; tell whether the barometer is stuck."""
+        if altitude_m != self._altitude_m:
+            self._altitude_m, self._since_us, self._moved_m = altitude_m, time_us, 0.0
+            self.stuck = False
+        else:
+            self._moved_m += vel_down_m_s * (time_us - self._last_us) * 1e-6
+            self.stuck |= time_us - self._since_us >= STUCK_US and abs(self._moved_m) > STUCK_MOTION_M
+        self._last_us = time_us
+        return self.stuck
+
+
+def field_disturbed(params: EstimatorParams, q_ned_frd: Array, field_frd_gauss: Array) -> bool:
+    """Whether a magnetic field (3,) cannot be the site's, by PX4's checks of strength and inclination."""
+    x, y, z = params.magnetic_field_ned_gauss
+    expected_gauss = math.sqrt(x * x + y * y + z * z)
+    a, b, c = field_frd_gauss.tolist()
+    seen_gauss = math.sqrt(a * a + b * b + c * c)
+    if params.mag_check & STRENGTH and abs(seen_gauss - expected_gauss) > params.mag_check_strength_gauss:
+        return True
+    if not params.mag_check & INCLINATION or seen_gauss == 0.0:
+        return False
+    down_gauss = float(quat_rotate(q_ned_frd, field_frd_gauss)[2])
+    apart_rad = math.asin(max(-1.0, min(1.0, down_gauss / seen_gauss))) - math.asin(z / expected_gauss)
+    return abs(apart_rad) > params.mag_check_inclination_rad
+
+
+class Compass:
+    """Whether the magnetometer may be believed."""
+
+    def __init__(self) -> None:
+        self.disturbed = False
+        """The last field was not the site's."""
+        self.faulty = False
+        """GPS contradicted it; see `note`."""
+        self._consistent_since_us: int | None = None
+
+    def note(self, *, consistent: bool, time_us: int) -> None:
+        """Take a faulty compass back when it has agreed with a known heading for ten seconds."""
+        if not consistent:
+            self._consistent_since_us = None
+        elif self._consistent_since_us is None:
+            self._consistent_since_us = time_us
+        elif time_us - self._consistent_since_us >= COMPASS_RECOVERY_US:
+            self.clear()
+
+    def clear(self) -> None:
+        """Give it another chance."""
+        self.faulty = False
+        self._consistent_since_us = None

@@ -1,0 +1,272 @@
+"""Heading from inertial sensors and GPS velocity alone: the second opinion that catches a wrong compass.
+
+In the manner of PX4's EKF-GSF: five small filters of horizontal velocity and heading start with headings
+spread over the circle; each turns what the accelerometers felt by its own heading, and the GPS velocity tells
+which of them is right. Weights are those of a Gaussian sum, the answer their mean and variance. It needs
+horizontal acceleration; in steady flight and at rest it learns nothing, and says so by its variance.
+
+PX4 carries a complementary attitude filter for each of the five. They differ by a turn about down alone, so
+here one is carried, in a level frame of arbitrary azimuth, and each model holds the azimuth of that frame.
+What was felt between two fixes is then one velocity change, and the five run at the GPS's rate.
+
+Equations of the models: a state (north, east velocity; azimuth), predicted by v += R(azimuth) dv.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from autopilot.estimation.atmosphere import GRAVITY_M_S2
+from autopilot.estimation.rotation import (
+    quat_conjugate,
+    quat_from_rotation_vector,
+    quat_multiply,
+    quat_normalise,
+    quat_rotate,
+)
+from autopilot.types import Array
+
+MODELS = 5
+TILT_GAIN_1_S = 0.2
+"""From tilt error to rate: the accelerometer is believed over 5 s, longer than a manoeuvre lasts."""
+GYRO_BIAS_GAIN_1_S = 0.04
+GYRO_BIAS_LIMIT_RAD_S = 0.05
+"""Of what the complementary filter adds to the bias found at rest, per axis."""
+STILL_RATE_RAD_S = math.radians(10.0)
+ACCEL_LOW_PASS = 10.0
+"""The accelerometer is filtered this much faster than the tilt follows it."""
+GRAVITY_TOLERANCE = 0.5
+"""Share of gravity by which the force may differ until it tells nothing of the tilt."""
+VELOCITY_PSD_M2_S3 = 2.0**2 * 0.01
+AZIMUTH_PSD_RAD2_S = 0.1**2 * 0.01
+"""PX4's 2 m/s^2 and 0.1 rad/s per 10 ms: the tilt's error is in them."""
+LEAST_ACCELERATION_M_S2 = 0.3
+"""What is felt below it is the tilt's own error (2 degrees): taken for more it narrows headings at rest."""
+LONGEST_GAP_S = 2.0
+"""After this long without a fix the velocities start anew, the headings stay."""
+BIAS_SHARE = 0.002
+"""Of the filter's gyro bias, taken over with each fix: gravity does not show that about down."""
+CLIPPED_SIGMA = 5.0
+LEAST_WEIGHT = 1e-5
+LEAST_VARIANCE = 1e-6
+
+# the complementary filter
+Q = 0
+"""(4,) attitude in the level frame, wxyz"""
+FORCE = 4
+"""(3,) low-passed specific force, FRD"""
+BIAS = 7
+"""(3,) gyro bias at the start, FRD"""
+BIAS_CHANGE = 10
+"""(3,) since then"""
+FELT = 13
+"""(2,) velocity change in the level frame since the models took it"""
+ELAPSED = 15
+TILT = 16
+
+
+def level_start(q_ned_frd: Array, gyro_bias_rad_s: Array) -> Array:
+    """(TILT,) complementary filter of a vehicle at rest, whose attitude and gyro bias are known."""
+    tilt = np.zeros(TILT)
+    tilt[Q : Q + 4] = q_ned_frd
+    tilt[FORCE : FORCE + 3] = quat_rotate(quat_conjugate(q_ned_frd), np.array([0.0, 0.0, -GRAVITY_M_S2]))
+    tilt[BIAS : BIAS + 3] = gyro_bias_rad_s
+    return tilt
+
+
+@njit(cache=True)
+def carry_level(tilt: Array, gyro_frd_rad_s: Array, accel_frd_m_s2: Array, dt_s: float) -> None:
+    """Move the complementary filter (TILT,) on by one inertial sample, in place (Mahony et al., 2008)."""
+    share = min(1.0, ACCEL_LOW_PASS * TILT_GAIN_1_S * dt_s)
+    force_squared = 0.0
+    rate_squared = 0.0
+    for i in range(3):
+        tilt[FORCE + i] += share * (accel_frd_m_s2[i] - tilt[FORCE + i])
+        force_squared += tilt[FORCE + i] ** 2
+        rate_squared += (gyro_frd_rad_s[i] - tilt[BIAS + i] - tilt[BIAS_CHANGE + i]) ** 2
+    force_m_s2 = math.sqrt(force_squared)
+    strangeness = abs(force_m_s2 / GRAVITY_M_S2 - 1.0) / GRAVITY_TOLERANCE
+    w, x, y, z = tilt[Q], tilt[Q + 1], tilt[Q + 2], tilt[Q + 3]
+    down_x = 2.0 * (x * z - w * y)
+    down_y = 2.0 * (y * z + w * x)
+    down_z = 1.0 - 2.0 * (x * x + y * y)
+    correction = np.zeros(3)
+    if strangeness < 1.0:
+        gain = TILT_GAIN_1_S * (1.0 - strangeness) ** 2 / force_m_s2
+        correction[0] = gain * (down_y * tilt[FORCE + 2] - down_z * tilt[FORCE + 1])
+        correction[1] = gain * (down_z * tilt[FORCE] - down_x * tilt[FORCE + 2])
+        correction[2] = gain * (down_x * tilt[FORCE + 1] - down_y * tilt[FORCE])
+    half_turn_rad = np.empty(3)
+    for i in range(3):
+        if rate_squared < STILL_RATE_RAD_S**2:
+            change = tilt[BIAS_CHANGE + i] - GYRO_BIAS_GAIN_1_S * dt_s * correction[i]
+            tilt[BIAS_CHANGE + i] = min(GYRO_BIAS_LIMIT_RAD_S, max(-GYRO_BIAS_LIMIT_RAD_S, change))
+        rate = gyro_frd_rad_s[i] - tilt[BIAS + i] - tilt[BIAS_CHANGE + i] + correction[i]
+        half_turn_rad[i] = 0.5 * dt_s * rate
+    half_turn = quat_from_rotation_vector(half_turn_rad)
+    q_mid = quat_multiply(tilt[Q : Q + 4], half_turn)
+    force_level_m_s2 = quat_rotate(q_mid, accel_frd_m_s2)
+    tilt[Q : Q + 4] = quat_normalise(quat_multiply(q_mid, half_turn))
+    tilt[FELT] += dt_s * force_level_m_s2[0]
+    tilt[FELT + 1] += dt_s * force_level_m_s2[1]
+    tilt[ELAPSED] += dt_s
+
+
+@njit(cache=True)
+def azimuth_of(q_ned_frd: Array, tilt: Array) -> float:
+    """Azimuth of the level frame that an attitude implies: the turn about down between them, any tilt."""
+    between = quat_multiply(q_ned_frd, quat_conjugate(tilt[Q : Q + 4]))
+    return 2.0 * math.atan2(between[3], between[0])
+
+
+@njit(cache=True)
+def start_models(models: Array, covs: Array, weights: Array, vel_ne_m_s: Array, vel_var: float) -> None:
+    """Spread the headings over the circle, each knowing only that it is the nearest."""
+    spacing_rad = 2.0 * math.pi / MODELS
+    covs[:] = 0.0
+    for i in range(MODELS):
+        models[i, 0] = vel_ne_m_s[0]
+        models[i, 1] = vel_ne_m_s[1]
+        models[i, 2] = (i + 0.5) * spacing_rad - math.pi
+        covs[i, 0, 0] = vel_var
+        covs[i, 1, 1] = vel_var
+        covs[i, 2, 2] = (0.5 * spacing_rad) ** 2
+        weights[i] = 1.0 / MODELS
+
+
+@njit(cache=True)
+def predict_model(model: Array, cov: Array, felt_x: float, felt_y: float, dt_s: float) -> None:
+    """Move one model (3,) and its covariance (3, 3) over the time between two fixes, in place."""
+    cos, sin = math.cos(model[2]), math.sin(model[2])
+    model[0] += cos * felt_x - sin * felt_y
+    model[1] += sin * felt_x + cos * felt_y
+    by_azimuth = np.array([-sin * felt_x - cos * felt_y, cos * felt_x - sin * felt_y, 0.0])
+    for j in range(3):
+        for i in range(2):
+            cov[i, j] += by_azimuth[i] * cov[2, j]
+    for j in range(3):
+        for i in range(2):
+            cov[j, i] += by_azimuth[i] * cov[j, 2]
+    cov[0, 0] += VELOCITY_PSD_M2_S3 * dt_s
+    cov[1, 1] += VELOCITY_PSD_M2_S3 * dt_s
+    cov[2, 2] += AZIMUTH_PSD_RAD2_S * dt_s
+
+
+@njit(cache=True)
+def update_model(model: Array, cov: Array, vel_ne_m_s: Array, vel_var: float) -> float:
+    """Fuse a velocity (2,) into one model, in place; return the measurement's likelihood.
+
+    An innovation of more than 5 sigma is shortened to that: a wild fix must not end a hypothesis.
+    """
+    s_nn, s_ee, s_ne = cov[0, 0] + vel_var, cov[1, 1] + vel_var, cov[0, 1]
+    determinant = s_nn * s_ee - s_ne * s_ne
+    north, east = vel_ne_m_s[0] - model[0], vel_ne_m_s[1] - model[1]
+    squared = (s_ee * north * north - 2.0 * s_ne * north * east + s_nn * east * east) / determinant
+    if squared > CLIPPED_SIGMA**2:
+        shorter = CLIPPED_SIGMA / math.sqrt(squared)
+        north, east, squared = shorter * north, shorter * east, CLIPPED_SIGMA**2
+    gain = np.empty((3, 2))
+    for i in range(3):
+        gain[i, 0] = (cov[i, 0] * s_ee - cov[i, 1] * s_ne) / determinant
+        gain[i, 1] = (cov[i, 1] * s_nn - cov[i, 0] * s_ne) / determinant
+    before = cov.copy()
+    for i in range(3):
+        model[i] += gain[i, 0] * north + gain[i, 1] * east
+        for j in range(3):
+            cov[i, j] = before[i, j] - gain[i, 0] * before[0, j] - gain[i, 1] * before[1, j]
+    for i in range(3):
+        cov[i, i] = max(cov[i, i], LEAST_VARIANCE)
+        for j in range(i):
+            cov[i, j] = cov[j, i] = 0.5 * (cov[i, j] + cov[j, i])
+    return math.exp(-0.5 * squared) / (2.0 * math.pi * math.sqrt(determinant))
+
+
+@njit(cache=True)
+def fuse_velocity(
+    tilt: Array, models: Array, covs: Array, weights: Array, vel_ne_m_s: Array, vel_var: float
+) -> tuple[float, float]:
+    """Bring all models to a GPS velocity (2,); give the sum's azimuth and its variance."""
+    dt_s = tilt[ELAPSED]
+    felt_x, felt_y = tilt[FELT], tilt[FELT + 1]
+    tilt[FELT] = tilt[FELT + 1] = tilt[ELAPSED] = 0.0
+    felt_m_s = math.hypot(felt_x, felt_y)
+    known = max(0.0, 1.0 - LEAST_ACCELERATION_M_S2 * dt_s / felt_m_s) if felt_m_s > 0.0 else 0.0
+    total = 0.0
+    for i in range(MODELS):
+        if dt_s > LONGEST_GAP_S:
+            covs[i, :2, :] = 0.0
+            covs[i, :, :2] = 0.0
+            covs[i, 0, 0] = covs[i, 1, 1] = vel_var
+            covs[i, 2, 2] += AZIMUTH_PSD_RAD2_S * dt_s
+            models[i, :2] = vel_ne_m_s
+        else:
+            predict_model(models[i], covs[i], known * felt_x, known * felt_y, dt_s)
+            weights[i] *= update_model(models[i], covs[i], vel_ne_m_s, vel_var)
+        total += weights[i]
+    if total > 0.0:
+        for i in range(MODELS):
+            weights[i] /= total
+    total = 0.0
+    for i in range(MODELS):
+        weights[i] = max(weights[i], LEAST_WEIGHT)
+        total += weights[i]
+    north, east = 0.0, 0.0
+    for i in range(MODELS):
+        weights[i] /= total
+        north += weights[i] * math.cos(models[i, 2])
+        east += weights[i] * math.sin(models[i, 2])
+    azimuth_rad = math.atan2(east, north)
+    variance = 0.0
+    for i in range(MODELS):
+        apart_rad = models[i, 2] - azimuth_rad
+        apart_rad -= 2.0 * math.pi * round(apart_rad / (2.0 * math.pi))
+        variance += weights[i] * (covs[i, 2, 2] + apart_rad * apart_rad)
+    return azimuth_rad, variance
+
+
+class YawBank:
+    """The five models over a complementary filter (TILT,) that somebody else carries on."""
+
+    def __init__(self, tilt: Array) -> None:
+        self.std_rad = math.inf
+        """One sigma of the heading."""
+        self.weights = np.zeros(MODELS)
+        self._tilt = tilt
+        self._models = np.zeros((MODELS, 3))
+        self._covs = np.zeros((MODELS, 3, 3))
+        self._azimuth_rad = 0.0
+        self._started = False
+
+    def fuse(self, vel_ne_m_s: Array, vel_std_m_s: float) -> None:
+        """Take a GPS velocity (2,) north and east that describes the complementary filter's moment."""
+        vel_var = vel_std_m_s**2
+        if not self._started:
+            start_models(self._models, self._covs, self.weights, vel_ne_m_s, vel_var)
+            self._tilt[FELT:TILT] = 0.0
+            self._started = True
+            return
+        self._azimuth_rad, variance = fuse_velocity(
+            self._tilt, self._models, self._covs, self.weights, vel_ne_m_s, vel_var
+        )
+        self.std_rad = math.sqrt(variance)
+
+    def learn_gyro_bias(self, gyro_bias_rad_s: Array) -> None:
+        """Follow the filter's gyro bias (3,), so slowly that a few seconds of a wrong one do no harm."""
+        bias = self._tilt[BIAS : BIAS + 3]
+        bias += BIAS_SHARE * (gyro_bias_rad_s - bias - self._tilt[BIAS_CHANGE : BIAS_CHANGE + 3])
+
+    @property
+    def gyro_bias_rad_s(self) -> Array:
+        """(3,) FRD, what the complementary filter takes it for."""
+        bias: Array = self._tilt[BIAS : BIAS + 3] + self._tilt[BIAS_CHANGE : BIAS_CHANGE + 3]
+        return bias
+
+    def turn_rad(self, q_ned_frd: Array) -> float:
+        """Turn about down, in [-pi, pi], that brings an attitude's heading to the bank's."""
+        return math.remainder(self._azimuth_rad - azimuth_of(q_ned_frd, self._tilt), 2.0 * math.pi)
+
+    def q_ned_frd(self) -> Array:
+        """(4,) attitude: the complementary filter's tilt with the bank's heading."""
+        turn = quat_from_rotation_vector(np.array([0.0, 0.0, self._azimuth_rad]))
+        return quat_multiply(turn, self._tilt[Q : Q + 4])

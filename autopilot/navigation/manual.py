@@ -1,0 +1,351 @@
+"""What sticks mean: stabilized, altitude and position mode as setpoints. Pure.
+
+Sticks become wishes by deadzone and expo curve; where a wish is a velocity, a reference follows it within the
+limits of acceleration and jerk, so the vehicle can too. A centred stick brakes, and once the motion is slow
+the place (or the height) is held where the reference comes to rest.
+"""
+
+import math
+
+import numpy as np
+from msgspec import Struct
+from numba import njit
+
+from autopilot.control.hover_thrust import GRAVITY_M_S2
+from autopilot.control.params import PositionParams, TrajectoryParams
+from autopilot.estimation.rotation import quat_from_rotation_vector, quat_multiply, quat_to_euler
+from autopilot.navigation.guide import Moment
+from autopilot.navigation.landing import IDLE, VERTICAL, speed_by_height_m_s
+from autopilot.navigation.params import NavigationParams
+from autopilot.types import Array, AttitudeSetpoint, EstimatorState, TrajectorySetpoint
+
+TAKEOFF_STICK = 0.3
+"""Throttle beyond the middle, of half its way, that leaves the ground (PX4: fixed)"""
+_YAW_LEAD_MAX_RAD = 0.5
+"""Heading setpoint ahead of the heading at most: a vehicle that cannot follow is not owed the turn."""
+_REST_YAW_RATE_RAD_S = 1e-3
+"""Below this a filtered yaw rate is over (PX4: fixed)"""
+
+POS, VEL, ACC, JERK = range(4)
+"""Rows of a reference's motion."""
+
+
+class ManualInput(Struct, frozen=True, kw_only=True):
+    """Sticks as MANUAL_CONTROL means them, to be held within their ranges by whoever makes one."""
+
+    time_us: int
+    roll: float = 0.0
+    """-1 .. 1, right positive"""
+    pitch: float = 0.0
+    """-1 .. 1, forward (nose down) positive"""
+    yaw: float = 0.0
+    """-1 .. 1, clockwise positive"""
+    throttle: float = 0.5
+    """0 .. 1"""
+
+
+CENTRED = ManualInput(time_us=0)
+
+
+def curve(stick: float, *, deadzone: float, expo: float) -> float:
+    """Wish -1 .. 1 of a stick: 0 within the deadzone, then a mix of the linear and the cubic curve."""
+    past = abs(stick) - deadzone
+    if past <= 0.0:
+        return 0.0
+    x = min(past / (1.0 - deadzone), 1.0)
+    return math.copysign((1.0 - expo) * x + expo * x**3, stick)
+
+
+def in_circle(right: float, forward: float) -> tuple[float, float]:
+    """Give the two sticks, at most 1 as a vector."""
+    length = max(math.hypot(right, forward), 1.0)
+    return right / length, forward / length
+
+
+@njit(cache=True)
+def _acc_towards(missing: float, acc_max: float, jerk: float, dt_s: float) -> float:
+    """Largest acceleration (>= 0) that still vanishes at full jerk when ``missing`` (>= 0) is made up."""
+    half = 0.5 * dt_s
+    return min(acc_max, jerk * (math.sqrt(half * half + 2.0 * missing / jerk) - half))
+
+
+@njit(cache=True)
+def _advance_xy(
+    motion: Array, wanted: Array, vel_max: float, acc_max: float, jerk: float, dt_s: float
+) -> None:
+    """Move columns 0 and 1 of ``motion`` (4, 3) on towards the velocity ``wanted``.
+
+    The velocity at which the acceleration would have vanished at full jerk never leaves the circle of
+    ``vel_max`` (if it was in it), so neither does the velocity.
+    """
+    vn, ve, an, ae = motion[VEL, 0], motion[VEL, 1], motion[ACC, 0], motion[ACC, 1]
+    dn, de = wanted[0] - vn - 0.5 * dt_s * an, wanted[1] - ve - 0.5 * dt_s * ae
+    missing = math.hypot(dn, de)
+    goal = _acc_towards(missing, acc_max, jerk, dt_s) / max(missing, 1e-12)
+    step_n, step_e = goal * dn - an, goal * de - ae
+    step = math.hypot(step_n, step_e)
+    if step > jerk * dt_s:
+        step_n *= jerk * dt_s / step
+        step_e *= jerk * dt_s / step
+    acc = math.hypot(an, ae)
+    settled = math.hypot(vn + an * acc / (2.0 * jerk), ve + ae * acc / (2.0 * jerk))
+    for attempt in range(2):
+        if attempt == 1:  # towards no acceleration instead: that leaves the settled velocity where it is
+            share = min(jerk * dt_s / max(acc, 1e-12), 1.0)
+            step_n, step_e = -share * an, -share * ae
+        bn, be = an + step_n, ae + step_e
+        new_n, new_e = vn + 0.5 * dt_s * (an + bn), ve + 0.5 * dt_s * (ae + be)
+        b = math.hypot(bn, be)
+        then = math.hypot(new_n + bn * b / (2.0 * jerk), new_e + be * b / (2.0 * jerk))
+        if then <= max(vel_max, settled) + 1e-9:
+            break
+    reach = jerk * dt_s
+    if b <= reach and math.hypot(wanted[0] - new_n, wanted[1] - new_e) <= reach * dt_s:
+        new_n, new_e, bn, be = wanted[0], wanted[1], 0.0, 0.0
+    motion[POS, 0] += dt_s * (vn + dt_s * (an / 3.0 + bn / 6.0))
+    motion[POS, 1] += dt_s * (ve + dt_s * (ae / 3.0 + be / 6.0))
+    motion[JERK, 0], motion[JERK, 1] = (bn - an) / dt_s, (be - ae) / dt_s
+    motion[VEL, 0], motion[VEL, 1], motion[ACC, 0], motion[ACC, 1] = new_n, new_e, bn, be
+
+
+@njit(cache=True)
+def _advance_down(
+    motion: Array, wanted: float, acc_up: float, acc_down: float, jerk: float, dt_s: float
+) -> None:
+    """Move column 2 of ``motion`` on towards the velocity ``wanted``, down positive."""
+    vel, acc = motion[VEL, 2], motion[ACC, 2]
+    missing = wanted - vel - 0.5 * dt_s * acc
+    if missing >= 0.0:
+        goal = _acc_towards(missing, acc_down, jerk, dt_s)
+    else:
+        goal = -_acc_towards(-missing, acc_up, jerk, dt_s)
+    reach = jerk * dt_s
+    then = acc + min(max(goal - acc, -reach), reach)
+    new = vel + 0.5 * dt_s * (acc + then)
+    if abs(then) <= reach and abs(wanted - new) <= reach * dt_s:
+        new, then = wanted, 0.0
+    motion[POS, 2] += dt_s * (vel + dt_s * (acc / 3.0 + then / 6.0))
+    motion[JERK, 2] = (then - acc) / dt_s
+    motion[VEL, 2], motion[ACC, 2] = new, then
+
+
+class ManualFlight:
+    """Setpoints of the three manual modes; `start` on entering one, then one of the others at every step."""
+
+    def __init__(self, params: NavigationParams, limits: TrajectoryParams, position: PositionParams) -> None:
+        self._motion: Array = np.zeros((4, 3))
+        self._locked_xy = False
+        self._locked_down = False
+        self._yaw_rad = 0.0
+        self._yaw_rate_rad_s = 0.0
+        self._still: tuple[ManualInput, TrajectorySetpoint] | None = None
+        """Sticks and setpoint of a vehicle at rest, which stays as it is."""
+        self.set_params(params, limits, position)
+
+    def set_params(
+        self, params: NavigationParams, limits: TrajectoryParams, position: PositionParams
+    ) -> None:
+        """Go on by other settings."""
+        self._params, self._limits, self._position = params, limits, position
+        self._still = None
+
+    def start(self, state: EstimatorState) -> None:
+        """Begin from the vehicle's motion and heading, or begin again after the estimate has jumped."""
+        self._motion[:] = 0.0
+        self._motion[VEL] = state.vel_ned_m_s
+        self._locked_xy = self._locked_down = False
+        self._yaw_rad = float(quat_to_euler(state.q_ned_frd)[2])
+        self._yaw_rate_rad_s = 0.0
+        self._still = None
+
+    # ---- modes
+
+    def stabilized(
+        self, moment: Moment, sticks: ManualInput, *, hover_thrust: float | None
+    ) -> AttitudeSetpoint:
+        """Tilt, yaw rate and thrust; without ``hover_thrust`` the middle of the throttle is MPC_THR_HOVER."""
+        manual, position = self._params.manual, self._position
+        if moment.landed and sticks.throttle < manual.deadzone:
+            self.start(moment.state)  # standing, it owes no heading
+        self._turn(moment, sticks)
+        right, forward = in_circle(sticks.roll, sticks.pitch)
+        tilt_rad = np.array((right * manual.tilt_max_rad, -forward * manual.tilt_max_rad, 0.0))
+        heading_rad = np.array((0.0, 0.0, self._yaw_rad))
+        least = 0.0 if moment.landed else manual.thrust_min
+        middle = position.thr_hover if hover_thrust is None else hover_thrust
+        throttle = 2.0 * min(max(sticks.throttle, 0.0), 1.0) - 1.0
+        if throttle < 0.0:
+            thrust = middle + throttle * (middle - least)
+        else:
+            thrust = middle + throttle * (position.thr_max - middle)
+        return AttitudeSetpoint(
+            q_ned_frd=quat_multiply(
+                quat_from_rotation_vector(heading_rad), quat_from_rotation_vector(tilt_rad)
+            ),
+            yaw_rate_rad_s=self._yaw_rate_rad_s,
+            thrust=min(max(thrust, least), position.thr_max),
+        )
+
+    def altitude(
+        self, moment: Moment, sticks: ManualInput, *, disturbance_ned_m_s2: Array | None
+    ) -> TrajectorySetpoint:
+        """Tilt by the sticks, climb rate by the throttle, height held when it is centred.
+
+        The tilt is asked for as the acceleration it gives in still air. A controller that makes up for the
+        disturbance it sees would answer drag and wind with more of it, so that is taken back beforehand.
+        """
+        waiting = self._on_ground(moment, sticks)
+        if waiting is not None:
+            return waiting
+        manual = self._params.manual
+        self._turn(moment, sticks)
+        self._climb(moment, sticks)
+        right, forward = in_circle(sticks.roll, sticks.pitch)
+        acc_m_s2 = GRAVITY_M_S2 * math.tan(manual.tilt_max_rad) * self._to_ned(right, forward)
+        if disturbance_ned_m_s2 is not None:
+            acc_m_s2 += disturbance_ned_m_s2
+        motion = self._motion
+        acc_m_s2[2] = motion[ACC, 2] + self._limits.acc_lead_s * motion[JERK, 2]
+        return TrajectorySetpoint(
+            pos_ned_m=motion[POS].copy() if self._locked_down else None,
+            pos_axes=VERTICAL,
+            vel_ned_m_s=motion[VEL].copy(),
+            vel_axes=VERTICAL,
+            acc_ned_m_s2=acc_m_s2,
+            yaw_rad=self._yaw_rad,
+            yaw_rate_rad_s=self._yaw_rate_rad_s,
+        )
+
+    def position(self, moment: Moment, sticks: ManualInput) -> TrajectorySetpoint:
+        """Velocity by the sticks, place held when they are centred."""
+        if self._still is not None and self._still[0] is sticks and not moment.landed:
+            return self._still[1]
+        waiting = self._on_ground(moment, sticks)
+        if waiting is not None:
+            return waiting
+        self._turn(moment, sticks)
+        self._climb(moment, sticks)
+        on_ground = moment.landed or (moment.touching and self._motion[VEL, 2] > 0.0)
+        if on_ground:
+            self._motion[:, :2] = 0.0  # neither pulled nor pushed along the ground
+            self._locked_xy = False
+        else:
+            self._move(moment, sticks)
+        motion = self._motion
+        locks = (self._locked_xy, self._locked_xy, self._locked_down)
+        setpoint = TrajectorySetpoint(
+            pos_ned_m=motion[POS].copy() if any(locks) else None,
+            pos_axes=locks,
+            vel_ned_m_s=motion[VEL].copy(),
+            vel_axes=VERTICAL if on_ground else (True, True, True),
+            acc_ned_m_s2=motion[ACC] + self._limits.acc_lead_s * motion[JERK],
+            yaw_rad=self._yaw_rad,
+            yaw_rate_rad_s=self._yaw_rate_rad_s,
+        )
+        still = (
+            self._locked_xy
+            and self._locked_down
+            and not motion[VEL:].any()
+            and self._yaw_rate_rad_s == 0.0
+            and abs(sticks.yaw) <= self._params.manual.deadzone
+        )
+        self._still = (sticks, setpoint) if still else None
+        return setpoint
+
+    # ---- pieces
+
+    def _on_ground(self, moment: Moment, sticks: ManualInput) -> TrajectorySetpoint | None:
+        """Give what is to be done while standing; None in the air."""
+        if not moment.landed:
+            return None
+        self.start(moment.state)
+        if 2.0 * sticks.throttle - 1.0 <= TAKEOFF_STICK:
+            return IDLE
+        # the take-off ramp limits the climb; the reference follows once the ground is left
+        return TrajectorySetpoint(
+            vel_ned_m_s=np.array((0.0, 0.0, -self._position.tko_speed_m_s)),
+            vel_axes=VERTICAL,
+            acc_ned_m_s2=np.zeros(3),
+            yaw_rad=self._yaw_rad,
+        )
+
+    def _turn(self, moment: Moment, sticks: ManualInput) -> None:
+        """Heading setpoint and its rate; it stays where it is when the stick is centred."""
+        manual = self._params.manual
+        wanted = curve(sticks.yaw, deadzone=manual.deadzone, expo=manual.yaw_expo) * manual.yaw_rate_max_rad_s
+        if wanted == 0.0 and self._yaw_rate_rad_s == 0.0:
+            return
+        share = moment.dt_s / (manual.yaw_rate_filter_s + moment.dt_s)
+        self._yaw_rate_rad_s += share * (wanted - self._yaw_rate_rad_s)
+        if wanted == 0.0 and abs(self._yaw_rate_rad_s) < _REST_YAW_RATE_RAD_S:
+            self._yaw_rate_rad_s = 0.0
+        yaw_rad = float(quat_to_euler(moment.state.q_ned_frd)[2])
+        ahead_rad = math.remainder(self._yaw_rad + self._yaw_rate_rad_s * moment.dt_s - yaw_rad, math.tau)
+        ahead_rad = min(max(ahead_rad, -_YAW_LEAD_MAX_RAD), _YAW_LEAD_MAX_RAD)
+        self._yaw_rad = math.remainder(yaw_rad + ahead_rad, math.tau)
+
+    def _climb(self, moment: Moment, sticks: ManualInput) -> None:
+        """Move the vertical reference on, and hold or leave the height."""
+        manual, motion, state = self._params.manual, self._motion, moment.state
+        stick = curve(2.0 * sticks.throttle - 1.0, deadzone=manual.deadzone, expo=manual.z_expo)
+        limits = self._limits
+        if not self._locked_down:
+            motion[POS, 2] = state.pos_ned_m[2]
+        if stick == 0.0:
+            speed_m_s = max(abs(motion[VEL, 2]), abs(float(state.vel_ned_m_s[2])))
+            self._locked_down = self._locked_down or _is_slow(speed_m_s, manual.hold_max_z_m_s)
+            wanted_m_s = 0.0
+        else:
+            self._locked_down = False
+            wanted_m_s = self._climb_speed_m_s(stick, moment)
+        _advance_down(
+            motion, wanted_m_s, limits.acc_up_m_s2, limits.acc_dn_m_s2, manual.jerk_m_s3, moment.dt_s
+        )
+
+    def _climb_speed_m_s(self, stick: float, moment: Moment) -> float:
+        """Down speed of a throttle; near the ground no faster than take-off and landing (as PX4)."""
+        position, params = self._position, self._params
+        home_down_m = moment.home_ned_m[2] if moment.home_ned_m is not None else None
+        up_m_s, down_m_s = position.z_vel_max_up_m_s, position.z_vel_max_dn_m_s
+        speed_m_s = -stick * (up_m_s if stick > 0.0 else down_m_s)
+        if home_down_m is None:
+            return speed_m_s
+        height_m = home_down_m - float(moment.state.pos_ned_m[2])
+        down_max_m_s = speed_by_height_m_s(
+            height_m, params, slow_m_s=min(params.land_speed_m_s, down_m_s), fast_m_s=down_m_s
+        )
+        up_max_m_s = speed_by_height_m_s(
+            height_m, params, slow_m_s=min(position.tko_speed_m_s, up_m_s), fast_m_s=up_m_s
+        )
+        return min(max(speed_m_s, -up_max_m_s), down_max_m_s)
+
+    def _move(self, moment: Moment, sticks: ManualInput) -> None:
+        """Move the horizontal reference on, and hold or leave the place."""
+        manual, motion, state = self._params.manual, self._motion, moment.state
+        right = curve(sticks.roll, deadzone=manual.deadzone, expo=manual.xy_expo)
+        forward = curve(sticks.pitch, deadzone=manual.deadzone, expo=manual.xy_expo)
+        vel_max_m_s = min(manual.xy_speed_m_s, self._position.xy_vel_max_m_s)
+        if not self._locked_xy:
+            motion[POS, :2] = state.pos_ned_m[:2]
+        if right == 0.0 and forward == 0.0:
+            speed_m_s = max(
+                math.hypot(motion[VEL, 0], motion[VEL, 1]),
+                math.hypot(state.vel_ned_m_s[0], state.vel_ned_m_s[1]),
+            )
+            self._locked_xy = self._locked_xy or _is_slow(speed_m_s, manual.hold_max_xy_m_s)
+            wanted_ned_m_s = np.zeros(3)
+        else:
+            self._locked_xy = False
+            wanted_ned_m_s = vel_max_m_s * self._to_ned(*in_circle(right, forward))
+        _advance_xy(
+            motion, wanted_ned_m_s, vel_max_m_s, self._limits.acc_xy_m_s2, manual.jerk_m_s3, moment.dt_s
+        )
+
+    def _to_ned(self, right: float, forward: float) -> Array:
+        """(3,) of a horizontal vector in the heading's frame."""
+        sine, cosine = math.sin(self._yaw_rad), math.cos(self._yaw_rad)
+        return np.array((cosine * forward - sine * right, sine * forward + cosine * right, 0.0))
+
+
+def _is_slow(speed_m_s: float, hold_max_m_s: float) -> bool:
+    return hold_max_m_s == 0.0 or speed_m_s < hold_max_m_s

@@ -1,0 +1,321 @@
+"""How a mission's items are flown: straight legs, corners taken in passing, stays, take-off and landing.
+
+A place that is only passed is aimed past: on every leg the guide's place to stop lies beyond the waypoint on
+the leg's own line, by as much as a vehicle that turned there at the last moment may overshoot the next leg.
+The reference is always able to stop at its place, so from the moment it turns to the next leg it is no
+further than that from it. Half of the acceptance is given to this; the other half is the vehicle's own error.
+"""
+
+import math
+from enum import Enum
+
+import numpy as np
+from msgspec.structs import replace
+
+from autopilot.control.params import PositionParams, TrajectoryParams
+from autopilot.navigation.geodesy import geodetic_to_ned
+from autopilot.navigation.guide import Guide, Moment, heading_rad, is_near
+from autopilot.navigation.landing import IDLE, Landing, TakeOff
+from autopilot.navigation.mission import (
+    HeightFrame,
+    Mission,
+    MissionCommand,
+    MissionItem,
+)
+from autopilot.navigation.mission_runner import MissionRunner
+from autopilot.navigation.params import NavigationParams
+from autopilot.types import Array, EstimatorState, TrajectorySetpoint
+
+_STAYS = {MissionCommand.LOITER_UNLIMITED, MissionCommand.LOITER_TIME, MissionCommand.DELAY}
+_CORNER_SHARE = 0.5
+"""Of the acceptance, for the reference to overshoot the next leg"""
+_SAME_PLACE_M = 0.01
+_ABEAM_M = 1e-6
+
+
+class Stage(Enum):
+    """What is done about the present item."""
+
+    NONE = "none"
+    """There is no item: hold, or stay on the ground."""
+    TAKE_OFF = "take off"
+    FLY = "fly"
+    STAY = "stay"
+    LAND = "land"
+
+
+class MissionFlight:
+    """Flies what the runner says; `resume` on entering the mode, then `update` at every step."""
+
+    def __init__(
+        self, guide: Guide, take_off: TakeOff, landing: Landing, *, limits: TrajectoryParams,
+        position: PositionParams,
+    ) -> None:  # fmt: skip
+        self.runner = MissionRunner()
+        self.stage = Stage.NONE
+        self.return_wanted = False
+        """The mission asks for Return mode; until then it holds."""
+        self.place_ned_m: Array = np.zeros(3)
+        """(3,) of the present item."""
+        self._guide = guide
+        self._take_off = take_off
+        self._landing = landing
+        self._limits = limits
+        self._position = position
+        self._version: int | None = None
+        """The runner's, of the item in hand."""
+        self._stayed_s = 0.0
+        self._passes = False
+        """The guide leads past the present place."""
+        self._stood = False
+        """On the ground at the last step."""
+
+    @property
+    def done(self) -> bool:
+        """Whether all items are flown; it holds the last place."""
+        return self.runner.finished and not self.return_wanted
+
+    def load(self, mission: Mission | None) -> None:
+        """Take another mission, or none; in the mode it begins at the next step."""
+        self.return_wanted = False
+        self.runner.load(mission)
+
+    def set_limits(self, limits: TrajectoryParams, position: PositionParams) -> None:
+        """Change what legs are flown by; `apply_limits` makes the present one follow."""
+        self._limits, self._position = limits, position
+
+    def apply_limits(self) -> None:
+        """Go on with the present leg, or take-off, within the present limits."""
+        if self.stage is Stage.TAKE_OFF:
+            self._take_off.set_limits(self._limits, speed_m_s=self._position.tko_speed_m_s)
+        else:
+            self._guide.set_limits(self._leg_limits())
+
+    def resume(self, moment: Moment, params: NavigationParams) -> None:
+        """Go on with the present item from the present motion; a finished mission holds where that ends."""
+        self.return_wanted = False
+        self._guide.set_limits(self._leg_limits())
+        self._guide.restart(moment.state)
+        self._begin(moment, params)
+
+    def restart(self) -> None:
+        """Forget what was flown: the next `resume` begins with the first item."""
+        self.runner.restart()
+
+    def update(self, moment: Moment, params: NavigationParams) -> TrajectorySetpoint:
+        """Give the next setpoint."""
+        if self.runner.version != self._version:
+            self._begin(moment, params)
+        if self._is_done(moment, params):
+            self._advance(moment, params)
+        if self.stage is Stage.TAKE_OFF:
+            return self._take_off.update(moment)
+        if moment.landed:
+            self._stood = True
+            return IDLE
+        if self._stood:
+            self._lift(moment, params)
+        if self.stage is Stage.LAND:
+            return self._landing.update(moment, params)
+        guide = self._guide
+        if not guide.resting:
+            self._turn(moment, params)
+        elif self._passes:
+            self._passes = False
+            guide.go_to(self.place_ned_m)  # it came to rest past a place that the vehicle has not been at
+        return guide.follow(moment.dt_s, vehicle_pos_ned_m=moment.state.pos_ned_m)
+
+    def _lift(self, moment: Moment, params: NavigationParams) -> None:
+        """Off the ground unasked: go on with a leg, else stay here instead of going back up."""
+        self._stood = False
+        if self.stage is Stage.FLY:
+            self.resume(moment, params)
+        elif self.stage is not Stage.LAND:
+            self._guide.restart(moment.state)
+
+    def _advance(self, moment: Moment, params: NavigationParams) -> None:
+        item = self.runner.item
+        if item is not None and item.command is MissionCommand.RETURN:
+            self.return_wanted = True
+        self.runner.advance()
+        self._begin(moment, params, from_place=True)
+
+    def _is_done(self, moment: Moment, params: NavigationParams) -> bool:
+        """Whether the present item is; a take-off and a way to a place to land at lead to its next stage."""
+        item = self.runner.item
+        if item is None:
+            return False
+        if self.stage is Stage.TAKE_OFF:
+            if self._take_off.airborne and self._is_high_enough(moment.state, params):
+                self._fly(item, moment, params)
+            return False
+        if item.command is MissionCommand.LAND and moment.landed:
+            return True
+        if item.command is MissionCommand.RETURN:
+            return True
+        if self.stage is Stage.FLY and self._is_there(item, moment.state, params):
+            if item.command is MissionCommand.LAND:
+                self._land(moment.state)
+                return False
+            self.stage = Stage.STAY
+            self._stayed_s = 0.0
+        elif self.stage is Stage.STAY:
+            self._stayed_s += moment.dt_s
+        return (
+            self.stage is Stage.STAY
+            and item.command is not MissionCommand.LOITER_UNLIMITED
+            and self._stayed_s >= item.hold_s
+        )
+
+    # ---- stages
+
+    def _begin(self, moment: Moment, params: NavigationParams, *, from_place: bool = False) -> None:
+        """Take the runner's item in hand; ``from_place``: the way leads on from the last one's place."""
+        self._version = self.runner.version
+        self._passes = self._stood = False
+        item, guide = self.runner.item, self._guide
+        if item is None:
+            self.stage = Stage.NONE
+            return
+        guide.set_limits(self._leg_limits())
+        if item.command in {MissionCommand.DELAY, MissionCommand.RETURN}:
+            self.place_ned_m = guide.target_ned_m
+            self.stage = Stage.STAY
+            self._stayed_s = 0.0
+        elif moment.landed:
+            self._leave_ground(item, moment, params)
+        else:
+            self._fly(item, moment, params, from_place=from_place)
+
+    def _leave_ground(self, item: MissionItem, moment: Moment, params: NavigationParams) -> None:
+        """Climb to the item's height, as PX4 does for any first place; a landing needs nothing."""
+        if item.command is MissionCommand.LAND:
+            self.stage = Stage.LAND
+            return
+        home_down_m = moment.home_ned_m[2] if moment.home_ned_m is not None else 0.0
+        down_m = self._down_m(item, moment.state, home_down_m)
+        if item.command is not MissionCommand.TAKEOFF:
+            down_m = min(down_m, home_down_m - params.takeoff_height_m)
+        self._take_off.start(moment, down_m=down_m, speed_m_s=self._position.tko_speed_m_s)
+        self.place_ned_m = self._guide.target_ned_m
+        self.stage = Stage.TAKE_OFF
+
+    def _fly(
+        self, item: MissionItem, moment: Moment, params: NavigationParams, *, from_place: bool = False
+    ) -> None:
+        """Set out for the item's place, past it where it is only passed."""
+        guide = self._guide
+        guide.set_limits(self._leg_limits())
+        self.stage = Stage.FLY
+        start_ned_m = self.place_ned_m if from_place else guide.pos_ned_m
+        here_ned_m = self.place_ned_m if from_place else guide.target_ned_m
+        self.place_ned_m = self._item_place_ned_m(item, moment, here_ned_m)
+        target_ned_m = self.place_ned_m
+        upcoming = self.runner.next_item()
+        if self._is_passed(item) and upcoming is not None and upcoming.has_place:
+            target_ned_m = self.place_ned_m + overshoot_ned_m(
+                start_ned_m, self.place_ned_m, self._item_place_ned_m(upcoming, moment, self.place_ned_m),
+                radius_m=item.acceptance_m or params.acceptance_m, height_m=params.altitude_acceptance_m,
+                enough_m=guide.stopping_distance_m(),
+            )  # fmt: skip
+        self._passes = target_ned_m is not self.place_ned_m
+        yaw_rad = math.radians(item.yaw_deg) if item.yaw_deg is not None else None
+        guide.go_to(target_ned_m, yaw_rad=yaw_rad, along_ned=target_ned_m - start_ned_m)
+
+    def _land(self, state: EstimatorState) -> None:
+        self.stage = Stage.LAND
+        self._landing.start(state)
+
+    # ---- pieces
+
+    def _is_passed(self, item: MissionItem) -> bool:
+        """Whether the vehicle need not stop at the item's place."""
+        return item.command not in _STAYS and item.hold_s == 0.0 and item.command is not MissionCommand.LAND
+
+    def _is_high_enough(self, state: EstimatorState, params: NavigationParams) -> bool:
+        missing_m = float(state.pos_ned_m[2] - self._guide.target_ned_m[2])
+        return missing_m < params.altitude_acceptance_m
+
+    def _is_there(self, item: MissionItem, state: EstimatorState, params: NavigationParams) -> bool:
+        if item.command is MissionCommand.LAND and not self._guide.resting:
+            return False  # it goes down straight, at the place and not near it
+        if item.yaw_deg is not None:
+            w, x, y, z = state.q_ned_frd.tolist()
+            yaw_rad = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+            off_rad = math.remainder(yaw_rad - math.radians(item.yaw_deg), math.tau)
+            if abs(off_rad) > params.yaw_acceptance_rad:
+                return False
+        return is_near(
+            state.pos_ned_m,
+            self.place_ned_m,
+            radius_m=item.acceptance_m or params.acceptance_m,
+            height_m=params.altitude_acceptance_m,
+        )
+
+    def _turn(self, moment: Moment, params: NavigationParams) -> None:
+        """Point the nose where MPC_YAW_MODE says, unless the item says where."""
+        item = self.runner.item
+        if self.stage is not Stage.FLY or item is None or item.yaw_deg is not None:
+            return
+        yaw_rad = heading_rad(
+            params.yaw_mode, self._guide, self.place_ned_m, moment.home_ned_m, near_m=params.acceptance_m
+        )
+        if yaw_rad is not None:
+            self._guide.turn_to(yaw_rad)
+
+    def _leg_limits(self) -> TrajectoryParams:
+        speed_m_s = self.runner.speed_m_s
+        if speed_m_s is None:
+            return self._limits
+        return replace(self._limits, xy_cruise_m_s=min(speed_m_s, self._position.xy_vel_max_m_s))
+
+    def _item_place_ned_m(self, item: MissionItem, moment: Moment, here_ned_m: Array) -> Array:
+        """(3,) place of an item; ``here_ned_m`` stands in for what it does not say."""
+        state, home_ned_m = moment.state, moment.home_ned_m
+        place_ned_m = here_ned_m.copy()
+        if item.lat_deg is not None and item.lon_deg is not None:
+            place_ned_m[:2] = geodetic_to_ned(
+                item.lat_deg,
+                item.lon_deg,
+                state.origin_alt_m,
+                origin_lat_deg=state.origin_lat_deg,
+                origin_lon_deg=state.origin_lon_deg,
+                origin_alt_m=state.origin_alt_m,
+            )[:2]
+        if item.command is not MissionCommand.LAND:
+            place_ned_m[2] = self._down_m(item, state, home_ned_m[2] if home_ned_m is not None else 0.0)
+            if item.command is MissionCommand.TAKEOFF and not item.has_place:
+                place_ned_m[2] = min(place_ned_m[2], here_ned_m[2])  # in the air it never goes down
+        return place_ned_m
+
+    def _down_m(self, item: MissionItem, state: EstimatorState, home_down_m: float) -> float:
+        above = home_down_m if item.frame is HeightFrame.ABOVE_HOME else state.origin_alt_m
+        return above - item.height_m
+
+
+def overshoot_ned_m(
+    start_ned_m: Array, place_ned_m: Array, next_ned_m: Array, *, radius_m: float, height_m: float,
+    enough_m: float,
+) -> Array:  # fmt: skip
+    """(3,) how far past a place on the line from ``start`` the reference may aim when it turns to ``next``.
+
+    The point aimed at stays within half of the acceptance (``radius_m`` horizontally, ``height_m``
+    vertically) of the next leg, measured across it, or of the place itself when the way turns back; and what
+    of the motion goes on along the next leg can stop before that leg's end. At most ``enough_m``.
+    """
+    way, onward = place_ned_m - start_ned_m, next_ned_m - place_ned_m
+    way_m, onward_m = float(np.linalg.norm(way)), float(np.linalg.norm(onward))
+    if way_m < _SAME_PLACE_M or onward_m < _SAME_PLACE_M:
+        return np.zeros(3)
+    way, onward = way / way_m, onward / onward_m
+    cosine = float(way @ onward)
+    beyond_m = enough_m
+    if cosine > 0.0:
+        beyond_m = min(beyond_m, onward_m / cosine)
+    off = way - max(cosine, 0.0) * onward
+    # share of the acceptance that a metre of overshoot takes
+    used_1_m = math.hypot(off[0] / radius_m, off[1] / radius_m, off[2] / height_m)
+    if used_1_m > _ABEAM_M:
+        beyond_m = min(beyond_m, _CORNER_SHARE / used_1_m)
+    past: Array = beyond_m * way
+    return past

@@ -1,0 +1,195 @@
+"""Jerk-limited reference along the legs of a way.
+
+As `autopilot.control.trajectory` it takes, along a line, the greatest jerk after which it can still stop at
+the goal. But the line belongs to the leg and stays as it is: along it and across it are three moves that know
+nothing of each other, so each comes to rest in minimum time whatever the motion was that a leg was entered
+with. (A line drawn anew at every step from the reference to its target turns with the motion across it; near
+the target the reference may then circle around it.)
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from autopilot.control.params import TrajectoryParams
+from autopilot.control.trajectory import line_jerk
+from autopilot.types import Array, TrajectorySetpoint
+
+_REST_M = 1e-6
+_YAW_JERK_TIME_S = 0.25
+"""Time in which the yaw acceleration builds up"""
+
+POS, VEL, ACC, JERK = range(4)
+"""Rows of a motion."""
+
+
+@njit(cache=True)
+def _move(line: Array, goal: float, limits: Array, dt_s: float) -> bool:
+    """Move position, velocity, acceleration and jerk (4,) on; returns whether they rest at the goal."""
+    pos, vel, acc = line[POS], line[VEL], line[ACC]
+    if vel == 0.0 and acc == 0.0 and abs(pos - goal) < _REST_M:
+        line[POS], line[JERK] = goal, 0.0
+        return True
+    jerk = line_jerk(pos, vel, acc, goal, limits, dt_s)
+    line[POS] = pos + (vel + (acc / 2.0 + jerk * dt_s / 6.0) * dt_s) * dt_s
+    line[VEL] = vel + (acc + 0.5 * jerk * dt_s) * dt_s
+    line[ACC] = acc + jerk * dt_s
+    line[JERK] = jerk
+    reach = limits[4] * dt_s  # within one step of full jerk from rest at the goal: be there
+    if (
+        abs(line[ACC]) <= reach
+        and abs(line[VEL]) <= reach * dt_s
+        and abs(line[POS] - goal) <= max(reach * dt_s * dt_s, _REST_M)
+    ):
+        line[:] = 0.0
+        line[POS] = goal
+        return True
+    return False
+
+
+@njit(cache=True)
+def _advance(
+    motion: Array, target: Array, axes: Array, limits: Array, yaw: Array, yaw_goal: float, yaw_limits: Array,
+    pace: float, dt_s: float,
+) -> bool:  # fmt: skip
+    """Move ``motion`` (4, 3) by ``pace * dt_s`` and ``yaw`` (4,) by ``dt_s``; returns whether both rest.
+
+    ``axes`` (3, 3): rows are the leg's directions; ``limits`` (3, 5): theirs, as `line_jerk` takes them.
+    """
+    rests = pace > 0.0
+    if pace > 0.0:
+        moved = np.zeros((4, 3))
+        line = np.empty(4)
+        for k in range(3):
+            goal = 0.0
+            line[:] = 0.0
+            for i in range(3):
+                goal += axes[k, i] * target[i]
+                for row in range(4):
+                    line[row] += axes[k, i] * motion[row, i]
+            rests = _move(line, goal, limits[k], pace * dt_s) and rests
+            for i in range(3):
+                for row in range(4):
+                    moved[row, i] += axes[k, i] * line[row]
+        motion[:] = moved
+        if rests:
+            motion[:] = 0.0
+            motion[POS] = target
+    return _move(yaw, yaw_goal, yaw_limits, dt_s) and rests
+
+
+def _limits_along(direction: Array, p: TrajectoryParams) -> tuple[float, float, float, float, float]:
+    """Speed and acceleration against and along a unit vector, and jerk: its parts stay in their limits."""
+    xy = max(math.hypot(direction[0], direction[1]), 1e-9)
+    z = max(abs(float(direction[2])), 1e-9)
+    back = (p.z_vel_up_m_s, p.acc_up_m_s2)
+    forth = (p.z_vel_dn_m_s, p.acc_dn_m_s2)
+    if direction[2] < 0.0:
+        back, forth = forth, back
+    return (
+        -min(p.xy_cruise_m_s / xy, back[0] / z),
+        min(p.xy_cruise_m_s / xy, forth[0] / z),
+        -min(p.acc_xy_m_s2 / xy, back[1] / z),
+        min(p.acc_xy_m_s2 / xy, forth[1] / z),
+        p.jerk_m_s3,
+    )
+
+
+class LegReference:
+    """Position and heading that lead along one leg after another, and come to rest at the last one's end."""
+
+    def __init__(self, params: TrajectoryParams) -> None:
+        self._motion: Array = np.zeros((4, 3))
+        self._yaw: Array = np.zeros(4)
+        self._yaw_goal_rad = 0.0
+        self._axes: Array = np.eye(3)
+        self._target_ned_m: Array = np.zeros(3)
+        self.resting = False
+        """It has come to rest at the leg's end, with its heading."""
+        self.set_params(params)
+
+    def set_params(self, params: TrajectoryParams) -> None:
+        """Move by these from the next update on; a motion beyond new limits is brought within them."""
+        p = self._params = params
+        self._limits: Array = np.array([_limits_along(axis, p) for axis in self._axes])
+        yaw_jerk = p.yaw_acc_max_rad_s2 / _YAW_JERK_TIME_S
+        self._yaw_limits: Array = np.array((
+            -p.yaw_rate_max_rad_s, p.yaw_rate_max_rad_s,
+            -p.yaw_acc_max_rad_s2, p.yaw_acc_max_rad_s2, yaw_jerk,
+        ))  # fmt: skip
+
+    @property
+    def pos_ned_m(self) -> Array:
+        """(3,) where the reference is."""
+        pos_ned_m: Array = self._motion[POS].copy()
+        return pos_ned_m
+
+    @property
+    def vel_ned_m_s(self) -> Array:
+        """(3,) how it moves."""
+        vel_ned_m_s: Array = self._motion[VEL].copy()
+        return vel_ned_m_s
+
+    def reset(self, pos_ned_m: Array, *, vel_ned_m_s: Array, yaw_rad: float) -> None:
+        """Put the reference here, in this motion and with this heading, which it keeps."""
+        self._motion[:] = 0.0
+        self._motion[POS] = pos_ned_m
+        self._motion[VEL] = vel_ned_m_s
+        self._yaw = np.array((yaw_rad, 0.0, 0.0, 0.0))
+        self._yaw_goal_rad = yaw_rad
+        self.resting = False
+
+    def go_to(self, target_ned_m: Array, *, along_ned: Array | None = None) -> None:
+        """Take a leg to a target (3,): on the line through it along a vector, or along the way from here."""
+        self._target_ned_m = target_ned_m
+        self._axes = _leg_axes(target_ned_m - self._motion[POS] if along_ned is None else along_ned)
+        self.set_params(self._params)
+        self.resting = False
+
+    def turn_to(self, yaw_rad: float) -> None:
+        """Turn the short way to a heading."""
+        self._yaw_goal_rad = float(self._yaw[POS]) + math.remainder(yaw_rad - float(self._yaw[POS]), math.tau)
+        self.resting = False
+
+    def update(self, dt_s: float, *, vehicle_pos_ned_m: Array | None = None) -> TrajectorySetpoint:
+        """Move on by ``dt_s`` (> 0).
+
+        The acceleration leads by the attitude loop's lag, so that the vehicle's own is in time. With
+        ``vehicle_pos_ned_m`` the reference slows its time once the vehicle is half of ``xy_error_max_m`` away
+        from it horizontally, to a stand-still at the whole.
+        """
+        p, motion = self._params, self._motion
+        pace = 1.0
+        if vehicle_pos_ned_m is not None:
+            lag_m = math.hypot(motion[0, 0] - vehicle_pos_ned_m[0], motion[0, 1] - vehicle_pos_ned_m[1])
+            pace = min(max(2.0 - 2.0 * lag_m / p.xy_error_max_m, 0.0), 1.0)
+        self.resting = _advance(
+            motion, self._target_ned_m, self._axes, self._limits, self._yaw, self._yaw_goal_rad,
+            self._yaw_limits, pace, dt_s,
+        )  # fmt: skip
+        return TrajectorySetpoint(
+            pos_ned_m=motion[POS].copy(),
+            vel_ned_m_s=pace * motion[VEL],
+            acc_ned_m_s2=pace**2 * motion[ACC] + pace**3 * p.acc_lead_s * motion[JERK],
+            yaw_rad=math.remainder(float(self._yaw[POS]), math.tau),
+            yaw_rate_rad_s=float(self._yaw[VEL]),
+        )
+
+
+def _leg_axes(along_ned: Array) -> Array:
+    """(3, 3) rows: direction of a leg (north if it has no length), a level one across it, and the third."""
+    axes = np.eye(3)
+    length = math.sqrt(along_ned @ along_ned)
+    if length < _REST_M:
+        return axes
+    axes[0] = along_ned / length
+    level = math.hypot(axes[0, 0], axes[0, 1])
+    if level > 1e-6:
+        axes[1] = (-axes[0, 1] / level, axes[0, 0] / level, 0.0)
+    else:  # plumb, exactly: what is not at right angles would feed one line's motion into another's
+        axes[0] = (0.0, 0.0, math.copysign(1.0, along_ned[2]))
+        axes[1] = (1.0, 0.0, 0.0)
+    a, b = axes[0], axes[1]
+    axes[2] = (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+    return axes

@@ -1,0 +1,80 @@
+"""The table of parameters for people: names, units, ranges and defaults, and what each one means.
+
+The meaning is the docstring of the setting's field, which begins with PX4's name; it is read from the
+settings' source, so that it is written down once.
+"""
+
+import ast
+import inspect
+import re
+from itertools import groupby
+from operator import attrgetter
+
+from msgspec import Struct
+
+from autopilot.params import TABLE, Parameter, ParameterSet, Settings
+
+PREFIXES = {
+    "BAT": "Battery", "BAT1": "Battery", "CBRK": "Circuit breakers", "CF": "Of this project alone",
+    "COM": "Commander and failsafes", "EKF2": "Estimator", "FD": "Failure detector", "GF": "Geofence",
+    "HTE": "Hover thrust estimator", "IMU": "Inertial sensors", "LNDMC": "Land detector",
+    "MC": "Attitude and rate control", "MIS": "Missions", "MPC": "Position control and modes",
+    "NAV": "Navigation", "RTL": "Return", "SIM": "Simulated battery", "THR": "Motors",
+}  # fmt: skip
+
+
+_UNIT = r"(1|s|m|rad|s\^2)(/\w+(\^\d)?)?"
+_SUFFIX = re.compile(r"(_(rad|m|s|us|hz|a|v|1|s2|s3|gauss|ohm|mah))+$")
+
+
+def meaning(parameter: Parameter) -> str:
+    """What the docstring of the parameter's setting says beyond the name; if nothing, the setting's name."""
+    *parents, field = parameter.path.split(".")
+    owner = attrgetter(".".join(parents))(Settings())
+    text = _docstrings(type(owner)).get(field, "")
+    text = re.sub(rf"^{parameter.name}\b[:,;]?\s*", "", " ".join(text.split()))
+    text = re.sub(r"^\(there in [^)]*\)[:,;]?\s*", "", text)
+    if not text or re.fullmatch(_UNIT, text):
+        text = _SUFFIX.sub("", field).replace("_", " ")
+    return text[:1].upper() + text[1:]
+
+
+def _docstrings(kind: type[Struct]) -> dict[str, str]:
+    """Docstrings of the fields of a settings struct."""
+    (definition,) = ast.parse(inspect.getsource(kind)).body
+    assert isinstance(definition, ast.ClassDef)  # noqa: S101  what else would its source be
+    texts = {}
+    for before, after in zip(definition.body, definition.body[1:], strict=False):
+        if isinstance(before, ast.AnnAssign) and isinstance(before.target, ast.Name):
+            match after:
+                case ast.Expr(value=ast.Constant(value=str(text))):
+                    texts[before.target.id] = text
+    return texts
+
+
+def markdown() -> str:
+    """Give the whole table as a page."""
+    parameters = ParameterSet(Settings())
+    lines = [
+        "# Parameters",
+        "",
+        f"The autopilot's {len(TABLE)} parameters, by PX4's names and in its units. Set them in a scenario",
+        "(`[autopilot.params]`, `[autopilot.per_uav.3]` for one vehicle, `params_file`), with",
+        "`--set autopilot.params.NAME=VALUE`, or from a ground station, also in flight: all act at once but",
+        "EKF2_GPS_DELAY. This page is made by `scripts/list_parameters.py`.",
+    ]
+    for title, group in groupby(TABLE, key=lambda parameter: PREFIXES[parameter.name.partition("_")[0]]):
+        lines += [
+            "",
+            f"## {title}",
+            "",
+            "| name | default | unit | range | meaning |",
+            "|---|---|---|---|---|",
+        ]
+        for parameter in group:
+            default = f"{parameters.get(parameter.name):.6g}"
+            limits = f"{parameter.minimum:g} .. {parameter.maximum:g}"
+            lines.append(
+                f"| {parameter.name} | {default} | {parameter.unit} | {limits} | {meaning(parameter)} |"
+            )
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,72 @@
+"""Sticks over MAVLink: what becomes of MANUAL_CONTROL, and when it takes the vehicle over."""
+
+import pytest
+from pymavlink.dialects.v20 import common
+
+from autopilot.commander.commander import Commander
+from autopilot.commander.conditions import Condition
+from autopilot.commander.params import CommanderParams
+from autopilot.mavlink.modes import FlightMode
+from autopilot.protocol.manual_control import ManualControlService
+
+ALL = sum(Condition)
+
+
+def sticks(*, x=0, y=0, z=500, r=0):
+    return common.MAVLink_manual_control_message(1, x, y, z, r, 0)
+
+
+def flying(mode, **params):
+    commander = Commander(CommanderParams(**params))
+    commander.update(0, conditions=ALL, landed=True)
+    assert commander.arm(0) is None
+    commander.update(1, conditions=ALL, landed=False)
+    assert commander.set_mode(mode) is None
+    return commander, ManualControlService(commander)
+
+
+def test_axes_have_mavlinks_meaning_and_their_time():
+    _, service = flying(FlightMode.POSITION)
+    assert service.sticks is None
+    service.on_message(sticks(x=-500, y=250, z=1000, r=1000), 7_000)
+    got = service.sticks
+    assert (got.time_us, got.pitch, got.roll, got.throttle, got.yaw) == (7_000, -0.5, 0.25, 1.0, 1.0)
+    assert service.is_fresh(507_000, 500_000)
+    assert not service.is_fresh(507_001, 500_000)
+
+
+def test_axes_that_are_missing_or_wild_are_harmless():
+    _, service = flying(FlightMode.POSITION)
+    service.on_message(sticks(x=32_767, y=-30_000, z=-1000, r=32_767), 0)
+    got = service.sticks
+    assert (got.pitch, got.roll, got.throttle, got.yaw) == (0.0, -1.0, 0.0, 0.0)
+    service.on_message(sticks(z=32_767), 0)
+    assert service.sticks.throttle == 0.5  # neither up nor down
+
+
+@pytest.mark.parametrize(
+    ("mode", "bits", "taken"),
+    [
+        (FlightMode.HOLD, 1, True),
+        (FlightMode.MISSION, 1, True),
+        (FlightMode.HOLD, 2, False),
+        (FlightMode.OFFBOARD, 1, False),
+        (FlightMode.OFFBOARD, 2, True),
+        (FlightMode.STABILIZED, 3, False),
+    ],
+)
+def test_moved_sticks_take_over_where_the_parameter_says_so(mode, bits, taken):
+    commander, service = flying(mode, stick_takeover=bits)
+    assert service.on_message(sticks(y=290), 0) == ()  # COM_RC_STICK_OV is 30 %
+    assert commander.mode is mode
+    texts = [message.text for message in service.on_message(sticks(y=-310), 4_000)]
+    assert commander.mode is (FlightMode.POSITION if taken else mode)
+    assert texts == (["Pilot took over using sticks"] if taken else [])
+
+
+def test_sticks_do_nothing_to_a_vehicle_on_the_ground():
+    commander = Commander(CommanderParams())
+    service = ManualControlService(commander)
+    commander.update(0, conditions=ALL, landed=True)
+    service.on_message(sticks(x=1000), 0)
+    assert commander.mode is FlightMode.HOLD

@@ -1,0 +1,158 @@
+"""A navigator in closed loop: over the independent 6-DOF Iris, or with a vehicle that obeys exactly."""
+
+import itertools
+import math
+
+import numpy as np
+from control_fixtures import DT_S, Iris, estimate
+
+from autopilot.commander.land_detector import LandDetector, LandDetectorParams, Stage
+from autopilot.control import ControlParams, FlightController
+from autopilot.estimation.rotation import quat_from_euler
+from autopilot.mavlink.modes import FlightMode
+from autopilot.navigation.geodesy import ned_to_geodetic
+from autopilot.navigation.mission import MissionCommand, MissionItem
+from autopilot.navigation.params import NavigationParams
+from autopilot.navigation.setpoints import Navigator, down_demand_m_s
+from autopilot.types import AttitudeSetpoint
+
+CONTROL = ControlParams()
+HOME = (0.0, 0.0, 0.0)
+ORIGIN = {"origin_lat_deg": 47.0, "origin_lon_deg": 8.0, "origin_alt_m": 488.0}
+
+
+def at(north_m, east_m, height_m, command=MissionCommand.WAYPOINT, **details):
+    return MissionItem(command=command, height_m=height_m, **lat_lon(north_m, east_m), **details)
+
+
+def lat_lon(north_m, east_m):
+    lat, lon, _ = ned_to_geodetic([north_m, east_m, 0.0], **ORIGIN)
+    return {"lat_deg": float(lat), "lon_deg": float(lon)}
+
+
+class Loop:
+    """What both vehicles have: a navigator, its mode, and what was flown."""
+
+    def __init__(self, params, control, home_ned_m):
+        self.params = params
+        self.control = control
+        self.navigator = Navigator(params, control.trajectory, control.position)
+        self.home_ned_m = home_ned_m
+        self.manual = None
+        self.track = []
+        """(3,) positions, one per step."""
+        self.setpoint = None
+        self.now_s = 0.0
+
+    def enter(self, mode, *, takeoff_height_m=2.5):
+        self.navigator.enter(
+            mode, self.state, landed=self.landed, takeoff_down_m=-takeoff_height_m, home_ned_m=self.home_ned_m
+        )
+
+    def update(self):
+        self.setpoint = self.navigator.update(
+            self.state, dt_s=DT_S, landed=self.landed, touching=self.touching, home_ned_m=self.home_ned_m,
+            manual=self.manual, disturbance_ned_m_s2=self.disturbance_ned_m_s2,
+        )  # fmt: skip
+        return self.setpoint
+
+    @property
+    def disturbance_ned_m_s2(self):
+        return None
+
+    def run(self, seconds, until=None):
+        """Step for some time, or until a condition holds; returns whether it did."""
+        for _ in range(round(seconds / DT_S)):
+            self.step()
+            self.now_s += DT_S
+            self.track.append(self.state.pos_ned_m.copy())
+            if until is not None and until():
+                return True
+        return False
+
+
+class Ideal(Loop):
+    """A vehicle that is where it is told to be: what the navigator says, without anybody's errors."""
+
+    def __init__(self, pos_ned_m, *, vel_ned_m_s=(0.0, 0.0, 0.0), yaw_rad=0.0, params=None, control=CONTROL,
+                 home_ned_m=HOME):  # fmt: skip
+        super().__init__(params or NavigationParams(), control, home_ned_m)
+        self.state = estimate(
+            pos_ned_m=np.array(pos_ned_m, float), vel_ned_m_s=np.array(vel_ned_m_s, float),
+            q_ned_frd=quat_from_euler(0.0, 0.0, yaw_rad),
+        )  # fmt: skip
+        self.landed = self.touching = False
+
+    def step(self):
+        setpoint, state = self.update(), self.state
+        vel, pos = state.vel_ned_m_s.copy(), state.pos_ned_m.copy()
+        for axis in range(3):
+            if setpoint.vel_ned_m_s is not None and setpoint.vel_axes[axis]:
+                vel[axis] = setpoint.vel_ned_m_s[axis]
+            pos[axis] += DT_S * 0.5 * (vel[axis] + state.vel_ned_m_s[axis])
+            if setpoint.pos_ned_m is not None and setpoint.pos_axes[axis]:
+                pos[axis] = setpoint.pos_ned_m[axis]
+        self.landed = pos[2] >= 0.0 and vel[2] >= 0.0
+        pos[2] = min(pos[2], 0.0)
+        state.pos_ned_m, state.vel_ned_m_s = pos, vel
+        state.q_ned_frd = quat_from_euler(0.0, 0.0, setpoint.yaw_rad or 0.0)
+
+
+class Real(Loop):
+    """The Iris with its controllers and land detector; the truth is the estimate."""
+
+    def __init__(self, height_m=0.0, *, params=None, control=CONTROL, home_ned_m=HOME):
+        super().__init__(params or NavigationParams(), control, home_ned_m)
+        self.iris = Iris(height_m=height_m)
+        self.controller = FlightController(control)
+        self.detector = LandDetector(LandDetectorParams())
+        if height_m > 0.0:
+            self.detector.stage = Stage.AIRBORNE
+        self.force_ned_n = np.zeros(3)
+        self.state = self.iris.estimate()
+
+    @property
+    def landed(self):
+        return self.detector.landed
+
+    @property
+    def touching(self):
+        return self.detector.stage is not Stage.AIRBORNE
+
+    def step(self):
+        self.state = self.iris.estimate()
+        setpoint = self.update()
+        controls = self.controller.update(self.state, setpoint, dt_s=DT_S, landed=self.landed)
+        self.iris.step(controls, self.force_ned_n)
+        north, east, down = self.state.vel_ned_m_s
+        self.detector.update(
+            self.iris.time_us, armed=True, down_m=self.state.pos_ned_m[2], vel_down_m_s=down,
+            horizontal_speed_m_s=math.hypot(north, east),
+            rotation_rad_s=float(np.linalg.norm(self.state.omega_frd_rad_s)),
+            down_demand_m_s=down_demand_m_s(
+                self.state, setpoint, z_p_1_s=self.control.position.z_p,
+                hover_thrust=self.controller.hover_thrust,
+            ),
+            thrust_of_hover=self.controller.thrust / self.controller.hover_thrust,
+        )  # fmt: skip
+
+    @property
+    def disturbance_ned_m_s2(self):
+        return self.controller.disturbance_ned_m_s2
+
+    @property
+    def tilt_rad(self):
+        return math.acos(max(min(self.iris.up_cosine, 1.0), -1.0))
+
+
+def off_path_m(points, corners):
+    """Distance of each of ``points`` (n, 3) from the polygon line through ``corners`` (k, 3)."""
+    points, corners = np.asarray(points), np.asarray(corners, float)
+    best = np.full(len(points), np.inf)
+    for a, b in itertools.pairwise(corners):
+        along = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+        best = np.minimum(best, np.linalg.norm(points - a - along[:, None] * (b - a), axis=1))
+    return best
+
+
+__all__ = ["DT_S", "AttitudeSetpoint", "FlightMode", "Ideal", "Real", "at", "lat_lon", "off_path_m"]

@@ -1,0 +1,187 @@
+"""Timelines of the failure detector: attitude at 4 ms steps, ESC telemetry about every 50 ms. About 2 s."""
+
+from math import radians
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from msgspec import structs
+
+from autopilot.commander.failure_detector import (
+    ESC_TIMEOUT_US,
+    EscSample,
+    Failure,
+    FailureDetector,
+    FailureDetectorParams,
+    thrust_fractions,
+)
+from autopilot.control.allocation import Allocator
+from autopilot.control.params import AllocationParams
+from autopilot.estimation.rotation import quat_from_euler, quat_to_euler
+
+STEP = 4_000
+ESC_PERIOD = 12 * STEP
+PARAMS = FailureDetectorParams()
+LEVEL = quat_from_euler(0.0, 0.0, 0.0)
+TRIGGER_US = 300_000
+HOVER_A = 4.0
+HOVERING = (0.534,) * 4
+ALL_TURN = (HOVER_A,) * 4
+SECOND_STANDS = (HOVER_A, 0.0, HOVER_A, HOVER_A)
+
+
+class Timeline:
+    def __init__(self, **changes):
+        self.detector = FailureDetector(structs.replace(PARAMS, **changes))
+        self.now_us = 0
+
+    def run(self, duration_us, *, q_ned_frd=LEVEL, armed=True, currents_a=ALL_TURN, thrusts=HOVERING):
+        """Give when each failure was first there, from the beginning of this piece; no telemetry if None."""
+        begin_us, first = self.now_us, {}
+        while self.now_us < begin_us + duration_us:
+            self.now_us += STEP
+            if currents_a is not None and self.now_us % ESC_PERIOD == 0:
+                self.detector.on_esc(EscSample(self.now_us, currents_a), thrusts, armed=armed)
+            for failure in Failure(self.detector.update(self.now_us, q_ned_frd, armed=armed)):
+                first.setdefault(failure, self.now_us - begin_us)
+        return first
+
+
+# ---- attitude
+
+
+@pytest.mark.parametrize(("failure", "axis"), [(Failure.ROLL, 0), (Failure.PITCH, 1)])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_an_angle_counts_after_its_trigger_time_and_as_long_as_it_lasts(failure, axis, sign):
+    line = Timeline()
+    angles_rad = [0.0, 0.0, 1.0]
+    angles_rad[axis] = sign * radians(61.0)
+    tipped = quat_from_euler(*angles_rad)
+    # |...tipped since the first step, at STEP ... trigger time later |
+    assert line.run(1_000_000, q_ned_frd=tipped) == {failure: STEP + TRIGGER_US}
+    assert line.run(STEP) == {}
+
+
+def test_a_passing_angle_does_not_count():
+    line = Timeline()
+    tipped = quat_from_euler(radians(70.0), 0.0, 0.0)
+    for _ in range(5):
+        assert line.run(TRIGGER_US, q_ned_frd=tipped) == {}
+        line.run(STEP)
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.floats(-180.0, 180.0),
+    st.floats(-89.0, 89.0),
+    st.floats(-180.0, 180.0),
+    st.floats(1.0, 180.0),
+    st.floats(1.0, 180.0),
+)
+@example(150.0, 80.0, 0.0, 120.0, 120.0)  # the cosine of the tilt is -0.15, that of the limit -0.5
+def test_the_angles_are_eulers_whatever_the_attitude(
+    roll_deg, pitch_deg, yaw_deg, roll_max_deg, pitch_max_deg
+):
+    """Against the angles that made the attitude: the short cut for small tilts must not hide one."""
+    line = Timeline(roll_max_rad=radians(roll_max_deg), pitch_max_rad=radians(pitch_max_deg))
+    q_ned_frd = quat_from_euler(radians(roll_deg), radians(pitch_deg), radians(yaw_deg))
+    first = line.run(TRIGGER_US + STEP, q_ned_frd=q_ned_frd)
+    back_deg = np.degrees(quat_to_euler(q_ned_frd))
+    assert back_deg[:2] == pytest.approx((roll_deg, pitch_deg), abs=1e-6)
+    if abs(abs(roll_deg) - roll_max_deg) > 1e-6:
+        assert (Failure.ROLL in first) == (abs(roll_deg) > roll_max_deg)
+    if abs(abs(pitch_deg) - pitch_max_deg) > 1e-6:
+        assert (Failure.PITCH in first) == (abs(pitch_deg) > pitch_max_deg)
+
+
+def test_attitude_is_judged_disarmed_and_a_limit_of_zero_does_not_look():
+    upside_down = quat_from_euler(radians(180.0), 0.0, 0.0)
+    assert Failure.ROLL in Timeline().run(TRIGGER_US + STEP, q_ned_frd=upside_down, armed=False)
+    assert Timeline(roll_max_rad=0.0).run(1_000_000, q_ned_frd=upside_down) == {}
+    assert Timeline(roll_max_rad=0.0, pitch_max_rad=0.0).run(1_000_000, q_ned_frd=upside_down) == {}
+    nose_up = quat_from_euler(0.0, radians(80.0), 0.0)
+    assert Failure.PITCH in Timeline(roll_max_rad=0.0).run(1_000_000, q_ned_frd=nose_up)
+
+
+# ---- motors
+
+
+def test_a_motor_that_stands_is_found_at_the_first_sample_after_the_time_out():
+    """Samples at 48, 96, 144 ms: low since the first, 96 ms later too early, 144 ms later over 100 ms."""
+    line = Timeline()
+    line.run(ESC_PERIOD)
+    first = line.run(1_000_000, currents_a=SECOND_STANDS)
+    assert first == {Failure.MOTOR: 4 * ESC_PERIOD}
+    assert line.detector.failed_motors == {1}
+
+
+def test_a_motor_that_stood_from_the_beginning_is_found_because_the_others_turn():
+    line = Timeline()
+    line.run(1_000_000, currents_a=(0.0,) * 4, thrusts=(0.0,) * 4)
+    assert Failure.MOTOR in line.run(1_000_000, currents_a=SECOND_STANDS)
+
+
+def test_it_stays_failed_until_disarmed():
+    line = Timeline()
+    line.run(1_000_000, currents_a=SECOND_STANDS)
+    line.run(1_000_000)
+    assert line.detector.failed_motors == {1}
+    line.run(200_000, currents_a=(0.0, HOVER_A, HOVER_A, HOVER_A))
+    assert line.detector.failed_motors == {0, 1}
+    line.run(STEP, armed=False)
+    assert line.detector.failed_motors == frozenset()
+    assert line.run(1_000_000) == {}
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.floats(0.0, 1.0), st.floats(0.0, 12.0), st.floats(0.1, 5.0), st.floats(0.0, 0.9))
+def test_the_limit_is_proportional_to_thrust_above_the_least(thrust, current_a, per_thrust_a, thrust_min):
+    line = Timeline(motor_current_per_thrust_a=per_thrust_a, motor_thrust_min=thrust_min)
+    first = line.run(500_000, currents_a=(current_a, 50.0, 50.0, 50.0), thrusts=(thrust, 0.5, 0.5, 0.5))
+    assert (Failure.MOTOR in first) == (thrust > thrust_min and current_a < thrust * per_thrust_a)
+
+
+def test_one_good_sample_begins_the_time_anew():
+    line = Timeline()
+    for _ in range(20):
+        assert line.run(3 * ESC_PERIOD, currents_a=SECOND_STANDS) == {}  # 96 ms from first to last
+        assert line.run(ESC_PERIOD) == {}
+
+
+def test_controllers_that_report_no_current_are_not_judged():
+    line = Timeline()
+    assert line.run(2_000_000, currents_a=(0.0,) * 4) == {}
+
+
+def test_missing_telemetry_is_known_and_is_no_motor_failure():
+    line = Timeline()
+    line.run(2 * ESC_PERIOD, currents_a=SECOND_STANDS)
+    # the last sample came with the last step
+    first = line.run(1_000_000, currents_a=None)
+    assert first == {Failure.ESC_TELEMETRY: ESC_TIMEOUT_US + STEP}
+    # what was low before the gap does not count for what is low after it
+    assert Failure.MOTOR not in line.run(ESC_PERIOD, currents_a=SECOND_STANDS)
+    assert not line.detector.failures
+
+
+def test_a_vehicle_without_telemetry_misses_nothing():
+    assert Timeline().run(1_000_000, currents_a=None) == {}
+
+
+def test_settings_act_at_once():
+    line = Timeline()
+    line.run(1_000_000, currents_a=SECOND_STANDS)
+    line.detector.set_params(structs.replace(PARAMS, motor_check=0))
+    assert line.detector.failures == 0
+    assert line.run(1_000_000, currents_a=SECOND_STANDS) == {}
+    line.detector.set_params(structs.replace(PARAMS, roll_max_rad=radians(20.0)))
+    assert Failure.ROLL in line.run(1_000_000, q_ned_frd=quat_from_euler(radians(30.0), 0.0, 0.0))
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.floats(0.0, 1.0))
+def test_thrust_fractions_undo_the_allocation(thrust):
+    params = AllocationParams()
+    controls = Allocator(params).allocate(thrust, np.zeros(3), airmode=True)
+    assert thrust_fractions(controls.tolist(), params.thrust_model_factor) == pytest.approx([thrust] * 4)

@@ -1,0 +1,117 @@
+"""Whether the filter knows how wrong it is: normalised errors and white innovations over 20 Monte Carlo runs.
+
+One campaign of 20 flights of 60 s serves all tests of this file (7 s on one core).
+"""
+
+import numpy as np
+import pytest
+
+from harness.validation.estimation import (
+    MEASUREMENTS,
+    STATES,
+    Consistency,
+    consistency,
+    outage_drift_m,
+    whiteness,
+)
+
+RUNS = 20
+
+
+@pytest.fixture(scope="module")
+def campaign():
+    return consistency(runs=RUNS, duration_s=60.0, seed=2)
+
+
+def white(rng, *, memory=0.0, scale=1.0, runs=10, count=300, axes=3):
+    """Series of a first-order process of unit variance, times ``scale``."""
+    series = []
+    for _ in range(runs):
+        noise = rng.standard_normal((count, axes))
+        for k in range(1, count):
+            noise[k] = memory * noise[k - 1] + np.sqrt(1.0 - memory**2) * noise[k]
+        series.append(scale * noise)
+    return series
+
+
+@pytest.mark.parametrize("group", ["velocity", "position"])
+def test_normalised_errors_of_the_last_epoch_are_within_their_band(campaign, group):
+    """The plainest form: 20 independent runs at one moment, 60 degrees of freedom, [0.67, 1.39] of 95 %."""
+    low, high = campaign.band()
+    assert (low, high) == pytest.approx((0.675, 1.388), abs=1e-3)
+    assert low < campaign.mean(group)[-1] < high
+
+
+@pytest.mark.parametrize("group", ["velocity", "position"])
+def test_normalised_errors_over_all_epochs_are_within_their_band(campaign, group):
+    """1800 epochs are not 1800 samples: the band is that of as many as their autocorrelation leaves.
+
+    Of velocity some 380, of position 80, for its errors last for seconds.
+    """
+    mean, (low, high) = campaign.overall(group)
+    assert low < mean < high
+    assert high - low < 0.45
+
+
+@pytest.mark.parametrize("group", STATES)
+def test_single_epochs_are_inside_their_band_as_often_as_they_should(campaign, group):
+    """95 % in the long run; the share of 90 epochs worth 10 to 40 has a deviation of 0.07 to 0.04."""
+    assert campaign.inside(group) > 0.85
+
+
+def test_no_honest_measurement_is_refused(campaign):
+    """Gates of 5 sigma: one of 1.7 million."""
+    assert campaign.refused == 0
+
+
+@pytest.mark.parametrize("name", MEASUREMENTS)
+def test_innovations_are_white_and_of_the_variance_that_was_expected(campaign, name):
+    """Autocorrelations at lags 1 to 20, each axis and run for itself, and averaged over both; power.
+
+    The share of single ones has a hundredth of slack: axes of one measurement are not quite independent.
+    """
+    seen = whiteness(campaign.innovations[name])
+    assert seen.inside > seen.band[0] - 0.01
+    assert seen.greatest < seen.greatest_limit
+    low, high = seen.mean_square_band
+    assert low < seen.mean_square < high
+
+
+def test_the_tests_of_whiteness_can_fail():
+    rng = np.random.default_rng(3)
+    good = whiteness(white(rng))
+    assert good.band[0] - 0.01 < good.inside
+    assert good.greatest < good.greatest_limit
+    coloured = whiteness(white(rng, memory=0.2))
+    assert coloured.greatest > 2.0 * coloured.greatest_limit
+    assert coloured.inside < good.inside
+    loud = whiteness(white(rng, scale=1.1))
+    assert loud.mean_square > loud.mean_square_band[1]
+
+
+def test_the_test_of_normalised_errors_can_fail():
+    """A filter that thinks its position a fifth better than it is, or its errors to last: seen at once."""
+    rng = np.random.default_rng(4)
+
+    def of(square):
+        return Consistency(time_s=np.arange(90.0), nees={"position": square}, innovations={}, refused=0)
+
+    errors = rng.standard_normal((RUNS, 90, 3))
+    honest = of((errors**2).sum(axis=2))
+    mean, (low, high) = honest.overall("position")
+    assert low < mean < high
+    assert honest.inside("position") > 0.85
+    proud = of((errors**2).sum(axis=2) / 0.8**2)
+    mean, (low, high) = proud.overall("position")
+    assert mean > high
+    assert proud.inside("position") < 0.6
+    # the same draw in all epochs is worth one epoch: the band is that of one
+    lasting = of(np.repeat((errors[:, :1] ** 2).sum(axis=2), 90, axis=1))
+    _, (low, high) = lasting.overall("position")
+    assert high - low > 0.5
+
+
+def test_ten_seconds_without_gps_in_calm_hover_drift_less_than_five_metres():
+    """The Iris's noises and biases, a GPS that errs by metres: ten flights."""
+    drifts_m = [outage_drift_m(seed) for seed in range(10)]
+    assert max(drifts_m) < 5.0

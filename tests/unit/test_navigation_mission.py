@@ -1,0 +1,194 @@
+"""Missions as data, and the order in which their items come: no flight, no time. Costs under a second."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from navigation_fixtures import ORIGIN, at
+from pymavlink.dialects.v20 import common
+
+from autopilot.navigation.geodesy import geodetic_to_ned
+from autopilot.navigation.mission import (
+    FLOWN,
+    MissionCommand,
+    MissionError,
+    MissionItem,
+    distance_trouble,
+    make_mission,
+)
+from autopilot.navigation.mission_runner import MissionRunner
+
+WAYPOINT = at(10.0, 0.0, 5.0)
+JUMP, SPEED = MissionCommand.JUMP, MissionCommand.CHANGE_SPEED
+
+
+def jump(to, count=1):
+    return MissionItem(command=JUMP, jump_to=to, jump_count=count)
+
+
+def speed(speed_m_s):
+    return MissionItem(command=SPEED, speed_m_s=speed_m_s)
+
+
+def runner_of(*items):
+    runner = MissionRunner()
+    runner.load(make_mission(items))
+    return runner
+
+
+def flown(runner, most=100):
+    """Indices in the order in which they are flown, until the mission is finished."""
+    order = []
+    while runner.item is not None and len(order) < most:
+        order.append(runner.current)
+        runner.advance()
+    return order
+
+
+# ---- items
+
+
+def test_commands_have_mavlinks_numbers():
+    # the numbers of common.xml, which the wire will carry
+    assert [int(command) for command in MissionCommand] == [16, 17, 19, 20, 21, 22, 93, 177, 178]
+    assert MissionCommand(common.MAV_CMD_NAV_WAYPOINT) is MissionCommand.WAYPOINT
+
+
+@settings(deadline=None)
+@given(st.floats(-2000.0, 2000.0), st.floats(-2000.0, 2000.0), st.floats(-50.0, 500.0))
+def test_a_place_in_metres_of_the_site_comes_back_from_the_globe(north_m, east_m, height_m):
+    item = at(north_m, east_m, height_m, hold_s=2.0, yaw_deg=90.0)
+    # The item's place lies on the tangent plane: at the plane's height over the ellipsoid there, d^2 / 2R,
+    # it is the given one, and at the origin's it is off horizontally by the angle d / R times that height:
+    # 3000^3 / (2 * 6.35e6^2) = 0.33 mm at most
+    north, east, _ = geodetic_to_ned(item.lat_deg, item.lon_deg, ORIGIN["origin_alt_m"], **ORIGIN)
+    assert math.hypot(north - north_m, east - east_m) < 0.4e-3
+    assert (item.height_m, item.hold_s, item.yaw_deg) == (height_m, 2.0, 90.0)
+
+
+@pytest.mark.parametrize(
+    ("items", "reason"),
+    [
+        ((), "the mission is empty"),
+        ((speed(3.0),), "nothing to fly"),
+        ((MissionItem(command=MissionCommand.WAYPOINT),), r"item 0 \(WAYPOINT\): it has no place"),
+        ((WAYPOINT, MissionItem(command=MissionCommand.LAND, lat_deg=1.0)), "item 1 .*come together"),
+        ((at(0.0, 0.0, math.nan),), "height nan is outside"),
+        ((at(0.0, 0.0, 5.0, hold_s=math.nan),), "hold time nan is outside"),
+        ((at(0.0, 0.0, 5.0, acceptance_m=-1.0),), "acceptance radius -1 is outside"),
+        ((at(0.0, 0.0, 5.0, yaw_deg=math.inf),), "heading inf is outside"),
+        (
+            (MissionItem(command=MissionCommand.WAYPOINT, lat_deg=91.0, lon_deg=0.0),),
+            "latitude 91 is outside",
+        ),
+        (
+            (MissionItem(command=MissionCommand.WAYPOINT, lat_deg=9.0, lon_deg=math.nan),),
+            "longitude nan is outside",
+        ),
+        ((WAYPOINT, speed(0.0)), "speed 0 m/s is not positive"),
+        ((WAYPOINT, speed(math.nan)), "speed nan m/s is not positive"),
+        ((WAYPOINT, jump(2)), r"item 1 \(JUMP\): it jumps to 2, but the items are 0 .. 1"),
+        ((WAYPOINT, jump(-1)), "it jumps to -1"),
+        ((WAYPOINT, jump(0, -2)), "jump count -2 is below -1"),
+        ((WAYPOINT, jump(1, -1)), r"item 1 \(JUMP\): goes round in a circle"),
+        ((WAYPOINT, speed(3.0), jump(1, 5)), r"item 2 \(JUMP\): goes round in a circle"),
+        ((WAYPOINT, jump(3, -1), WAYPOINT, jump(1, -1)), "goes round in a circle"),
+    ],
+)
+def test_a_wrong_mission_is_refused_with_its_first_reason(items, reason):
+    with pytest.raises(MissionError, match=reason):
+        make_mission(items)
+
+
+def test_the_first_place_must_not_be_too_far_from_home():
+    mission = make_mission([speed(3.0), at(600.0, 700.0, 5.0)])  # 922 m
+    home = {"home_lat_deg": ORIGIN["origin_lat_deg"], "home_lon_deg": ORIGIN["origin_lon_deg"]}
+    assert distance_trouble(mission, **home, max_m=923.0) is None
+    assert distance_trouble(mission, **home, max_m=0.0) is None
+    text = distance_trouble(mission, **home, max_m=900.0)
+    assert text == "the first place is 922 m from home, allowed are 900 m"
+    assert (
+        distance_trouble(make_mission([MissionItem(command=MissionCommand.LAND)]), **home, max_m=1.0) is None
+    )
+
+
+# ---- their order
+
+
+def test_items_come_in_their_order_and_the_last_one_stays_current():
+    runner = runner_of(WAYPOINT, speed(3.0), WAYPOINT)
+    assert (runner.current, runner.reached, runner.speed_m_s) == (0, None, None)
+    runner.advance()
+    assert (runner.current, runner.reached, runner.speed_m_s) == (2, 0, 3.0)
+    runner.advance()
+    assert (runner.finished, runner.current, runner.reached, runner.item) == (True, 2, 2, None)
+    runner.advance()
+    assert (runner.reached, runner.reached_count) == (2, 2)
+
+
+@settings(deadline=None)
+@given(st.integers(0, 20))
+def test_a_jump_is_taken_exactly_so_often(count):
+    # 0, then (1, 2) once and again for every jump, then 4
+    runner = runner_of(WAYPOINT, WAYPOINT, WAYPOINT, jump(1, count), WAYPOINT)
+    assert flown(runner) == [0] + [1, 2] * (count + 1) + [4]
+    runner.restart()  # and the counts with it
+    assert flown(runner) == [0] + [1, 2] * (count + 1) + [4]
+
+
+def test_a_jump_without_end_never_finishes():
+    runner = runner_of(WAYPOINT, WAYPOINT, jump(0, -1))
+    assert flown(runner, most=101) == [0, 1] * 50 + [0]
+
+
+def test_jumps_within_jumps_count_on():
+    # the inner jump is used up in the first round of the outer one
+    runner = runner_of(WAYPOINT, WAYPOINT, jump(1, 2), jump(0, 1))
+    assert flown(runner) == [0, 1, 1, 1, 0, 1]
+
+
+@settings(deadline=None)
+@given(st.lists(st.sampled_from(["fly", "speed", "jump"]), min_size=1, max_size=12), st.randoms())
+def test_looking_ahead_changes_nothing_and_tells_what_comes(kinds, random):
+    items = [
+        {"fly": WAYPOINT, "speed": speed(random.uniform(1.0, 9.0)),
+         "jump": jump(random.randrange(len(kinds)), random.choice([0, 1, 3]))}[kind]
+        for kind in kinds
+    ]  # fmt: skip
+    try:
+        runner = runner_of(*items)
+    except MissionError:
+        return
+    for _ in range(200):
+        if runner.item is None:
+            break
+        assert runner.item.command in FLOWN
+        upcoming = runner.next_item()
+        runner.advance()
+        assert runner.item is upcoming
+    else:
+        pytest.fail("finite jumps must end: every one is taken 3 times at most")
+
+
+def test_another_current_item_begins_anew_with_the_speed_of_before_it():
+    runner = runner_of(WAYPOINT, speed(3.0), WAYPOINT, jump(0, 1), WAYPOINT)
+    assert flown(runner) == [0, 2, 0, 2, 4]
+    version = runner.version
+    runner.set_current(2)
+    assert (runner.finished, runner.current, runner.speed_m_s) == (False, 2, 3.0)
+    assert runner.version > version
+    assert flown(runner) == [2, 0, 2, 4]
+    runner.set_current(1)  # not flown itself: the next one that is
+    assert runner.current == 2
+    runner.set_current(0)
+    assert runner.speed_m_s is None
+    for index in (-1, 5):
+        with pytest.raises(MissionError, match=f"there is no item {index}"):
+            runner.set_current(index)
+    runner.load(None)
+    with pytest.raises(MissionError, match="there is no mission"):
+        runner.set_current(0)
+    assert runner.item is None
+    assert np.isclose(runner.current, 0)

@@ -1,0 +1,183 @@
+"""Return mode: its phases as a timeline, its height, and the whole way with the real dynamics. Costs 5 s."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from msgspec.structs import replace
+from navigation_fixtures import DT_S, FlightMode, Ideal, Real
+
+from autopilot.navigation.landing import IDLE
+from autopilot.navigation.params import NavigationParams, ReturnParams
+from autopilot.navigation.return_home import TRANSITIONS, Event, Phase, return_height_m
+
+LOW = NavigationParams(return_home=ReturnParams(height_m=20.0, descend_height_m=12.0))
+
+
+def phases_of(loop, seconds=200.0, until=None):
+    """(phase, second at which it began) until the ground, or a condition."""
+    seen = []
+
+    def watch():
+        phase = loop.navigator.return_phase
+        if not seen or seen[-1][0] is not phase:
+            seen.append((phase, loop.now_s))
+        return phase is Phase.DONE if until is None else until()
+
+    assert loop.run(seconds, watch)
+    return seen
+
+
+# ---- height
+
+
+@settings(deadline=None)
+@given(st.floats(0.0, 500.0))
+def test_the_height_keeps_to_cone_and_limits(distance_m):
+    params = NavigationParams()
+    height_m = return_height_m(distance_m, params)
+    home = params.return_home
+    assert height_m <= home.height_m
+    if distance_m > home.min_distance_m:
+        assert height_m == home.height_m
+    elif distance_m > params.acceptance_m:  # a cone of 45 degrees is as high as wide
+        assert height_m == pytest.approx(max(distance_m, 2.0 * params.acceptance_m))
+    else:
+        assert height_m == pytest.approx(2.0 * distance_m)
+    flat = replace(params, return_home=replace(home, cone_half_angle_rad=0.0))
+    assert return_height_m(distance_m, flat) == home.height_m
+
+
+def test_a_narrow_cone_reaches_up_to_the_return_height():
+    steep = NavigationParams(return_home=ReturnParams(cone_half_angle_rad=math.radians(10.0)))
+    assert return_height_m(5.0, steep) == pytest.approx(5.0 / math.tan(math.radians(10.0)))
+    assert return_height_m(10.0, steep) == pytest.approx(10.0 / math.tan(math.radians(10.0)))  # 56.7 m
+    assert return_height_m(10.1, steep) == 60.0
+
+
+# ---- table
+
+
+def test_every_phase_ends_on_the_ground_and_leads_there():
+    for phase, event in itertools.product(Phase, Event):
+        after = TRANSITIONS.get((phase, event))
+        if event is Event.LANDED and phase is not Phase.DONE:
+            assert after is Phase.DONE
+        assert (phase, after) != (phase, phase)  # nothing leads back to itself
+    for wait in (Event.THERE, Event.THERE_TO_WAIT):
+        phase, way = Phase.CLIMB, []
+        while phase is not Phase.DONE:
+            way.append(phase)
+            events = {Phase.WAIT: Event.WAITED, Phase.LAND: Event.LANDED}
+            phase = TRANSITIONS[phase, events.get(phase, wait)]
+        waits = [Phase.GO_DOWN, Phase.WAIT] if wait is Event.THERE_TO_WAIT else []
+        assert way == [Phase.CLIMB, Phase.FLY_HOME, *waits, Phase.LAND]
+
+
+# ---- timelines
+
+
+def test_from_below_it_climbs_on_the_spot_then_flies_straight_home_nose_first():
+    loop = Ideal((30.0, 40.0, -8.0), params=LOW)
+    loop.enter(FlightMode.RETURN)
+    seen = phases_of(loop)
+    assert [phase for phase, _ in seen] == [Phase.CLIMB, Phase.FLY_HOME, Phase.LAND, Phase.DONE]
+    track = np.array(loop.track)
+    climb = track[: round(seen[1][1] / DT_S)]
+    assert np.abs(climb[:, :2] - (30.0, 40.0)).max() < 1e-6
+    fly = track[round(seen[1][1] / DT_S) : round(seen[2][1] / DT_S)]
+    assert fly[:, 2].min() >= -20.0 - 1e-3  # never above the return height
+    assert np.abs(fly[:, 0] * 0.8 - fly[:, 1] * 0.6).max() < 0.02  # on the line home
+    # 50 m at 5 m/s, 3 m/s^2 and 4 m/s^3 last d/V + V/A + A/J = 12.4 s
+    assert seen[2][1] - seen[1][1] == pytest.approx(50.0 / 5.0 + 5.0 / 3.0 + 3.0 / 4.0, abs=0.1)
+    assert np.abs(track[-1]).max() < 1e-6
+    assert loop.navigator.completed(loop.state)
+
+
+def test_the_nose_points_home_until_near_and_stays_there():
+    loop = Ideal((30.0, 40.0, -25.0), params=LOW)
+    loop.enter(FlightMode.RETURN)
+    assert loop.navigator.return_phase is Phase.FLY_HOME  # from above it goes at once, and as high
+    loop.run(8.0)
+    assert loop.setpoint.yaw_rad == pytest.approx(math.atan2(-40.0, -30.0), abs=1e-3)
+    assert loop.run(10.0, lambda: loop.navigator.return_phase is Phase.LAND)
+    assert loop.setpoint.yaw_rad == pytest.approx(math.atan2(-40.0, -30.0), abs=1e-3)
+    assert loop.state.pos_ned_m[2] == pytest.approx(-25.0, abs=0.01)
+
+
+def test_near_home_the_cone_spares_the_climb():
+    loop = Ideal((6.0, 0.0, -3.0))
+    loop.enter(FlightMode.RETURN)
+    assert loop.navigator.return_phase is Phase.CLIMB
+    phases_of(loop)
+    assert min(loop.track, key=lambda pos: pos[2])[2] == pytest.approx(-6.0, abs=0.05)  # 45 degrees
+
+
+def test_with_a_delay_it_waits_at_the_waiting_height():
+    params = replace(LOW, return_home=replace(LOW.return_home, land_delay_s=4.0))
+    loop = Ideal((15.0, 0.0, -20.0), params=params)
+    loop.enter(FlightMode.RETURN)
+    seen = phases_of(loop)
+    assert [phase for phase, _ in seen] == [
+        Phase.FLY_HOME, Phase.GO_DOWN, Phase.WAIT, Phase.LAND, Phase.DONE,
+    ]  # fmt: skip
+    begin = dict(seen)
+    assert begin[Phase.LAND] - begin[Phase.WAIT] == pytest.approx(4.0, abs=2 * DT_S)
+    waiting = loop.track[round(begin[Phase.WAIT] / DT_S) + 1]
+    np.testing.assert_allclose(waiting, (0.0, 0.0, -12.0), atol=0.01)
+
+
+def test_minus_one_never_lands():
+    params = replace(LOW, return_home=replace(LOW.return_home, land_delay_s=-1.0))
+    loop = Ideal((15.0, 0.0, -20.0), params=params)
+    loop.enter(FlightMode.RETURN)
+    loop.run(120.0)
+    assert loop.navigator.return_phase is Phase.WAIT
+    np.testing.assert_allclose(loop.state.pos_ned_m, (0.0, 0.0, -12.0), atol=1e-6)
+    assert not loop.navigator.completed(loop.state)
+
+
+def test_without_a_home_it_lands_where_it_is_and_on_the_ground_it_stays():
+    loop = Ideal((15.0, -4.0, -6.0), home_ned_m=None)
+    loop.enter(FlightMode.RETURN)
+    assert [phase for phase, _ in phases_of(loop)] == [Phase.LAND, Phase.DONE]
+    np.testing.assert_allclose(loop.state.pos_ned_m, (15.0, -4.0, 0.0), atol=1e-6)
+    loop.enter(FlightMode.HOLD)
+    loop.enter(FlightMode.RETURN)
+    assert loop.update() is IDLE
+    assert loop.navigator.return_phase is Phase.DONE
+
+
+def test_a_jump_of_the_estimate_goes_on_with_the_phase_and_from_where_it_now_is():
+    loop = Ideal((30.0, 40.0, -8.0), params=LOW)
+    loop.enter(FlightMode.RETURN)
+    assert loop.run(60.0, lambda: loop.navigator.return_phase is Phase.FLY_HOME)
+    loop.run(4.0)
+    loop.state.pos_ned_m = loop.state.pos_ned_m + np.array((3.0, -2.0, 1.5))
+    loop.enter(FlightMode.RETURN)
+    assert loop.navigator.return_phase is Phase.FLY_HOME
+    before = loop.state.pos_ned_m.copy()
+    loop.step()
+    assert np.abs(loop.state.pos_ned_m - before).max() < 5.0 * DT_S + 1e-6  # no jump of the setpoint
+    assert loop.run(60.0, lambda: loop.navigator.return_phase is Phase.LAND)
+    np.testing.assert_allclose(loop.state.pos_ned_m, (0.0, 0.0, -20.0), atol=0.01)  # the same height
+
+
+# ---- with dynamics
+
+
+@pytest.mark.parametrize("wind_n", [0.0, 2.0])
+def test_from_50_m_away_it_lands_at_home(wind_n):
+    loop = Real(10.0, params=LOW)
+    loop.iris.pos_ned_m[:2] = (40.0, -30.0)
+    loop.state = loop.iris.estimate()
+    loop.force_ned_n = np.array((wind_n, 0.5 * wind_n, 0.0))
+    loop.enter(FlightMode.RETURN)
+    seen = phases_of(loop)
+    assert [phase for phase, _ in seen] == [Phase.CLIMB, Phase.FLY_HOME, Phase.LAND, Phase.DONE]
+    assert loop.iris.on_ground
+    assert math.hypot(*loop.iris.pos_ned_m[:2]) < 0.5
+    assert loop.update() is IDLE

@@ -1,0 +1,325 @@
+"""The whole vehicle in the modes and failsafes beyond take-off and offboard, as a ground station sees it."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+from pymavlink.dialects.v20 import common
+from vehicle_world import STEP_US, Flight, vehicle_config
+
+from autopilot.config import AutopilotConfig, CircleConfig, MissionItemConfig
+from autopilot.mavlink.modes import FlightMode
+from autopilot.onboard.phases import Phase
+from autopilot.params import ParameterError
+
+NAN = math.nan
+ACCEPTED, DENIED = common.MAV_RESULT_ACCEPTED, common.MAV_RESULT_DENIED
+REFUSED, UNSUPPORTED = common.MAV_RESULT_TEMPORARILY_REJECTED, common.MAV_RESULT_UNSUPPORTED
+ARM = common.MAV_CMD_COMPONENT_ARM_DISARM
+TAKE_OFF = common.MAV_CMD_NAV_TAKEOFF
+
+
+def flight_of(**autopilot):
+    config = replace(vehicle_config(), autopilot=AutopilotConfig(**autopilot), params_path="somewhere")
+    return Flight(config)
+
+
+def make_ready(flight):
+    commander = flight.vehicle.commander
+    assert flight.run(20.0, until=lambda: commander.arm(flight.now_us) is None)
+    commander.disarm()
+
+
+def set_parameter(flight, name, value, kind=common.MAV_PARAM_TYPE_REAL32):
+    flight.send(common.MAVLink_param_set_message(1, 1, name.encode(), value, kind))
+    flight.step()
+
+
+def modes_of(flight, *, after_us):
+    return [mode for time_us, mode, _ in flight.modes if time_us > after_us]
+
+
+def sticks(flight, *, x=0, y=0, z=500, r=0):
+    flight.send(common.MAVLink_manual_control_message(1, x, y, z, r, 0))
+
+
+def with_sticks(flight, seconds, **axes):
+    """Fly for some time with the sticks sent at 20 Hz."""
+    for _ in range(round(seconds / 0.048)):
+        sticks(flight, **axes)
+        flight.run(0.048)
+
+
+def test_a_mission_of_the_scenario_is_flown_and_brought_home():
+    items = (
+        MissionItemConfig(command="takeoff", height_m=4.0),
+        MissionItemConfig(command="waypoint", north_m=12.0, east_m=0.0, height_m=5.0),
+        MissionItemConfig(command="waypoint", north_m=12.0, east_m=10.0, height_m=5.0),
+        MissionItemConfig(command="return"),
+    )
+    with flight_of(mission=items, params={"RTL_RETURN_ALT": 6.0, "NAV_ACC_RAD": 1.0}) as flight:
+        make_ready(flight)
+        commander, runner = flight.vehicle.commander, flight.vehicle.pilot.navigator.mission.runner
+        assert flight.command(common.MAV_CMD_MISSION_START) == ACCEPTED
+        assert commander.armed
+        assert commander.mode is FlightMode.MISSION
+        # the site's metres lie where GPS says, which errs by metres: the estimate is what is flown
+        origin_ned_m = None
+        closest_m = [math.inf, math.inf]
+
+        def passed():
+            nonlocal origin_ned_m
+            state = flight.vehicle.flight.state
+            origin_ned_m = flight.vehicle.site.origin_ned_m(state)
+            pos_ne_m = (state.pos_ned_m + origin_ned_m)[:2]
+            for i, place in enumerate(((12.0, 0.0), (12.0, 10.0))):
+                closest_m[i] = min(closest_m[i], math.dist(pos_ne_m, place))
+            return commander.mode is FlightMode.RETURN
+
+        assert flight.run(60.0, until=passed)
+        assert max(closest_m) < 1.0
+        assert runner.finished
+        home_ned_m = flight.vehicle.flight.home.pos_ned_m
+        assert flight.run(60.0, until=lambda: not commander.armed)
+        assert math.dist(flight.vehicle.flight.state.pos_ned_m[:2], home_ned_m[:2]) < 0.8
+        assert flight.height_m == pytest.approx(0.0, abs=0.05)
+        assert modes_of(flight, after_us=0)[-3:] == ["Mission", "Return", "Hold"]
+
+
+def test_there_is_no_mission_mode_without_a_mission():
+    with Flight(vehicle_config()) as flight:
+        flight.take_off(5.0)
+        assert flight.command(common.MAV_CMD_DO_SET_MODE, 1.0, 4.0, 4.0) == REFUSED
+        assert flight.texts()[-1] == "Mode denied: no valid mission"
+
+
+def test_return_climbs_comes_home_and_lands():
+    with flight_of(params={"RTL_RETURN_ALT": 8.0, "RTL_DESCEND_ALT": 6.0, "RTL_MIN_DIST": 1.0}) as flight:
+        flight.take_off(5.0)
+        pilot = flight.vehicle.pilot
+        pilot.takeoff_altitude.amsl_m = None
+        for _ in range(120):  # 12 m to the north by offboard
+            flight.send(
+                common.MAVLink_set_position_target_local_ned_message(
+                    0, 1, 1, common.MAV_FRAME_LOCAL_NED, 0b1101_1111_1000, 12.0, 0.0, -5.0, *[0.0] * 8
+                )
+            )
+            flight.run(0.05)
+            if flight.vehicle.commander.mode is FlightMode.HOLD:
+                flight.command(common.MAV_CMD_DO_SET_MODE, 1.0, 6.0, 0.0)
+        assert flight.command(common.MAV_CMD_NAV_RETURN_TO_LAUNCH) == ACCEPTED
+        highest_m = [0.0]
+
+        def landed():
+            highest_m[0] = max(highest_m[0], -float(flight.vehicle.flight.state.pos_ned_m[2]))
+            return not flight.vehicle.commander.armed
+
+        assert flight.run(60.0, until=landed)
+        assert highest_m[0] == pytest.approx(8.0, abs=0.4)
+        home_ned_m = flight.vehicle.flight.home.pos_ned_m
+        assert math.dist(flight.vehicle.flight.state.pos_ned_m[:2], home_ned_m[:2]) < 0.8
+
+
+def test_position_mode_by_sticks_and_what_follows_when_they_are_gone():
+    with flight_of(params={"RTL_RETURN_ALT": 6.0}) as flight:
+        flight.take_off(5.0)
+        commander, state = flight.vehicle.commander, flight.vehicle.flight.state
+        assert flight.command(common.MAV_CMD_DO_SET_MODE, 1.0, 3.0, 0.0) == REFUSED
+        assert flight.texts()[-1] == "Mode denied: no manual control"
+        begin_ned_m = state.pos_ned_m.copy()
+        with_sticks(flight, 2.0, x=900)  # moved sticks take over from hold
+        assert commander.mode is FlightMode.POSITION
+        speed_m_s = math.hypot(*state.vel_ned_m_s[:2])
+        assert speed_m_s > 2.0
+        with_sticks(flight, 5.0)
+        assert math.hypot(*state.vel_ned_m_s[:2]) < 0.2
+        assert math.dist(state.pos_ned_m[:2], begin_ned_m[:2]) > 5.0
+        gone_us = flight.now_us
+        assert flight.run(1.0, until=lambda: commander.mode is FlightMode.HOLD)
+        assert flight.now_us - gone_us == pytest.approx(500_000, abs=60_000)  # COM_RC_LOSS_T
+        assert flight.texts()[-1] == "Failsafe: no manual control, Hold, Return in 5 s"
+        assert flight.run(5.1, until=lambda: commander.mode is FlightMode.RETURN)
+
+
+def test_altitude_and_stabilised_need_no_gps_and_a_stick_takes_off():
+    with Flight(vehicle_config(), gps=False) as flight:
+        for _ in range(100):
+            sticks(flight, z=0)
+            flight.run(0.048)
+        assert flight.command(common.MAV_CMD_DO_SET_MODE, 1.0, 2.0, 0.0) == ACCEPTED
+        assert flight.command(ARM, 1.0) == ACCEPTED
+        with_sticks(flight, 6.0, z=800)
+        assert flight.height_m > 1.0
+        with_sticks(flight, 2.0)
+        held_m = float(flight.vehicle.flight.state.pos_ned_m[2])
+        with_sticks(flight, 3.0)
+        assert float(flight.vehicle.flight.state.pos_ned_m[2]) == pytest.approx(held_m, abs=0.3)
+        assert flight.command(common.MAV_CMD_DO_SET_MODE, 1.0, 7.0, 0.0) == ACCEPTED
+        with_sticks(flight, 1.0, y=500)
+        roll_rad = 2.0 * math.asin(flight.world.truth.q_ned_frd[0, 1])
+        assert math.degrees(roll_rad) > 5.0
+        with_sticks(flight, 1.5)
+        roll_rad = 2.0 * math.asin(flight.world.truth.q_ned_frd[0, 1])
+        assert abs(math.degrees(roll_rad)) < 5.0
+
+
+def test_a_battery_that_runs_down_is_reported_and_lands_the_vehicle():
+    with flight_of(params={"COM_LOW_BAT_ACT": 2}) as flight:
+        flight.take_off(5.0)
+        commander, battery = flight.vehicle.commander, flight.vehicle.monitor.battery
+        status = flight.vehicle.telemetry.battery_status()
+        assert status.battery_remaining == pytest.approx(100.0 * battery.remaining, abs=1.0)
+        assert status.current_battery == pytest.approx(1700.0, rel=0.1)  # four motors of 4 A, and 1 A
+        drawn_mah = battery.consumed_mah
+        set_parameter(flight, "BAT1_CAPACITY", drawn_mah / 0.92)  # acts at once
+        assert flight.run(8.0, until=lambda: commander.mode is FlightMode.HOLD and commander.failsafe)
+        assert flight.run(5.1, until=lambda: commander.mode is FlightMode.LAND)
+        assert any(text.startswith("Failsafe: battery") for text in flight.texts())
+        assert flight.run(30.0, until=lambda: not commander.armed)
+        assert flight.command(ARM, 1.0) == REFUSED
+        assert flight.texts()[-1] == "Arming denied: battery low"
+
+
+def test_a_fence_of_the_scenario_holds_the_vehicle_and_refuses_arming_outside():
+    fence = (CircleConfig(north_m=0.0, east_m=0.0, radius_m=12.0),)
+    with flight_of(fence=fence, params={"GF_ACTION": 2}) as flight:
+        flight.take_off(5.0)
+        commander = flight.vehicle.commander
+        assert flight.vehicle.monitor.breach is None
+        with_sticks(flight, 0.5, x=900)
+        assert commander.mode is FlightMode.POSITION
+        for _ in range(200):
+            with_sticks(flight, 0.096, x=900)
+            if commander.failsafe:
+                break
+        assert commander.mode is FlightMode.HOLD
+        assert flight.texts()[-1] == "Failsafe: geofence, Hold"
+        assert flight.vehicle.monitor.breach is not None
+        bits = common.MAV_SYS_STATUS_GEOFENCE
+        assert not flight.vehicle.telemetry.sys_status().onboard_control_sensors_health & bits
+
+
+def test_a_ground_station_that_falls_silent():
+    with flight_of(params={"NAV_DLL_ACT": 3, "COM_DL_LOSS_T": 5.0, "COM_FAIL_ACT_T": 2.0}) as flight:
+        heartbeat = common.MAVLink_heartbeat_message(
+            common.MAV_TYPE_GCS, common.MAV_AUTOPILOT_INVALID, 0, 0, common.MAV_STATE_ACTIVE, 3
+        )
+        commander = flight.vehicle.commander
+        flight.run(12.0)
+        assert flight.command(ARM, 1.0) == REFUSED
+        assert flight.texts()[-1] == "Arming denied: no ground station"
+        for _ in range(14):
+            flight.send(heartbeat)
+            flight.run(1.0)
+            if not commander.armed:
+                flight.command(ARM, 1.0)
+                flight.command(TAKE_OFF, 0.0, 0.0, 0.0, NAN, NAN, NAN, NAN)
+        assert commander.mode is FlightMode.HOLD
+        assert not commander.failsafe
+        heard_us = flight.now_us - 1_000_000
+        assert flight.run(6.0, until=lambda: commander.failsafe)
+        assert flight.now_us - heard_us == pytest.approx(5_000_000, abs=150_000)
+        assert flight.run(2.1, until=lambda: commander.mode is FlightMode.LAND)
+
+
+def test_termination_by_command_stops_the_motors_for_good():
+    with Flight(vehicle_config()) as flight:
+        flight.take_off(5.0)
+        assert flight.command(common.MAV_CMD_DO_FLIGHTTERMINATION, 1.0) == ACCEPTED
+        assert flight.step().actuators.controls == [0.0] * 16
+        assert flight.run(5.0, until=lambda: flight.height_m < 0.05)
+        assert flight.command(ARM, 1.0) == DENIED
+        assert flight.texts()[-1] == "Arming denied: flight was terminated"
+
+
+def test_all_that_stands_against_arming_is_told_on_request():
+    with Flight(vehicle_config(), gps=False) as flight:
+        flight.run(3.0)
+        assert flight.command(common.MAV_CMD_RUN_PREARM_CHECKS) == ACCEPTED
+        reasons = ["GPS fix", "velocity estimate", "position estimate"]
+        assert flight.texts() == [f"Arming denied: no {reason}" for reason in reasons]
+        prearm = common.MAV_SYS_STATUS_PREARM_CHECK
+        assert not flight.vehicle.telemetry.sys_status().onboard_control_sensors_health & prearm
+
+
+def test_parameters_act_in_flight_and_are_saved_when_asked():
+    with flight_of() as flight:
+        flight.take_off(5.0)
+        vehicle = flight.vehicle
+        flight.run(3.0)
+        integral_m_s2 = vehicle.pilot.controller._position.integral
+        hover = vehicle.pilot.controller.hover_thrust
+        set_parameter(flight, "MPC_XY_P", 1.1)
+        set_parameter(flight, "EKF2_GPS_V_NOISE", 0.3)
+        assert vehicle.parameters.get("MPC_XY_P") == pytest.approx(1.1)
+        assert vehicle.pilot.controller.hover_thrust == pytest.approx(hover, abs=1e-3)
+        np.testing.assert_allclose(vehicle.pilot.controller._position.integral, integral_m_s2, atol=0.02)
+        with pytest.raises(ParameterError, match="at the start"):
+            vehicle.set_parameter("EKF2_GPS_DELAY", 100.0)
+        before = vehicle.flight.state.pos_ned_m.copy()
+        flight.run(2.0)
+        assert np.abs(vehicle.flight.state.pos_ned_m - before).max() < 0.3
+        flight.send(
+            common.MAVLink_command_long_message(1, 1, common.MAV_CMD_PREFLIGHT_STORAGE, 0, 1.0, *[0.0] * 6)
+        )
+        assert flight.step().save_parameters
+        assert not flight.step().save_parameters
+    with Flight(vehicle_config()) as flight:  # that has no file
+        assert flight.command(common.MAV_CMD_PREFLIGHT_STORAGE, 1.0) == UNSUPPORTED
+        assert flight.now_us == STEP_US
+
+
+def test_sticks_for_another_vehicle_are_not_ours():
+    with Flight(vehicle_config()) as flight:
+        flight.take_off(5.0)
+        for _ in range(3):
+            flight.send(common.MAVLink_manual_control_message(99, 1000, 0, 500, 0, 0))
+            flight.run(0.05)
+        assert flight.vehicle.manual.sticks is None
+        assert flight.vehicle.commander.mode is FlightMode.HOLD
+
+
+def test_arming_asks_for_the_charge_that_the_parameter_names():
+    with flight_of(params={"COM_ARM_BAT_MIN": 0.9}) as flight:
+        make_ready(flight)
+        flight.vehicle.set_parameter("BAT1_CAPACITY", 20.0)  # of which avionics have drawn some
+        flight.run(8.0)
+        assert flight.command(ARM, 1.0) == REFUSED
+        assert flight.texts()[-1] == "Arming denied: battery below COM_ARM_BAT_MIN"
+
+
+def test_an_inertial_sensor_that_falls_silent_is_no_estimate():
+    """What the filter last knew stays where it is: without new samples it must not be flown by."""
+    with Flight(vehicle_config()) as flight:
+        flight.take_off(5.0)
+        sensors = flight.vehicle._sensors
+        take = sensors.take
+        sensors.take = lambda *_: False
+        begin_us = flight.now_us
+        assert flight.run(2.0, until=lambda: flight.vehicle.commander.terminated)
+        # 100 ms until the sensor counts as gone, and half a second in case it comes back
+        assert flight.now_us - begin_us == pytest.approx(600_000, abs=2 * STEP_US)
+        sensors.take = take
+
+
+@pytest.mark.parametrize("action", [2, 5])
+def test_the_application_leaves_a_failsafe_alone_and_does_not_take_off_again(action):
+    """Its place lies above the ceiling: it yields to the hold, and after a landing stays down."""
+    config = replace(
+        vehicle_config(onboard=True),
+        autopilot=AutopilotConfig(
+            params={"GF_MAX_VER_DIST": 1.0, "GF_ACTION": action, "COM_FAIL_ACT_T": 0.0}
+        ),
+    )
+    with Flight(config) as flight:
+        vehicle = flight.vehicle
+        assert flight.run(30.0, until=lambda: vehicle.commander.failsafe)
+        flight.run(20.0)
+        assert vehicle.app.phase is (Phase.YIELDED if action == 2 else Phase.LANDED)
+        assert vehicle.commander.armed is (action == 2)
+        assert vehicle.commander.mode is FlightMode.HOLD
+        assert max(flight.height_m, 0.0) < 3.0
+        armings = [armed for _, _, armed in flight.modes]
+        assert sum(after and not before for before, after in pairwise(armings)) == 1
