@@ -3,7 +3,7 @@
 Sensor readings to MAVLink bytes, and what a vehicle's answer says.
 
 Pure: sockets are `harness.lockstep`'s. Units on the wire are those that PX4 decodes (facts of HIL_SENSOR,
-HIL_GPS): gauss, hPa, degC; degE7, mm, cm/s; eph and epv in cm.
+HIL_GPS): gauss, hPa, degC; degE7, mm, cm/s; eph and epv in cm. Integers saturate.
 """
 
 import math
@@ -15,6 +15,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from autopilot.estimation.atmosphere import altitude_m
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.hil import HilActuatorControls, HilSensor, pack
+from harness.esc import EscReadings, pack_escs
 from harness.sensors.suite import BaroSamples, GpsFixes, SensorFrame
 
 SIMULATOR_SYSTEM_ID = 0
@@ -23,7 +24,7 @@ _IMU = 0x3F
 _MAG = 0x1C0
 _BARO = 0x1A00
 """Absolute pressure, pressure altitude and temperature."""
-_COURSE_UNKNOWN = 65_535
+_UNKNOWN = 65_535
 _COURSE_LEAST_SPEED_M_S = 0.1
 _SATELLITES = 10
 _NO_FIELD = (0.0, 0.0, 0.0)
@@ -37,14 +38,24 @@ class SensorEncoder:
         self._mav = mavlink.MAVLink(None, srcSystem=SIMULATOR_SYSTEM_ID, srcComponent=SIMULATOR_COMPONENT_ID)
         self._sequence = 0
 
-    def encode(self, time_us: int, frame: SensorFrame) -> Iterator[bytes]:
+    def encode(self, time_us: int, frame: SensorFrame, escs: EscReadings | None = None) -> Iterator[bytes]:
         """Frames for one vehicle after the other, each made when it is asked for.
 
-        HIL_GPS when a fix is due, then HIL_SENSOR, which is what lets a vehicle's clock go on.
+        ESC_STATUS when there are readings of motors, HIL_GPS when a fix is due, then HIL_SENSOR, which is
+        what lets a vehicle's clock go on.
         """
-        fix_sequence, sequence = self._sequence, (self._sequence + (frame.gps is not None)) % 256
+        fix_sequence = (self._sequence + (escs is not None)) % 256
+        sequence = (fix_sequence + (frame.gps is not None)) % 256
+        motors: Iterable[bytes] = repeat(b"")
+        if escs is not None:
+            motors = pack_escs(
+                time_us,
+                escs,
+                sequence=self._sequence,
+                system=SIMULATOR_SYSTEM_ID,
+                component=SIMULATOR_COMPONENT_ID,
+            )
         self._sequence = (sequence + 1) % 256
-        self._mav.seq = fix_sequence
         fields = _IMU
         inertial = zip(frame.accel_frd_m_s2.tolist(), frame.gyro_frd_rad_s.tolist(), strict=True)
         mag: Iterable[Sequence[float]] = repeat(_NO_FIELD)
@@ -55,14 +66,18 @@ class SensorEncoder:
         if frame.baro is not None:
             fields |= _BARO
             baro = _baro(frame.baro)
-        for vehicle, ((accel, gyro), field, air) in enumerate(zip(inertial, mag, baro, strict=False)):
+        each = zip(inertial, mag, baro, motors, strict=False)
+        for vehicle, ((accel, gyro), field, air, motor) in enumerate(each):
             sensor = pack(
                 HilSensor._make((time_us, *accel, *gyro, *field, *air, fields, 0)),
                 sequence=sequence,
                 system=SIMULATOR_SYSTEM_ID,
                 component=SIMULATOR_COMPONENT_ID,
             )
-            yield sensor if frame.gps is None else _gps(vehicle, time_us, frame.gps).pack(self._mav) + sensor
+            if frame.gps is not None:
+                self._mav.seq = fix_sequence
+                sensor = _gps(vehicle, time_us, frame.gps).pack(self._mav) + sensor
+            yield motor + sensor
 
 
 def _baro(baro: BaroSamples) -> list[tuple[float, float, float, float]]:
@@ -75,22 +90,26 @@ def _baro(baro: BaroSamples) -> list[tuple[float, float, float, float]]:
 
 
 def _gps(vehicle: int, time_us: int, fixes: GpsFixes) -> Message:
+    if fixes.lost is not None and fixes.lost[vehicle]:
+        return mavlink.MAVLink_hil_gps_message(
+            time_us, mavlink.GPS_FIX_TYPE_NO_FIX, 0, 0, 0, _UNKNOWN, _UNKNOWN, _UNKNOWN, 0, 0, 0, _UNKNOWN, 0
+        )
     north, east, down = fixes.vel_ned_m_s[vehicle].tolist()
     speed_m_s = math.hypot(north, east)
     course_cdeg = round(math.degrees(math.atan2(east, north)) * 100) % 36_000
     return mavlink.MAVLink_hil_gps_message(
         time_us,
         mavlink.GPS_FIX_TYPE_3D_FIX,
-        round(fixes.lat_deg[vehicle] * 1e7),
-        round(fixes.lon_deg[vehicle] * 1e7),
-        round(fixes.alt_m[vehicle] * 1e3),
+        _i32(fixes.lat_deg[vehicle] * 1e7),
+        _i32(fixes.lon_deg[vehicle] * 1e7),
+        _i32(fixes.alt_m[vehicle] * 1e3),
         _u16(fixes.eph_m * 100),
         _u16(fixes.epv_m * 100),
         _u16(speed_m_s * 100),
-        round(north * 100),
-        round(east * 100),
-        round(down * 100),
-        course_cdeg if speed_m_s > _COURSE_LEAST_SPEED_M_S else _COURSE_UNKNOWN,
+        _i16(north * 100),
+        _i16(east * 100),
+        _i16(down * 100),
+        course_cdeg if speed_m_s > _COURSE_LEAST_SPEED_M_S else _UNKNOWN,
         _SATELLITES,
     )
 
@@ -101,4 +120,12 @@ def is_armed(answer: HilActuatorControls) -> bool:
 
 
 def _u16(value: float) -> int:
-    return min(max(round(value), 0), 65_535)
+    return round(min(max(value, 0.0), 65_535.0))
+
+
+def _i16(value: float) -> int:
+    return round(min(max(value, -32_768.0), 32_767.0))
+
+
+def _i32(value: float) -> int:
+    return round(min(max(value, -2_147_483_648.0), 2_147_483_647.0))

@@ -7,8 +7,11 @@ whoever drives it can look at the truth, kill a vehicle or cut the channel at an
 get the same run again.
 """
 
+from typing import Literal
+
 from msgspec import Struct
 
+from harness.faults import AnyFault
 from netsim.child import Stop
 
 Vector = tuple[float, float, float]
@@ -42,7 +45,13 @@ class SetPid(Command, frozen=True, kw_only=True):
     pid: int
 
 
-AnyCommand = RunUntil | SetAttenuation | SetPid | Stop
+class InjectFault(Command, frozen=True, kw_only=True):
+    """From the next step on, or the fault's ``start_s`` later, have it in force."""
+
+    fault: AnyFault
+
+
+AnyCommand = RunUntil | SetAttenuation | SetPid | InjectFault | Stop
 
 
 class Event(Struct, frozen=True, kw_only=True, tag_field="event", tag=str.lower):
@@ -111,4 +120,18 @@ class Collision(Event, frozen=True, kw_only=True):
     pos_ned_m: Vector
 
 
-AnyEvent = Progress | Paused | Formed | VehicleLost | VehicleSilent | Collision
+class FaultChanged(Event, frozen=True, kw_only=True):
+    """A fault comes into force or has been; ``time_us`` is that of the first step with or without it."""
+
+    number: int
+    """Among the scenario's faults, from 0 on; those that are injected count on from there."""
+    instance: int | None
+    """None: every vehicle."""
+    what: str
+    """Its kind, as in a scenario."""
+    motor: int | None
+    """None: of a sensor."""
+    change: Literal["began", "ended"]
+
+
+AnyEvent = Progress | Paused | Formed | VehicleLost | VehicleSilent | Collision | FaultChanged

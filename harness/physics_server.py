@@ -23,14 +23,18 @@ from autopilot.mavlink.codec import Message
 from autopilot.mavlink.hil import HilActuatorControls
 from autopilot.mavlink.modes import mode_from_custom
 from autopilot.onboard.phases import Phase
+from harness import esc
 from harness.air import Air, RadioSilent
+from harness.faults import AnyFault, Faults, kind
 from harness.hil import SensorEncoder, is_armed
 from harness.lockstep import ConnectTimeout, Lockstep
 from harness.messages import (
     AnyCommand,
     AnyEvent,
     Collision,
+    FaultChanged,
     Formed,
+    InjectFault,
     Paused,
     Progress,
     RunUntil,
@@ -47,7 +51,7 @@ from harness.physics.world import World
 from harness.recording import AIR_RECORD, EVENT_KINDS, TRUTH_RECORD
 from harness.run_folder import PhysicsConfig
 from harness.sensors.suite import SensorSuite
-from harness.wind import GustyWind
+from harness.wind import Wind, WindNow
 from netsim.child import Finished, Ready, Stop, commands, emit
 from netsim.radio import BATCH_HANDED_OVER
 from netsim.record_log import RecordLog
@@ -70,7 +74,7 @@ class Simulation:
         self._air = air
         self._step_us = scenario.run.step_us
         n = scenario.agents
-        streams = np.random.SeedSequence([scenario.run.seed, STREAM]).spawn(2)
+        streams = np.random.SeedSequence([scenario.run.seed, STREAM]).spawn(3)
         self._places_ned_m = scenario.places_ned_m()
         spawn_ned_m = self._places_ned_m.copy()  # on the ground below the places
         spawn_ned_m[:, 2] = -IRIS.standing_height_m
@@ -79,11 +83,24 @@ class Simulation:
             spawn_pos_ned_m=spawn_ned_m,
             spawn_yaw_rad=float(np.radians(scenario.formation.heading_deg)),
             step_us=self._step_us,
+            environment=scenario.environment,
+            ground_altitude_m=scenario.site.altitude_m,
         )
-        self._wind = GustyWind(scenario.wind, n, np.random.default_rng(streams[0]))
+        self._wind = Wind(
+            scenario.wind,
+            n,
+            np.random.default_rng(streams[0]),
+            formation_height_m=scenario.formation.height_m,
+        )
         self._sensors = SensorSuite(
-            config=scenario.sensors, site=scenario.site, vehicles=n, step_us=self._step_us, seed=streams[1]
+            config=scenario.sensors,
+            site=scenario.site,
+            vehicles=n,
+            step_us=self._step_us,
+            seed=streams[1],
+            temperature_offset_k=scenario.environment.temperature_offset_k,
         )
+        self._faults = Faults(scenario.faults, n, np.random.default_rng(streams[2]))
         self._encoder = SensorEncoder()
         self.patience = Patience(scenario.run.silence_limit_s)
         self.lockstep = Lockstep(
@@ -103,7 +120,7 @@ class Simulation:
         self._controls: list[Sequence[float]] = [[0.0] * ROTORS for _ in range(n)]
         self._armed = [False] * n
         self._stopped = np.zeros(n, dtype=bool)
-        self._wind_ned_n = np.zeros((n, 3))
+        self._wind_now = WindNow(np.zeros((n, 3)), np.zeros((n, 3)))
         self._modes = [""] * n
         self._phases: list[Phase | None] = [None] * n
         self._phase_news = False
@@ -128,12 +145,16 @@ class Simulation:
         """
         truth = self._world.truth
         alive = [seat.alive for seat in self.lockstep.seats]
-        self.lockstep.send(self._encoder.encode(self.time_us, self._sensors.sample(self.time_us, truth)))
+        self._advance_faults()
+        frame = self._sensors.sample(self.time_us, truth, self._faults)
+        self.lockstep.send(self._encoder.encode(self.time_us, frame, self._escs(truth)))
         recorded = self.time_us % self._scenario.record_period_us == 0
         if recorded:
             self._record(truth, alive)
         self.notice_collisions()
-        self._wind_ned_n = self._wind.step(self._step_us * 1e-6)
+        self._wind_now = self._wind.step(
+            self._step_us * 1e-6, time_us=self.time_us, height_m=-truth.pos_ned_m[:, 2]
+        )
         self._sensors.look_ahead()
         answers = self.lockstep.answers(self.time_us)
         self.settle()
@@ -142,15 +163,44 @@ class Simulation:
             if recorded:
                 self._air_log.append([(self.time_us, self._air.busy_ns)])
             self._air.begin(self.time_us, self._step_us, truth.pos_ned_m, truth.vel_ned_m_s, self._gone())
+        stopped = self._faults.rotor_stopped
         self._world.step(
             np.array(self._controls),
             np.array(self._armed),
-            self._wind_ned_n,
-            rotors_stopped=self._stopped,
+            self._wind_now.force_ned_n,
+            rotors_stopped=self._stopped if stopped is None else stopped | self._stopped[:, None],
+            air_vel_ned_m_s=self._wind_now.air_vel_ned_m_s,
+            rotor_effectiveness=self._faults.rotor_effectiveness,
         )
         self.time_us += self._step_us
         if self._phase_news:
             self._notice_formation()
+
+    def inject(self, fault: AnyFault) -> None:
+        """Have a fault begin its ``start_s`` after the next step. Raises ValueError for a wrong vehicle."""
+        self._faults.add(fault, self.time_us)
+
+    def _advance_faults(self) -> None:
+        """Bring the faults to this step, and report which end and begin."""
+        for change in self._faults.advance(self.time_us):
+            self._emit(
+                FaultChanged(
+                    time_us=self.time_us,
+                    number=change.number,
+                    instance=None if change.fault.uav == "all" else change.fault.uav,
+                    what=kind(change.fault),
+                    motor=change.motor,
+                    change="began" if change.began else "ended",
+                )
+            )
+
+    def _escs(self, truth: Truth) -> esc.EscReadings | None:
+        """What the motors' controllers report, when it is time."""
+        if self.time_us % esc.PERIOD_US >= self._step_us:
+            return None
+        return esc.readings(
+            truth.rotor_speed_rad_s, self._faults.rotor_effectiveness, self._world.density_ratio
+        )
 
     def settle(self) -> None:
         """Wait until the air is through with what it was let do, and every vehicle has its deliveries."""
@@ -217,7 +267,8 @@ class Simulation:
                 truth.vel_ned_m_s,
                 truth.q_ned_frd,
                 truth.omega_frd_rad_s,
-                self._wind_ned_n,
+                self._wind_now.force_ned_n,
+                self._wind_now.air_vel_ned_m_s,
                 truth.rotor_speed_rad_s,
                 strict=True,
             )
@@ -332,6 +383,8 @@ def serve(config: PhysicsConfig, listeners: list[socket.socket], radio_endpoint:
                 case SetAttenuation(extra_attenuation_db=attenuation_db):
                     if air is not None:
                         air.extra_attenuation_db = attenuation_db
+                case InjectFault(fault=fault):
+                    simulation.inject(fault)
                 case SetPid(instance=instance, pid=pid):
                     simulation.patience.set_pid(instance, pid)
                 case Stop():

@@ -29,7 +29,7 @@ from harness.supervisor import (
     bind,
     interrupts_deferred,
 )
-from netsim.child import Finished, Influenced, Ready
+from netsim.child import Finished, Influenced, Ready, Warned
 
 PHYSICS, RADIO = "physics", "radio"
 START_LIMIT_S = 120.0
@@ -51,7 +51,7 @@ class Notice(Struct, frozen=True, kw_only=True):
 
 
 Message = ChildMessage | Exited | Notice
-Happening = AnyEvent | Exited
+Happening = AnyEvent | Warned | Exited
 
 
 class SwarmError(Exception):

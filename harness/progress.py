@@ -12,9 +12,18 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from harness.messages import Collision, Formed, Progress, VehicleLost, VehicleSilent, VehicleTruth
+from harness.messages import (
+    Collision,
+    FaultChanged,
+    Formed,
+    Progress,
+    VehicleLost,
+    VehicleSilent,
+    VehicleTruth,
+)
 from harness.processes import Message, Notice, uav
 from harness.supervisor import Exited
+from netsim.child import Warned
 
 LINE_PERIOD_S = 3.0
 """Wall time between two plain lines."""
@@ -52,6 +61,12 @@ def describe(message: Message) -> str | None:
             return f"{_at(message.time_us)}: {uav(message.instance)} {silence}"
         case Collision():
             return f"{_at(message.time_us)}: {uav(message.first)} and {uav(message.second)} touched"
+        case FaultChanged():
+            who = "every uav" if message.instance is None else uav(message.instance)
+            what = message.what if message.motor is None else f"{message.what}, number {message.motor}"
+            return f"{_at(message.time_us)}: fault {message.number} ({what}) of {who} {message.change}"
+        case Warned():
+            return f"{_at(message.time_us)}: {message.name}: {message.text}"
         case Notice():
             return message.text
         case Exited() if message.returncode:

@@ -13,15 +13,17 @@ TRUTH_RECORD = np.dtype(
         ("q_ned_frd", "f8", 4),
         ("omega_frd_rad_s", "f8", 3),
         ("wind_force_ned_n", "f8", 3),
+        ("wind_vel_ned_m_s", "f8", 3),
         ("rotor_speed_rad_s", "f8", 4),
     ]
 )
 """One row per vehicle and recorded instant.
 
-The state at ``time_us``, the wind and rotors of the step that led to it.
+The state at ``time_us``, the wind and rotors of the step that led to it. Of the wind one is zero: it is a
+force or a velocity.
 """
 
 AIR_RECORD = np.dtype([("time_us", "i8"), ("busy_ns", "i8")])
 """One row per recorded instant: time since the start for which the channel carried something."""
-EVENT_KINDS = ("formed", "vehiclelost", "collision")
+EVENT_KINDS = ("formed", "vehiclelost", "collision", "faultchanged")
 """Events that belong to the run itself, not to the wall clock; they are written to events.jsonl."""

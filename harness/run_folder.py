@@ -4,6 +4,7 @@ manifest.json summary.json events.jsonl      what ran, what came out, what happe
 flight.parquet radio.parquet ftm.parquet      truth and estimates, every frame, every ranging session
 air.parquet                                   channel occupancy over time
 figures/*.png  logs/*.log  config/*.json       pictures, the processes' messages, their settings
+uav-0.params ...                              parameters that a ground station had saved
 raw/                                          binary logs while the run lasts
 """
 
@@ -95,7 +96,10 @@ class RunFolder:
             instance, run_id=run_id, radio_endpoint=radio_endpoint, log_path=str(self.raw_vehicle(instance))
         )
         ports = msgspec.structs.replace(config.ports, simulator_tcp=simulator_port)
-        return self._write(f"uav-{instance}", msgspec.structs.replace(config, ports=ports))
+        params_path = str(self.path / f"uav-{instance}.params")
+        return self._write(
+            f"uav-{instance}", msgspec.structs.replace(config, ports=ports, params_path=params_path)
+        )
 
     def _write(self, name: str, config: msgspec.Struct) -> Path:
         path = self.config / f"{name}.json"

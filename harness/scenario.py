@@ -20,6 +20,10 @@ from scipy.spatial.distance import pdist
 from antenna.config import AntennaConfig
 from antenna.geometry import grid
 from autopilot.config import AutopilotConfig, Devices, OnboardConfig, Port, Site, VehicleConfig, VehiclePorts
+from autopilot.parameter_file import ParameterFileError
+from harness import autopilot_settings
+from harness.faults import AnyFault, check
+from harness.physics.environment import EnvironmentConfig
 from harness.sensors.config import SensorsConfig
 from harness.wind import WindConfig
 from netsim.config import RadioConfig
@@ -87,7 +91,9 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     run: RunConfig = RunConfig()
     formation: FormationConfig = FormationConfig()
     site: Site = Site()
+    environment: EnvironmentConfig = EnvironmentConfig()
     wind: WindConfig = WindConfig()
+    faults: tuple[AnyFault, ...] = ()
     sensors: SensorsConfig = SensorsConfig()
     autopilot: AutopilotConfig = AutopilotConfig()
     onboard: OnboardConfig = OnboardConfig()
@@ -97,6 +103,9 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         """Check what no single field can."""
+        autopilot_settings.check(self.autopilot, self.site, self.agents)
+        for number, fault in enumerate(self.faults):
+            check(fault, self.agents, path=f"faults[{number}]")
         nearest_m = min(pdist(self.places_ned_m()), default=math.inf)
         if nearest_m < MIN_SPACING_M:
             raise ValueError(
@@ -145,7 +154,7 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
                 companion_remote_udp=companion_remote_udp,
                 radio_endpoint=radio_endpoint,
             ),
-            autopilot=self.autopilot,
+            autopilot=self.autopilot.for_uav(instance),
             onboard=self.onboard,
             devices=Devices(
                 gps_delay_s=self.sensors.gps_model().delay_s,
@@ -187,9 +196,13 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
     for override in overrides:
         _override(table, override)
     try:
-        return msgspec.convert(table, Scenario)
+        scenario = msgspec.convert(table, Scenario)
+        autopilot = autopilot_settings.with_parameter_file(scenario.autopilot, path.parent)
     except msgspec.ValidationError as error:
         raise ScenarioError(f"{path}: {_explain(error)}") from None
+    except ParameterFileError as error:
+        raise ScenarioError(f"{path}: autopilot.params_file: {error}") from None
+    return msgspec.structs.replace(scenario, autopilot=autopilot)
 
 
 def _override(table: dict[str, Any], override: str) -> None:

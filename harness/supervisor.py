@@ -27,7 +27,7 @@ import psutil
 from msgspec import Struct
 
 from harness.messages import AnyCommand, AnyEvent
-from netsim.child import Finished, Influenced, Ready, Stop
+from netsim.child import Finished, Influenced, Ready, Stop, Warned
 
 MARK = "COFLIGHT_CHILD"
 """Environment variable of every child and whatever it starts: ``<supervisor's token>/<child's name>``."""
@@ -58,7 +58,7 @@ class Exited(Struct, frozen=True, kw_only=True):
         return f"{self.name} (pid {self.pid}) {ending(self.returncode)}"
 
 
-ChildMessage = Ready | Finished | Influenced | AnyEvent
+ChildMessage = Ready | Finished | Influenced | Warned | AnyEvent
 Heard = tuple[str, ChildMessage | Exited]
 """Child's name, and what it said or how it ended."""
 _decoder = msgspec.json.Decoder(ChildMessage)

@@ -26,7 +26,8 @@ from typing import Any, Literal, Self
 
 import msgspec
 
-from harness.messages import Paused, RunUntil, SetAttenuation, VehicleLost
+from harness.faults import AnyFault, validated
+from harness.messages import InjectFault, Paused, RunUntil, SetAttenuation, VehicleLost
 from harness.processes import (
     Happening,
     Message,
@@ -255,6 +256,15 @@ class Swarm:
         """Give the channel back the scenario's own attenuation from the next step on."""
         self._intervene("restore the channel")
         self._processes.send(SetAttenuation(extra_attenuation_db=None))
+
+    def inject(self, fault: AnyFault) -> None:
+        """Have something fail from the next step on, or ``fault.start_s`` after it.
+
+        Raises ValueError for a fault that cannot be.
+        """
+        fault = validated(fault, self.scenario.agents)
+        self._intervene(f"inject {msgspec.json.encode(fault).decode()}")
+        self._processes.send(InjectFault(fault=fault))
 
     def _intervene(self, what: str) -> None:
         self._interventions.append(f"{self.truth.t_s:.3f} s: {what}")

@@ -1,1 +1,1 @@
-"""Rigid bodies, rotors and contacts: what really happens to the vehicles. No sensors, no wind."""
+"""Rigid bodies, rotors and contacts: what really happens to the vehicles. Wind and faults are given."""

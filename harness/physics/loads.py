@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 
 from autopilot.types import Array
 from harness.physics.bodies import Bodies, integrable_torques
+from harness.physics.environment import Surroundings
 from harness.physics.rotors import RotorKernelModel, rotor_speeds, wrenches
 
 
@@ -18,6 +19,7 @@ def loads(
     controls: Array,
     powered: NDArray[np.bool_],
     wind_force_ned_n: Array,
+    surroundings: Surroundings,
     step_s: float,
 ) -> tuple[Array, Array, Array]:
     """Rotor speeds (n, 4) one step on, and force and torque (n, 3) at the centres of mass for Bullet, NED.
@@ -26,7 +28,7 @@ def loads(
     """
     after_rad_s = rotor_speeds(model, rotor_speed_rad_s, controls, powered)
     force_ned_n, torque_ned_n_m = wrenches(
-        model, bodies.q_ned_frd, bodies.vel_ned_m_s, bodies.omega_ned_rad_s, after_rad_s
+        model, bodies.q_ned_frd, bodies.vel_ned_m_s, bodies.omega_ned_rad_s, after_rad_s, surroundings
     )
     force_ned_n += wind_force_ned_n
     return after_rad_s, force_ned_n, integrable_torques(inertia_kg_m2, bodies, torque_ned_n_m, step_s)

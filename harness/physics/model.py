@@ -36,6 +36,11 @@ class VehicleModel:
     """Torque about the rotor's axis over its static thrust."""
     rotor_drag_n_s2_m: float = 1.75e-4
     """In-plane force over rotor speed and in-plane air speed, N/(rad/s)/(m/s)."""
+    drag_n_s_m: float = 0.0
+    """Force on the body, against its motion through the air, over the speed of that. Gazebo's Iris has none:
+    its drag is its rotors'."""
+    rotor_radius_m: float = 0.128
+    """Matters to the ground effect alone."""
     rolling_moment_n_s2: float = 1e-6
     """Rolling moment over rotor speed and in-plane air speed, N m/(rad/s)/(m/s)."""
     axial_speed_limit_m_s: float = 25.0

@@ -7,7 +7,7 @@ from harness.physics.model import IRIS
 from harness.physics.world import World
 from harness.sensors.config import SensorsConfig
 from harness.sensors.suite import SensorSuite
-from harness.wind import GustyWind, WindConfig
+from harness.wind import Wind, WindConfig
 
 STEPS = 100
 _STEP_US = 4_000
@@ -25,12 +25,19 @@ def rehearse() -> None:
         seed=np.random.SeedSequence(0),
     )
     with World(model=IRIS, spawn_pos_ned_m=spawn_ned_m, spawn_yaw_rad=0.0, step_us=_STEP_US) as world:
-        wind = GustyWind(WindConfig(), vehicles, np.random.default_rng(0))
+        forces, turbulent_air = (
+            Wind(config, vehicles, np.random.default_rng(0))
+            for config in (WindConfig(), WindConfig(kind="velocity", turbulence="dryden"))
+        )
+        dt_s, height_m = _STEP_US * 1e-6, np.full(vehicles, 1.0)
         for step in range(STEPS):
             sensors.sample(step * _STEP_US, world.truth)
             world.step(
                 np.full((vehicles, 4), 0.8),
                 np.ones(vehicles, dtype=bool),
-                wind.step(_STEP_US * 1e-6),
+                forces.step(dt_s, time_us=step * _STEP_US, height_m=height_m).force_ned_n,
                 rotors_stopped=np.zeros(vehicles, dtype=bool),
+                air_vel_ned_m_s=turbulent_air.step(
+                    dt_s, time_us=step * _STEP_US, height_m=height_m
+                ).air_vel_ned_m_s,
             )

@@ -1,8 +1,10 @@
-"""Forces and torques of the rotors: kernels over all vehicles at once.
+"""Forces and torques of rotors and air: kernels over all vehicles at once.
 
 The model is PX4's `gazebo_motor_model`: thrust and yaw torque by the square of the speed, in-plane drag and
 rolling moment after P. Martin and E. Salaün, "The true role of accelerometer feedback in quadrotor control",
-ICRA 2010.
+ICRA 2010. All of them go with the density of the air, of which Gazebo's constants are those at sea level. The
+ground effect, where it is wanted, is I. C. Cheeseman and W. E. Bennett, "The effect of the ground on a
+helicopter rotor in forward flight", ARC R&M 3021, 1955, equation for the hover.
 """
 
 import math
@@ -14,6 +16,7 @@ from numpy.typing import NDArray
 
 from autopilot.estimation.rotation import quat_rotate, quat_rotate_inverse
 from autopilot.types import Array
+from harness.physics.environment import Surroundings
 from harness.physics.frames import frd_from_flu
 from harness.physics.model import VehicleModel
 
@@ -29,6 +32,9 @@ class RotorKernelModel(NamedTuple):
     moment_m: float
     drag_n_s2_m: float
     rolling_n_s2: float
+    body_drag_n_s_m: float
+    ground_effect_radius_m: float
+    """Of a rotor; 0 where the ground has no effect"""
     axial_speed_limit_m_s: float
     armed_speed_rad_s: float
     control_speed_rad_s: float
@@ -37,7 +43,12 @@ class RotorKernelModel(NamedTuple):
     fall: float
 
 
-def kernel_model(model: VehicleModel, *, step_s: float) -> RotorKernelModel:
+LEAST_HEIGHT_RADII = 0.5
+"""Height of a rotor over its radius below which Cheeseman and Bennett's formula, which goes to infinity at a
+quarter, is held: it is usually taken to be valid above. A landed Iris's rotors are at 0.61."""
+
+
+def kernel_model(model: VehicleModel, *, step_s: float, ground_effect: bool = False) -> RotorKernelModel:
     """Numbers of the model for steps of that length."""
     return RotorKernelModel(
         hubs_frd_m=frd_from_flu(model.rotor_hubs_flu_m),
@@ -46,6 +57,8 @@ def kernel_model(model: VehicleModel, *, step_s: float) -> RotorKernelModel:
         moment_m=model.moment_m,
         drag_n_s2_m=model.rotor_drag_n_s2_m,
         rolling_n_s2=model.rolling_moment_n_s2,
+        body_drag_n_s_m=model.drag_n_s_m,
+        ground_effect_radius_m=model.rotor_radius_m if ground_effect else 0.0,
         axial_speed_limit_m_s=model.axial_speed_limit_m_s,
         armed_speed_rad_s=model.armed_speed_rad_s,
         control_speed_rad_s=model.control_speed_rad_s,
@@ -60,14 +73,14 @@ def rotor_speeds(
 ) -> Array:
     """Rotor speeds (n, 4) one step on: a first-order lag towards what controls (n, 4) ask.
 
-    Controls are limited to 0..1, not-a-number counting as 0; vehicles whose ``powered`` (n,) is False spin
+    Controls are limited to 0..1, not-a-number counting as 0; rotors whose ``powered`` (n, 4) is False spin
     down.
     """
     after_rad_s = np.empty_like(speed_rad_s)
     for vehicle in range(speed_rad_s.shape[0]):
         for rotor in range(4):
             target_rad_s = 0.0
-            if powered[vehicle]:
+            if powered[vehicle, rotor]:
                 control = controls[vehicle, rotor]
                 if not control > 0.0:  # not-a-number, too
                     control = 0.0
@@ -79,25 +92,38 @@ def rotor_speeds(
 
 
 @njit(cache=True)
+def ground_effect(height_m: float, radius_m: float) -> float:
+    """Thrust of a rotor so high above the ground over its thrust far from it, at the same speed."""
+    radii = max(height_m / radius_m, LEAST_HEIGHT_RADII)
+    return 1.0 / (1.0 - 1.0 / (16.0 * radii * radii))
+
+
+@njit(cache=True)
 def wrenches(
     model: RotorKernelModel,
     q_ned_frd: Array,
     vel_ned_m_s: Array,
     omega_ned_rad_s: Array,
     rotor_speed_rad_s: Array,
+    surroundings: Surroundings,
 ) -> tuple[Array, Array]:
     """Force and torque on each vehicle for Bullet to apply: (n, 3) newtons and (n, 3) newton metres, NED.
 
-    The torque is about the centre of mass, the velocities are its own. The air is at rest.
+    The torque is about the centre of mass, the velocities are its own, against the ground. Wind is the same
+    at all of a vehicle's rotors and its body.
     """
     vehicles = q_ned_frd.shape[0]
     force_ned_n = np.empty((vehicles, 3))
     torque_ned_n_m = np.empty((vehicles, 3))
     force = np.empty(3)
     torque = np.empty(3)
+    down_ned = np.array((0.0, 0.0, 1.0))
     for vehicle in range(vehicles):
-        vel = quat_rotate_inverse(q_ned_frd[vehicle], vel_ned_m_s[vehicle])
+        density = surroundings.density_ratio[vehicle]
+        airspeed_ned_m_s = vel_ned_m_s[vehicle] - surroundings.air_vel_ned_m_s[vehicle]
+        vel = quat_rotate_inverse(q_ned_frd[vehicle], airspeed_ned_m_s)
         omega = quat_rotate_inverse(q_ned_frd[vehicle], omega_ned_rad_s[vehicle])
+        down = quat_rotate_inverse(q_ned_frd[vehicle], down_ned)
         force[:] = 0.0
         torque[:] = 0.0
         for rotor in range(4):
@@ -107,19 +133,27 @@ def wrenches(
             air_x = vel[0] + omega[1] * z - omega[2] * y
             air_y = vel[1] + omega[2] * x - omega[0] * z
             air_z = vel[2] + omega[0] * y - omega[1] * x
-            static_thrust = model.thrust_n_s2 * speed * speed
+            blades = density * surroundings.effectiveness[vehicle, rotor]
+            static_thrust = blades * (model.thrust_n_s2 * speed * speed)
             # full in descent too: Gazebo's plugin takes |air_z|, and so makes every descent run away
             up = static_thrust * min(max(1.0 + air_z / model.axial_speed_limit_m_s, 0.0), 1.0)
-            drag_x = -model.drag_n_s2_m * speed * air_x
-            drag_y = -model.drag_n_s2_m * speed * air_y
+            if model.ground_effect_radius_m > 0.0 and down[2] > 0.0:  # not with the rotors below the body
+                height_m = surroundings.height_m[vehicle] - (down[0] * x + down[1] * y + down[2] * z)
+                up *= ground_effect(height_m, model.ground_effect_radius_m)
+            drag_x = blades * (-model.drag_n_s2_m * speed * air_x)
+            drag_y = blades * (-model.drag_n_s2_m * speed * air_y)
             force[0] += drag_x
             force[1] += drag_y
             force[2] -= up
             # hub x force, then the rolling moment; the reaction to a counter-clockwise rotor turns the body
             # clockwise seen from above, which is the positive sense about FRD's z
-            torque[0] += -y * up - z * drag_y - turning * model.rolling_n_s2 * speed * air_x
-            torque[1] += z * drag_x + x * up - turning * model.rolling_n_s2 * speed * air_y
+            rolling_x = blades * (turning * model.rolling_n_s2 * speed * air_x)
+            rolling_y = blades * (turning * model.rolling_n_s2 * speed * air_y)
+            torque[0] += -y * up - z * drag_y - rolling_x
+            torque[1] += z * drag_x + x * up - rolling_y
             torque[2] += x * drag_y - y * drag_x + turning * model.moment_m * static_thrust
         force_ned_n[vehicle] = quat_rotate(q_ned_frd[vehicle], force)
+        if model.body_drag_n_s_m > 0.0:
+            force_ned_n[vehicle] -= density * model.body_drag_n_s_m * airspeed_ned_m_s
         torque_ned_n_m[vehicle] = quat_rotate(q_ned_frd[vehicle], torque)
     return force_ned_n, torque_ned_n_m

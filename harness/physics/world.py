@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from autopilot.types import Array
 from harness.physics.bodies import Bodies, observe
+from harness.physics.environment import STANDARD, EnvironmentConfig, Surroundings
 from harness.physics.frames import wxyz_from_xyzw
 from harness.physics.loads import loads
 from harness.physics.model import VehicleModel
@@ -34,12 +35,19 @@ class World:
 
     ``spawn_pos_ned_m`` (n, 3) are the centres of mass, which stand ``model.standing_height_m`` above the
     ground; ``spawn_yaw_rad`` is everyone's heading, clockwise from north. Raises ValueError for a spawn below
-    the ground. Instances are independent of each other and use no randomness: equal arguments give equal
-    bytes.
+    the ground. ``ground_altitude_m`` is that of the ground above mean sea level, for the density. Instances
+    are independent of each other and use no randomness: equal arguments give equal bytes.
     """
 
     def __init__(
-        self, *, model: VehicleModel, spawn_pos_ned_m: ArrayLike, spawn_yaw_rad: float, step_us: int
+        self,
+        *,
+        model: VehicleModel,
+        spawn_pos_ned_m: ArrayLike,
+        spawn_yaw_rad: float,
+        step_us: int,
+        environment: EnvironmentConfig = STANDARD,
+        ground_altitude_m: float = 0.0,
     ) -> None:
         spawn = np.array(spawn_pos_ned_m, dtype=np.float64).reshape(-1, 3)
         below = np.flatnonzero(spawn[:, 2] > -model.standing_height_m + 1e-9)
@@ -50,12 +58,18 @@ class World:
             )
         self._step_s = step_us * 1e-6
         self._inertia_kg_m2 = np.array(model.inertia_diagonal_kg_m2)
-        self._kernel_model = kernel_model(model, step_s=self._step_s)
+        self._kernel_model = kernel_model(model, step_s=self._step_s, ground_effect=environment.ground_effect)
+        self._environment = environment
+        self._ground_altitude_m = ground_altitude_m
         self._client: int | None = pybullet.connect(pybullet.DIRECT)
         self._vehicle_of_body: dict[int, int] = {}
         self._fill_world(model, spawn, spawn_yaw_rad)
 
         vehicles = len(spawn)
+        self._air_at_rest = np.zeros((vehicles, 3))
+        self._whole_rotors = np.ones((vehicles, 4))
+        self._every_rotor = np.ones((vehicles, 4), dtype=np.bool_)
+        self._density_ratio = np.ones(vehicles)
         self._rotor_speed_rad_s = np.zeros((vehicles, 4))
         self._body_pos_m: list[tuple[float, float, float]] = []
         self._bodies = self._read_bodies()
@@ -110,22 +124,37 @@ class World:
         wind_force_ned_n: Array,
         *,
         rotors_stopped: NDArray[np.bool_],
+        air_vel_ned_m_s: Array | None = None,
+        rotor_effectiveness: Array | None = None,
     ) -> None:
         """Advance by one step with everything held over it.
 
         ``controls`` (n, 4): motors, 0..1 in PX4's order; ``armed`` (n,); ``wind_force_ned_n`` (n, 3) at the
-        centres of mass; ``rotors_stopped`` (n,): vehicles whose rotors run down whatever their controls say.
+        centres of mass; ``rotors_stopped`` (n,) or (n, 4): vehicles or rotors that run down whatever the
+        controls say; ``air_vel_ned_m_s`` (n, 3): the wind as a velocity, None for air at rest;
+        ``rotor_effectiveness`` (n, 4): part of its thrust and torques that a rotor still has, None for whole
+        ones.
         """
         client = self._client
         before = self._bodies
+        height_m = -before.pos_ned_m[:, 2]
+        if self._environment.density != "standard":
+            self._density_ratio = self._environment.density_ratio(self._ground_altitude_m + height_m)
+        stopped = rotors_stopped if rotors_stopped.ndim == 2 else rotors_stopped[:, None]
         self._rotor_speed_rad_s, force_ned_n, torque_ned_n_m = loads(
             self._kernel_model,
             self._inertia_kg_m2,
             before,
             self._rotor_speed_rad_s,
             controls,
-            armed & ~rotors_stopped,
+            (armed[:, None] & ~stopped) & self._every_rotor,
             wind_force_ned_n,
+            Surroundings(
+                self._air_at_rest if air_vel_ned_m_s is None else air_vel_ned_m_s,
+                self._density_ratio,
+                height_m,
+                self._whole_rotors if rotor_effectiveness is None else rotor_effectiveness,
+            ),
             self._step_s,
         )
         per_body = zip(
@@ -147,6 +176,11 @@ class World:
     def truth(self) -> Truth:
         """State of all vehicles at the end of the last step."""
         return self._truth
+
+    @property
+    def density_ratio(self) -> Array:
+        """(n,) density of the air over that of `SEA_LEVEL_DENSITY_KG_M3`, in the last step."""
+        return self._density_ratio
 
     @property
     def vehicle_contacts(self) -> tuple[Contact, ...]:

@@ -11,20 +11,19 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct, structs
 
-NonNegative = Annotated[float, Meta(ge=0.0)]
-Positive = Annotated[float, Meta(gt=0.0)]
+PositionStd = Annotated[float, Meta(ge=0.0, le=1000.0)]
 
 
 class GpsOverrides(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The scenario's ``[sensors.gps]`` table; None is the profile's own value."""
 
-    horizontal_bias_std_m: NonNegative | None = None
+    horizontal_bias_std_m: PositionStd | None = None
     """Stationary standard deviation, per axis, of the slow error (first-order Gauss-Markov)."""
-    vertical_bias_std_m: NonNegative | None = None
-    bias_time_constant_s: Positive | None = None
-    white_std_m: NonNegative | None = None
+    vertical_bias_std_m: PositionStd | None = None
+    bias_time_constant_s: Annotated[float, Meta(gt=0.0, le=1e6)] | None = None
+    white_std_m: PositionStd | None = None
     """Per axis and fix, beside the slow error."""
-    velocity_std_m_s: NonNegative | None = None
+    velocity_std_m_s: Annotated[float, Meta(ge=0.0, le=50.0)] | None = None
     """White, per axis and fix."""
     rate_hz: Annotated[float, Meta(gt=0.0, le=50.0)] | None = None
     delay_s: Annotated[float, Meta(ge=0.0, le=0.3)] | None = None

@@ -4,11 +4,13 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from autopilot.config import Site
 from autopilot.estimation import atmosphere
 from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.types import Array
+from harness.faults import Faults
 from harness.physics.bodies import in_body_axes
 from harness.physics.truth import Truth
 from harness.sensors.config import PROFILES, ErrorModel, GpsModel, SensorsConfig
@@ -17,6 +19,8 @@ from harness.sensors.errors import SensorError
 HPA_PER_PA = 0.01
 LEAST_EPH_M = 0.01
 """A receiver never claims less; also the resolution of HIL_GPS."""
+MOST_FELT_M, LEAST_FELT_M = (atmosphere.altitude_m(pressure_pa) for pressure_pa in (1_000.0, 120_000.0))
+"""Altitudes of the 10 and 1200 hPa between which barometers of this kind (MS5611) measure."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,6 +37,8 @@ class GpsFixes:
     eph_m: float
     """One sigma of each horizontal axis, slow and white error together"""
     epv_m: float
+    lost: NDArray[np.bool_] | None = None
+    """(n,) whose receivers have no fix: the rest says nothing of them; None where all have"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,16 +72,25 @@ class SensorSuite:
     Every kind of sensor draws from a stream of its own, for all vehicles at once and when the clock says so:
     what becomes of one vehicle changes nothing for the others. A sensor whose period is no multiple of the
     step reports at the first step after it is due. The GPS delay is rounded to whole steps; there is no fix
-    before that much has passed.
+    before that much has passed. ``temperature_offset_k`` is that of the air against the standard
+    atmosphere's, which the thermometers beside the barometers report; the pressure stays the standard's.
     """
 
     def __init__(
-        self, *, config: SensorsConfig, site: Site, vehicles: int, step_us: int, seed: np.random.SeedSequence
+        self,
+        *,
+        config: SensorsConfig,
+        site: Site,
+        vehicles: int,
+        step_us: int,
+        seed: np.random.SeedSequence,
+        temperature_offset_k: float = 0.0,
     ) -> None:
         profile = PROFILES[config.profile]
         self._gps_model: GpsModel = config.gps_model()
         self._site = site
         self._step_us = step_us
+        self._zero_degc_k = 273.15 - temperature_offset_k
         self._mag_period_us = round(1e6 / profile.mag_rate_hz)
         self._baro_period_us = round(1e6 / profile.baro_rate_hz)
         self._gps_period_us = round(1e6 / self._gps_model.rate_hz)
@@ -124,17 +139,33 @@ class SensorSuite:
         self._epv_m = max(float(np.hypot(vertical_std_m, self._gps_model.white_std_m)), LEAST_EPH_M)
         delay_steps = round(self._gps_model.delay_s * 1e6 / step_us)
         self._recent: deque[Truth] = deque(maxlen=delay_steps + 1)
+        self._last_baro: BaroSamples | None = None
+        self._no_faults = Faults((), vehicles, np.random.default_rng(0))
 
-    def sample(self, time_us: int, truth: Truth) -> SensorFrame:
-        """Read all sensors at the end of the step that brought the vehicles to ``truth`` at ``time_us``."""
+    def sample(self, time_us: int, truth: Truth, faults: Faults | None = None) -> SensorFrame:
+        """Read all sensors at the end of the step that brought the vehicles to ``truth`` at ``time_us``.
+
+        ``faults``, gone on to ``time_us``, come after the sensors' own errors, which they do not change.
+        """
         self._recent.append(truth)
+        faults = faults if faults is not None else self._no_faults
+        accel_frd_m_s2 = truth.specific_force_frd_m_s2 + self._accel_error.next()
+        if faults.accel_offset_frd_m_s2 is not None:
+            accel_frd_m_s2 += faults.accel_offset_frd_m_s2
+        gyro_frd_rad_s = truth.mean_omega_frd_rad_s + self._gyro_error.next()
+        if faults.gyro_offset_frd_rad_s is not None:
+            gyro_frd_rad_s += faults.gyro_offset_frd_rad_s
+        mag_due, baro_due, gps_due = (
+            self._is_due(time_us, period_us)
+            for period_us in (self._mag_period_us, self._baro_period_us, self._gps_period_us)
+        )
         return SensorFrame(
             time_us=time_us,
-            accel_frd_m_s2=truth.specific_force_frd_m_s2 + self._accel_error.next(),
-            gyro_frd_rad_s=truth.mean_omega_frd_rad_s + self._gyro_error.next(),
-            mag_frd_gauss=self._magnetometers(truth) if self._is_due(time_us, self._mag_period_us) else None,
-            baro=self._barometers(truth) if self._is_due(time_us, self._baro_period_us) else None,
-            gps=self._receivers() if self._is_due(time_us, self._gps_period_us) else None,
+            accel_frd_m_s2=accel_frd_m_s2,
+            gyro_frd_rad_s=gyro_frd_rad_s,
+            mag_frd_gauss=self._magnetometers(truth, faults) if mag_due else None,
+            baro=self._barometers(truth, faults) if baro_due else None,
+            gps=self._receivers(faults) if gps_due else None,
         )
 
     def look_ahead(self) -> None:
@@ -146,23 +177,46 @@ class SensorSuite:
         """Whether a multiple of the period lies in the step that ends now."""
         return time_us // period_us != (time_us - self._step_us) // period_us
 
-    def _magnetometers(self, truth: Truth) -> Array:
-        return in_body_axes(truth.q_ned_frd, self._field_ned_gauss) + self._mag_error.next()
+    def _magnetometers(self, truth: Truth, faults: Faults) -> Array:
+        field_frd_gauss = in_body_axes(truth.q_ned_frd, self._field_ned_gauss)
+        if faults.heading_error_rad is not None:
+            for vehicle in np.flatnonzero(faults.heading_error_rad):
+                field_ned_gauss = _turned(self._field_ned_gauss, -faults.heading_error_rad[vehicle])
+                own = slice(vehicle, vehicle + 1)
+                field_frd_gauss[own] = in_body_axes(truth.q_ned_frd[own], field_ned_gauss)
+        field_frd_gauss += self._mag_error.next()
+        if faults.mag_offset_frd_gauss is not None:
+            field_frd_gauss += faults.mag_offset_frd_gauss
+        return field_frd_gauss
 
-    def _barometers(self, truth: Truth) -> BaroSamples:
+    def _barometers(self, truth: Truth, faults: Faults) -> BaroSamples:
         altitude_m = self._site.altitude_m - truth.pos_ned_m[:, 2]
-        pressure_pa = atmosphere.pressure_pa(altitude_m) + self._baro_error_pa.next()
-        return BaroSamples(
+        felt_m = altitude_m if faults.baro_offset_m is None else altitude_m + faults.baro_offset_m
+        felt_m = np.clip(felt_m, LEAST_FELT_M, MOST_FELT_M)
+        pressure_pa = atmosphere.pressure_pa(felt_m) + self._baro_error_pa.next()
+        samples = BaroSamples(
             pressure_hpa=HPA_PER_PA * pressure_pa,
-            temperature_degc=atmosphere.temperature_k(altitude_m) - 273.15,
+            temperature_degc=atmosphere.temperature_k(altitude_m) - self._zero_degc_k,
         )
+        if faults.baro_frozen is not None and self._last_baro is not None:
+            frozen, last = faults.baro_frozen, self._last_baro
+            samples = BaroSamples(
+                pressure_hpa=np.where(frozen, last.pressure_hpa, samples.pressure_hpa),
+                temperature_degc=np.where(frozen, last.temperature_degc, samples.temperature_degc),
+            )
+        self._last_baro = samples
+        return samples
 
-    def _receivers(self) -> GpsFixes | None:
+    def _receivers(self, faults: Faults) -> GpsFixes | None:
         position_error_ned_m = self._gps_position_error_m.next()
         velocity_error_ned_m_s = self._gps_velocity_error_m_s.next()
         if len(self._recent) != self._recent.maxlen:
             return None
         then = self._recent[0]
+        errors = faults.gps_errors()
+        if errors is not None:
+            position_error_ned_m = position_error_ned_m + errors[0]
+            velocity_error_ned_m_s = velocity_error_ned_m_s + errors[1]
         lat_deg, lon_deg, alt_m = ned_to_geodetic(
             then.pos_ned_m + position_error_ned_m,
             origin_lat_deg=self._site.latitude_deg,
@@ -176,4 +230,12 @@ class SensorSuite:
             vel_ned_m_s=then.vel_ned_m_s + velocity_error_ned_m_s,
             eph_m=self._eph_m,
             epv_m=self._epv_m,
+            lost=faults.gps_lost,
         )
+
+
+def _turned(vector_ned: Array, angle_rad: float) -> Array:
+    """Turn a vector (3,) clockwise seen from above."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    north, east, down = vector_ned
+    return np.array([c * north - s * east, s * north + c * east, down])

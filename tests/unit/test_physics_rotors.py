@@ -1,11 +1,13 @@
 """The rotor kernels against the numbers and signs that the Iris's data sheet implies."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from autopilot.estimation.rotation import quat_rotate, quat_rotate_inverse
+from harness.physics.environment import Surroundings
 from harness.physics.model import IRIS
 from harness.physics.rotors import kernel_model, rotor_speeds, wrenches
 
@@ -17,17 +19,26 @@ WEIGHT_N = 1.55 * 9.8066
 HOVER_RAD_S = math.sqrt(WEIGHT_N / 4.0 / 5.84e-6)
 
 
+def calm(vehicles=1):
+    """Air at rest and of sea level's density, far above the ground, around whole rotors."""
+    return Surroundings(
+        np.zeros((vehicles, 3)), np.ones(vehicles), np.full(vehicles, 100.0), np.ones((vehicles, 4))
+    )
+
+
 def level_wrench(rotor_speed_rad_s, vel_frd_m_s=(0.0, 0.0, 0.0), omega_frd_rad_s=(0.0, 0.0, 0.0)):
     """Force and torque on a vehicle that is level and heads north, so that NED is FRD."""
     speeds = np.broadcast_to(np.asarray(rotor_speed_rad_s, dtype=float), (1, 4)).copy()
-    force, torque = wrenches(MODEL, LEVEL, np.array([vel_frd_m_s]), np.array([omega_frd_rad_s]), speeds)
+    force, torque = wrenches(
+        MODEL, LEVEL, np.array([vel_frd_m_s]), np.array([omega_frd_rad_s]), speeds, calm()
+    )
     return force[0], torque[0]
 
 
 def run_motors(speed_rad_s, control, steps, *, powered=True):
     speed = np.full((1, 4), float(speed_rad_s))
     for _ in range(steps):
-        speed = rotor_speeds(MODEL, speed, np.full((1, 4), control), np.array([powered]))
+        speed = rotor_speeds(MODEL, speed, np.full((1, 4), control), np.full((1, 4), powered))
     return speed[0]
 
 
@@ -141,7 +152,7 @@ def test_the_wrench_turns_with_the_vehicle():
     vel_frd, omega_frd, speeds = (3.0, -1.0, 0.5), (0.3, 2.0, -1.0), (700.0, 800.0, 900.0, 650.0)
     vel_ned = np.array([quat_rotate(row, np.array(vel_frd)) for row in q])
     omega_ned = np.array([quat_rotate(row, np.array(omega_frd)) for row in q])
-    force, torque = wrenches(MODEL, q, vel_ned, omega_ned, np.tile(speeds, (vehicles, 1)))
+    force, torque = wrenches(MODEL, q, vel_ned, omega_ned, np.tile(speeds, (vehicles, 1)), calm(vehicles))
     expected_force, expected_torque = level_wrench(speeds, vel_frd, omega_frd)
     for row in range(vehicles):
         np.testing.assert_allclose(quat_rotate_inverse(q[row], force[row]), expected_force, atol=1e-12)
@@ -154,11 +165,15 @@ def test_compiled_and_interpreted_kernels_agree():
     q /= np.linalg.norm(q, axis=1, keepdims=True)
     vel, omega = rng.standard_normal((2, 3, 3))
     speeds = rng.uniform(0.0, 1100.0, (3, 4))
-    controls, powered = rng.uniform(-0.5, 1.5, (3, 4)), np.array([True, False, True])
+    controls, powered = rng.uniform(-0.5, 1.5, (3, 4)), rng.random((3, 4)) < 0.5
+    around = Surroundings(
+        rng.standard_normal((3, 3)), rng.uniform(0.7, 1.0, 3), rng.uniform(0.0, 1.0, 3), rng.random((3, 4))
+    )
+    model = kernel_model(replace(IRIS, drag_n_s_m=0.2), step_s=STEP_S, ground_effect=True)
     interpreted = getattr(wrenches, "py_func", wrenches)
     np.testing.assert_allclose(
-        wrenches(MODEL, q, vel, omega, speeds),
-        interpreted(MODEL, q, vel, omega, speeds),
+        wrenches(model, q, vel, omega, speeds, around),
+        interpreted(model, q, vel, omega, speeds, around),
         rtol=1e-12,
         atol=1e-12,
     )

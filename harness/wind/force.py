@@ -1,32 +1,15 @@
 """Wind as the article has it: a force on every vehicle, whatever its motion, of a mean and gusts."""
 
 import math
-from typing import Annotated
 
 import numpy as np
-from msgspec import Meta, Struct
 
 from autopilot.types import Array
 from harness.gauss_markov import STEPS_AHEAD, gauss_markov_path
+from harness.wind.config import WindConfig
 
 VERTICAL_GUST_RATIO = 0.3
 """rms of the gusts' down component over that of each horizontal one."""
-
-
-class WindConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The scenario's ``[wind]`` table."""
-
-    mean_n: Annotated[float, Meta(ge=0.0, le=100.0)] = 5.0
-    """Magnitude of the mean force."""
-    direction_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 45.0
-    """Where the force points to, clockwise from north."""
-    vertical_fraction: Annotated[float, Meta(ge=-1.0, le=1.0)] = 0.0
-    """Down component of the mean over its magnitude."""
-    gust_rms_fraction: Annotated[float, Meta(ge=0.0, le=5.0)] = 0.2
-    """rms of each horizontal component of the gusts over the mean's magnitude."""
-    gust_time_constant_s: Annotated[float, Meta(gt=0.0)] = 2.0
-    correlation: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.8
-    """Of the gusts at any two vehicles."""
 
 
 class GustyWind:
@@ -34,9 +17,12 @@ class GustyWind:
 
     A gust is ``sqrt(c)`` times a process that all vehicles share plus ``sqrt(1 - c)`` times one of the
     vehicle's own, c being the correlation. The processes start in their stationary distribution.
+    ``config`` is of kind "force"; its written-down gusts are `harness.wind.Wind`'s matter. Raises ValueError.
     """
 
     def __init__(self, config: WindConfig, vehicles: int, rng: np.random.Generator) -> None:
+        if config.kind != "force":
+            raise ValueError(f'wind of kind "{config.kind}" is no force')
         direction_rad = math.radians(config.direction_deg)
         horizontal_n = config.mean_n * math.sqrt(1.0 - config.vertical_fraction**2)
         self._mean_ned_n = np.array(

@@ -1,0 +1,26 @@
+"""How much a validation flies, and how its flights are handed out."""
+
+from collections.abc import Callable
+from typing import Any
+
+from msgspec import Struct
+
+
+class Plan(Struct, frozen=True, kw_only=True):
+    """How much is flown."""
+
+    seeds: int = 20
+    """Flights of each condition; of the comparison with PX4 half as many"""
+    measure_s: float = 60.0
+    """Of each hover"""
+    recoveries: int = 400
+    throws: int = 30
+    demands: int = 100_000
+    estimator_runs: int = 20
+
+
+QUICK = Plan(seeds=6, measure_s=20.0, recoveries=40, throws=6, demands=10_000, estimator_runs=20)
+
+Job = tuple[Callable[[Any], Any], Any]
+"""A function of a module, for it goes to another process, and its argument."""
+Results = dict[str, list[Any]]

@@ -1,0 +1,49 @@
+"""Wind as a velocity of the air: a mean that may grow with height, and turbulence."""
+
+import math
+
+import numpy as np
+
+from autopilot.types import Array
+from harness.wind.config import WindConfig, direction_ned
+from harness.wind.turbulence import FOOT_M, Turbulence, low_altitude_scales
+
+
+class MovingAir:
+    """Mean velocity plus turbulence of strength and lengths that belong to ``config.turbulence_height_m``.
+
+    A vehicle's turbulence is ``sqrt(c)`` times one that all share plus ``sqrt(1 - c)`` times its own, c being
+    the correlation: each has the whole spectrum, and any two the same coherence at every frequency and
+    distance. Real coherence falls with both; what a swarm makes of that is beyond this model. The pattern is
+    carried past by the mean wind whatever the vehicles' own motion, so it is right for vehicles that hover.
+    """
+
+    def __init__(self, config: WindConfig, vehicles: int, rng: np.random.Generator) -> None:
+        self._config = config
+        self._towards_ned = direction_ned(config.direction_deg, config.vertical_fraction)
+        self._turbulence: Turbulence | None = None
+        if config.turbulence != "none":
+            heights_m = np.array((20.0 * FOOT_M, config.turbulence_height_m))
+            wind_20ft_m_s, passing_speed_m_s = config.mean_speed_m_s(heights_m).tolist()
+            if config.wind_20ft_m_s is not None:
+                wind_20ft_m_s = config.wind_20ft_m_s
+            self._turbulence = Turbulence(
+                config.turbulence,
+                low_altitude_scales(wind_20ft_m_s, config.turbulence_height_m),
+                passing_speed_m_s=max(passing_speed_m_s, config.least_passing_speed_m_s),
+                series=1 + vehicles,
+                rng=rng,
+            )
+        direction_rad = math.radians(config.direction_deg)
+        c, s = math.cos(direction_rad), math.sin(direction_rad)
+        self._ned_from_axes = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        self._weights = math.sqrt(config.correlation), math.sqrt(1.0 - config.correlation)
+
+    def step(self, dt_s: float, height_m: Array) -> Array:
+        """Velocity (n, 3) in m/s, NED, at heights (n,) above the ground, ``dt_s`` after the last call."""
+        air_vel_ned_m_s: Array = self._config.mean_speed_m_s(height_m)[:, None] * self._towards_ned
+        if self._turbulence is not None:
+            series_m_s = self._turbulence.step(dt_s)
+            shared, own = self._weights
+            air_vel_ned_m_s += (shared * series_m_s[:1] + own * series_m_s[1:]) @ self._ned_from_axes.T
+        return air_vel_ned_m_s

@@ -1,0 +1,82 @@
+"""ESC_STATUS on the wire: its numbers, its sum, its place before the sensors. Under 1 s."""
+
+import struct
+
+import numpy as np
+import pytest
+from fastcrc import crc16
+from pymavlink.dialects.v20 import common
+
+from autopilot.mavlink.hil import HilParser, HilSensor
+from harness import esc
+from harness.hil import SensorEncoder
+from harness.sensors.suite import GpsFixes, SensorFrame
+
+SPEEDS = np.array([[806.7, 0.0, 1100.0, 403.35], [806.7] * 4])
+
+
+def payload_of(frame):
+    """Fields of a frame of MAVLink 2, whose header and sum are checked on the way."""
+    magic, length, incompatible, _, sequence, system, component, low, high = struct.unpack_from(
+        "<BBBBBBBHB", frame
+    )
+    assert (magic, incompatible, low + (high << 16)) == (0xFD, 0, 291)
+    assert len(frame) == 10 + length + 2
+    (checksum,) = struct.unpack("<H", frame[-2:])
+    assert checksum == crc16.mcrf4xx(frame[1:-2] + bytes([10]))
+    payload = frame[10:-2].ljust(57, b"\0")
+    return sequence, (system, component), struct.unpack("<Q4i4f4fB", payload)
+
+
+def test_current_is_four_amperes_at_hover_and_goes_with_the_cube_of_the_speed():
+    """1100/806.7 cubed is 2.535; half the speed is an eighth; half of a propeller takes half."""
+    effectiveness = np.ones((2, 4))
+    effectiveness[1, 0] = 0.5
+    readings = esc.readings(SPEEDS, effectiveness)
+    np.testing.assert_allclose(readings.current_a[0], (4.0, 0.0, 4.0 * 2.535, 0.5), rtol=1e-3)
+    np.testing.assert_allclose(readings.current_a[1], (2.0, 4.0, 4.0, 4.0))
+    np.testing.assert_allclose(readings.speed_rpm[0], SPEEDS[0] * 9.5493, rtol=1e-5)
+
+
+def frame_of(time_us, *, fix):
+    gps = GpsFixes(
+        lat_deg=np.zeros(2), lon_deg=np.zeros(2), alt_m=np.zeros(2), vel_ned_m_s=np.zeros((2, 3)),
+        eph_m=1.0, epv_m=1.0,
+    )  # fmt: skip
+    return SensorFrame(
+        time_us=time_us,
+        accel_frd_m_s2=np.zeros((2, 3)),
+        gyro_frd_rad_s=np.zeros((2, 3)),
+        mag_frd_gauss=None,
+        baro=None,
+        gps=gps if fix else None,
+    )
+
+
+@pytest.mark.parametrize("fix", [False, True])
+def test_it_comes_first_with_sequence_numbers_that_go_on(fix):
+    encoder = SensorEncoder()
+    plain = [list(encoder.encode(4_000, frame_of(4_000, fix=False)))]
+    sent = list(encoder.encode(8_000, frame_of(8_000, fix=fix), esc.readings(SPEEDS)))
+    assert plain[0][0][4] == 0
+    for vehicle, data in enumerate(sent):
+        length = 10 + data[1] + 2
+        sequence, source, fields = payload_of(data[:length])
+        assert (sequence, source) == (1, (0, 1))
+        assert fields[0] == 8_000
+        assert fields[1:5] == tuple(np.rint(SPEEDS[vehicle] * 9.549297).astype(int))
+        assert fields[5:9] == (0.0,) * 4
+        np.testing.assert_allclose(fields[9:13], 4.0 * (SPEEDS[vehicle] / 806.7) ** 3, rtol=1e-6)
+        assert fields[13] == 0
+        rest = HilParser(HilSensor).push(data[length:])
+        assert [m.get_msgId() for m in rest] == [common.MAVLINK_MSG_ID_HIL_GPS] * fix + [
+            common.MAVLINK_MSG_ID_HIL_SENSOR
+        ]
+        assert data[length + 4] == 2
+    assert next(encoder.encode(12_000, frame_of(12_000, fix=False)))[4] == 3 + fix
+
+
+def test_a_motor_that_stands_shortens_the_frame_and_not_what_it_says():
+    (frame,) = esc.pack_escs(1, esc.readings(np.zeros((1, 4))), sequence=255, system=0, component=1)
+    assert frame[1] == 1  # only the low byte of the time is left of the payload
+    assert payload_of(frame)[2] == (1, *[0] * 4, *[0.0] * 8, 0)

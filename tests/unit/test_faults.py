@@ -1,0 +1,398 @@
+"""Every fault does what it says, to its vehicle alone and in its time alone. 5 s."""
+
+import msgspec
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import common
+
+from autopilot.config import Site
+from autopilot.estimation import atmosphere
+from autopilot.estimation.rotation import quat_from_rotation_vector
+from autopilot.mavlink.codec import Parser
+from autopilot.navigation.geodesy import geodetic_to_ned
+from harness import faults as catalogue
+from harness.faults import AnyFault, Faults, kind, validated
+from harness.hil import SensorEncoder
+from harness.messages import Fault
+from harness.physics.model import IRIS
+from harness.physics.truth import Truth
+from harness.physics.world import World
+from harness.progress import describe
+from harness.sensors.config import SensorsConfig
+from harness.sensors.suite import SensorSuite
+
+STEP_US = 4_000
+SITE = Site()
+N = 3
+HIT = 1
+"""The vehicle that the faults are about."""
+BEGIN_US, END_US = 1_000_000, 2_000_000
+EXAMPLES = {
+    "gps_loss": {},
+    "gps_bias": {"offset_ned_m": (30.0, -40.0, 5.0)},
+    "gps_noise": {"position_std_m": 4.0, "velocity_std_m_s": 0.5},
+    "accel_bias": {"offset_frd_m_s2": (1.0, -2.0, 0.5)},
+    "gyro_bias": {"offset_frd_rad_s": (0.1, 0.0, -0.2)},
+    "mag_bias": {"offset_frd_gauss": (0.05, 0.1, -0.02)},
+    "mag_yaw": {"heading_error_deg": 40.0},
+    "baro_freeze": {},
+    "baro_bias": {"offset_m": 8.0},
+    "motor": {"motor": 2, "effectiveness": 0.25},
+    "motor_stop": {"motor": 3},
+}
+SENSOR_FAULTS = [name for name in EXAMPLES if not name.startswith("motor")]
+
+
+def fault_of(name, **fields):
+    """Through the decoder, as from a scenario."""
+    table = {"kind": name, "uav": HIT, "start_s": 1.0, "duration_s": 1.0, **EXAMPLES[name], **fields}
+    return msgspec.convert(table, AnyFault)
+
+
+def faults_of(*faults, seed=5):
+    return Faults(faults, N, np.random.default_rng(seed))
+
+
+def fly(*faults, until_us=3_000_000, profile="consumer", seed=5):
+    """Frames of vehicles that climb apart, tilted and turning, with the faults in force."""
+    suite = SensorSuite(
+        config=SensorsConfig(profile=profile),
+        site=SITE,
+        vehicles=N,
+        step_us=STEP_US,
+        seed=np.random.SeedSequence(1),
+    )
+    state = faults_of(*faults, seed=seed)
+    frames = []
+    for time_us in range(STEP_US, until_us, STEP_US):
+        state.advance(time_us)
+        frames.append(suite.sample(time_us, truth_at(time_us), state))
+    return frames
+
+
+def truth_at(time_us):
+    t = time_us * 1e-6
+    q = [quat_from_rotation_vector(np.array((0.1, 0.2, 0.5 * vehicle + 0.3 * t))) for vehicle in range(N)]
+    return Truth(
+        pos_ned_m=np.array([(5.0 * vehicle, 1.0 * t, -10.0 - 2.0 * t) for vehicle in range(N)]),
+        vel_ned_m_s=np.tile((0.0, 1.0, -2.0), (N, 1)),
+        q_ned_frd=np.array(q),
+        omega_frd_rad_s=np.zeros((N, 3)),
+        rotor_speed_rad_s=np.zeros((N, 4)),
+        acc_ned_m_s2=np.zeros((N, 3)),
+        specific_force_frd_m_s2=np.tile((0.0, 0.0, -9.8066), (N, 1)),
+        mean_omega_frd_rad_s=np.zeros((N, 3)),
+    )
+
+
+def columns(frame):
+    """All that a frame says, by name: arrays whose first axis is the vehicle."""
+    said = {"accel": frame.accel_frd_m_s2, "gyro": frame.gyro_frd_rad_s}
+    if frame.mag_frd_gauss is not None:
+        said["mag"] = frame.mag_frd_gauss
+    if frame.baro is not None:
+        said |= {"pressure": frame.baro.pressure_hpa, "temperature": frame.baro.temperature_degc}
+    if frame.gps is not None:
+        pos = geodetic_to_ned(
+            frame.gps.lat_deg, frame.gps.lon_deg, frame.gps.alt_m, origin_lat_deg=SITE.latitude_deg,
+            origin_lon_deg=SITE.longitude_deg, origin_alt_m=SITE.altitude_m,
+        )  # fmt: skip
+        lost = np.zeros(N, bool) if frame.gps.lost is None else frame.gps.lost
+        said |= {"gps_pos": pos, "gps_vel": frame.gps.vel_ned_m_s, "gps_lost": lost}
+    return said
+
+
+def differences(healthy, faulty):
+    """(time_us, name, vehicle, faulty less healthy) of all values that are not the same to the bit."""
+    found = []
+    for before, after in zip(healthy, faulty, strict=True):
+        here, there = columns(before), columns(after)
+        assert here.keys() == there.keys()
+        for name, healthy_values in here.items():
+            for vehicle in range(N):
+                if not np.array_equal(healthy_values[vehicle], there[name][vehicle]):
+                    change = there[name][vehicle].astype(float) - healthy_values[vehicle].astype(float)
+                    found.append((after.time_us, name, vehicle, change))
+    return found
+
+
+AFFECTED = {
+    "gps_loss": {"gps_lost"},
+    "gps_bias": {"gps_pos"},
+    "gps_noise": {"gps_pos", "gps_vel"},
+    "accel_bias": {"accel"},
+    "gyro_bias": {"gyro"},
+    "mag_bias": {"mag"},
+    "mag_yaw": {"mag"},
+    "baro_freeze": {"pressure", "temperature"},
+    "baro_bias": {"pressure"},
+}
+
+
+@pytest.fixture(scope="module")
+def healthy():
+    return fly()
+
+
+@pytest.mark.parametrize("name", SENSOR_FAULTS)
+def test_a_sensor_fault_touches_its_sensor_its_vehicle_and_its_time_alone(healthy, name):
+    """To the last bit, before, beside and after it; and in its time in every sample."""
+    found = differences(healthy, fly(fault_of(name)))
+    assert {each[1] for each in found} == AFFECTED[name]
+    assert {each[2] for each in found} == {HIT}
+    times_us = [each[0] for each in found]
+    assert min(times_us) >= BEGIN_US
+    assert max(times_us) < END_US
+    due = sum(
+        BEGIN_US <= frame.time_us < END_US and any(column in columns(frame) for column in AFFECTED[name])
+        for frame in healthy
+    )
+    assert len(set(times_us)) == due
+
+
+@pytest.mark.parametrize("name", SENSOR_FAULTS)
+def test_all_is_everybody_and_without_a_duration_it_stays(healthy, name):
+    everybody = fault_of(name, uav="all", duration_s=None)
+    found = differences(healthy, fly(everybody))
+    assert {each[2] for each in found} == set(range(N))
+    last_us = {name: max(f.time_us for f in healthy if name in columns(f)) for name in AFFECTED[name]}
+    assert {(each[0], each[1]) for each in found} >= {(at_us, name) for name, at_us in last_us.items()}
+
+
+@pytest.mark.parametrize(
+    ("name", "column", "offset"),
+    [
+        ("gps_bias", "gps_pos", (30.0, -40.0, 5.0)),
+        ("accel_bias", "accel", (1.0, -2.0, 0.5)),
+        ("gyro_bias", "gyro", (0.1, 0.0, -0.2)),
+        ("mag_bias", "mag", (0.05, 0.1, -0.02)),
+    ],
+)
+def test_a_bias_is_its_offset(healthy, name, column, offset):
+    for _, seen, _, change in differences(healthy, fly(fault_of(name))):
+        assert seen == column
+        np.testing.assert_allclose(
+            change, offset, atol=2e-5
+        )  # GPS through degrees on a curved Earth and back
+
+
+def test_faults_that_overlap_add_up(healthy):
+    twice = fly(fault_of("gyro_bias"), fault_of("gyro_bias", uav="all", offset_frd_rad_s=(0.0, 0.3, 0.0)))
+    seen = {(vehicle, tuple(change.round(9))) for _, _, vehicle, change in differences(healthy, twice)}
+    assert seen == {(0, (0.0, 0.3, 0.0)), (1, (0.1, 0.3, -0.2)), (2, (0.0, 0.3, 0.0))}
+
+
+def test_a_creeping_spoof_grows_at_its_rate_and_its_velocity_agrees(healthy):
+    """At 10 m/s along (0.6, -0.8, 0), and 7 m far: there after 0.7 s."""
+    creep = fault_of("gps_bias", offset_ned_m=(4.2, -5.6, 0.0), rate_m_s=10.0)
+    seen = {}
+    for time_us, name, vehicle, change in differences(healthy, fly(creep)):
+        assert vehicle == HIT
+        seen.setdefault(name, {})[time_us] = change
+    # the fix at 1.0 s is not yet displaced
+    length_m = {1_200_000: 2.0, 1_400_000: 4.0, 1_600_000: 6.0, 1_800_000: 7.0}
+    assert seen["gps_pos"].keys() == length_m.keys()
+    for time_us, expected_m in length_m.items():
+        np.testing.assert_allclose(
+            seen["gps_pos"][time_us], expected_m * np.array((0.6, -0.8, 0.0)), atol=2e-5
+        )
+    assert seen["gps_vel"].keys() == {1_000_000, 1_200_000, 1_400_000, 1_600_000}
+    for change in seen["gps_vel"].values():
+        np.testing.assert_allclose(change, (6.0, -8.0, 0.0), atol=1e-12)
+
+
+def test_gps_noise_has_its_spread():
+    """60 s at 5 Hz and 3 axes: 900 samples of vehicle 1, so 2.4 % of a standard deviation; four of those."""
+    state = faults_of(fault_of("gps_noise", duration_s=None))
+    errors = []
+    for time_us in range(BEGIN_US, BEGIN_US + 60_000_000, 200_000):
+        state.advance(time_us)
+        errors.append(state.gps_errors())
+    position_m, velocity_m_s = np.array([e[0] for e in errors]), np.array([e[1] for e in errors])
+    assert position_m[:, HIT].std() == pytest.approx(4.0, rel=0.1)
+    assert velocity_m_s[:, HIT].std() == pytest.approx(0.5, rel=0.1)
+    assert not position_m[:, [0, 2]].any()
+
+
+def test_a_turned_field_makes_a_level_compass_read_that_much_too_far_clockwise():
+    """Whatever the tilt: the field is turned about the vertical, so inclination and strength stay."""
+    for healthy_frame, faulty_frame in zip(
+        fly(profile="ideal"), fly(fault_of("mag_yaw"), profile="ideal"), strict=True
+    ):
+        if healthy_frame.mag_frd_gauss is None or not BEGIN_US <= healthy_frame.time_us < END_US:
+            continue
+        q = truth_at(healthy_frame.time_us).q_ned_frd[HIT]
+        inverse = np.array((q[0], -q[1], -q[2], -q[3]))
+        before, after = (_rotated(inverse, f.mag_frd_gauss[HIT]) for f in (healthy_frame, faulty_frame))
+        # the field's direction falls by what the heading read from it grows
+        turned = np.arctan2(after[1], after[0]) - np.arctan2(before[1], before[0])
+        assert np.degrees(turned) == pytest.approx(-40.0, abs=1e-6)
+        assert after[2] == pytest.approx(before[2], abs=1e-12)
+
+
+def _rotated(q_to_frd, vector_frd):
+    """From FRD to NED, by matrices, apart from the quaternion code under test."""
+    w, x, y, z = q_to_frd
+    frd_from_ned = np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+    return frd_from_ned.T @ vector_frd
+
+
+def test_a_barometer_that_is_off_reads_the_pressure_of_another_altitude():
+    frame = next(
+        f for f in fly(fault_of("baro_bias"), profile="ideal") if f.baro is not None and f.time_us >= BEGIN_US
+    )
+    altitude_m = SITE.altitude_m - truth_at(frame.time_us).pos_ned_m[:, 2]
+    pressure_hpa = [0.01 * atmosphere.pressure_pa(a) for a in altitude_m + np.array((0.0, 8.0, 0.0))]
+    np.testing.assert_allclose(frame.baro.pressure_hpa, pressure_hpa, rtol=1e-12)
+
+
+def test_a_frozen_barometer_repeats_its_last_sample_and_then_goes_on(healthy):
+    frozen = fly(fault_of("baro_freeze"))
+    last = [f.baro for f in healthy if f.baro is not None and f.time_us < BEGIN_US][-1]
+    samples = [f.baro for f in frozen if f.baro is not None and BEGIN_US <= f.time_us < END_US]
+    assert len(samples) == 50  # 50 Hz for a second: it does not fall silent
+    assert {s.pressure_hpa[HIT] for s in samples} == {last.pressure_hpa[HIT]}
+    assert {s.temperature_degc[HIT] for s in samples} == {last.temperature_degc[HIT]}
+
+
+def test_a_barometer_that_is_frozen_from_the_start_keeps_its_first_sample():
+    samples = [
+        f.baro for f in fly(fault_of("baro_freeze", start_s=0.0, duration_s=None)) if f.baro is not None
+    ]
+    assert len({s.pressure_hpa[HIT] for s in samples}) == 1
+    assert len({s.pressure_hpa[0] for s in samples}) > 50
+
+
+def test_a_jammed_receiver_reports_no_fix_and_no_satellites_and_the_others_go_on():
+    frames = [f for f in fly(fault_of("gps_loss")) if f.gps is not None and BEGIN_US <= f.time_us < END_US]
+    assert len(frames) == 5
+    encoder = SensorEncoder()
+    for frame in frames:
+        messages = [
+            next(m for m in Parser().push(data) if m.get_type() == "HIL_GPS")
+            for data in encoder.encode(frame.time_us, frame)
+        ]
+        assert [m.fix_type for m in messages] == [
+            common.GPS_FIX_TYPE_3D_FIX, common.GPS_FIX_TYPE_NO_FIX, common.GPS_FIX_TYPE_3D_FIX
+        ]  # fmt: skip
+        assert [m.satellites_visible for m in messages] == [10, 0, 10]
+        assert (messages[HIT].eph, messages[HIT].epv, messages[HIT].vel) == (65_535, 65_535, 65_535)
+        assert messages[0].lat != 0
+
+
+def spin(*faults, steps=500):
+    """World of N hovering vehicles: rotor speeds and vertical accelerations, per step."""
+    spawn = [(0.0, 5.0 * i, -200.0) for i in range(N)]
+    state = faults_of(*faults)
+    seen = []
+    with World(model=IRIS, spawn_pos_ned_m=spawn, spawn_yaw_rad=0.0, step_us=STEP_US) as world:
+        for step in range(1, steps + 1):
+            state.advance(step * STEP_US)
+            stopped = np.zeros((N, 4), bool) if state.rotor_stopped is None else state.rotor_stopped
+            world.step(
+                np.full((N, 4), 0.7067),
+                np.ones(N, bool),
+                np.zeros((N, 3)),
+                rotors_stopped=stopped,
+                rotor_effectiveness=state.rotor_effectiveness,
+            )
+            seen.append((step * STEP_US, world.truth))
+    return seen
+
+
+def test_a_broken_propeller_lifts_and_turns_less_at_its_speed():
+    """Rotor 2, front left, has a quarter of 3.8 N left: the vehicle, level in that first step, tips there."""
+    seen = dict(spin(fault_of("motor"), steps=260))
+    before, first = seen[BEGIN_US - STEP_US], seen[BEGIN_US]
+    np.testing.assert_allclose(before.acc_ned_m_s2[0], before.acc_ned_m_s2[HIT], atol=1e-9)
+    lost_n = 0.75 * 5.84e-6 * first.rotor_speed_rad_s[HIT, 2] ** 2
+    lacking_m_s2 = first.acc_ned_m_s2[HIT, 2] - first.acc_ned_m_s2[0, 2]
+    # descending a little already, which takes nothing from the thrust, and both do
+    assert lacking_m_s2 == pytest.approx(lost_n / 1.55, rel=0.01)
+    roll_rad_s2, pitch_rad_s2, yaw_rad_s2 = first.omega_frd_rad_s[HIT] / (STEP_US * 1e-6)
+    assert roll_rad_s2 == pytest.approx(-0.22 * lost_n / 0.029125, rel=0.02)
+    assert pitch_rad_s2 == pytest.approx(-0.13 * lost_n / 0.029125, rel=0.02)
+    # a clockwise rotor turns the body the other way round: less of that
+    assert yaw_rad_s2 == pytest.approx(0.06 * lost_n / 0.055225, rel=0.02)
+    np.testing.assert_array_equal(first.rotor_speed_rad_s[HIT], first.rotor_speed_rad_s[0])
+    np.testing.assert_array_equal(first.omega_frd_rad_s[[0, 2]], 0.0)
+
+
+def test_a_stopped_motor_runs_down_alone_and_comes_back():
+    seen = dict(spin(fault_of("motor_stop", duration_s=0.4), steps=400))
+    at = {time_us: truth.rotor_speed_rad_s for time_us, truth in seen.items()}
+    hover_rad_s = at[BEGIN_US - STEP_US][0, 0]
+    # 25 ms of time constant: exp(-0.2 s / 25 ms) is 0.03 %
+    assert at[BEGIN_US + 200_000][HIT, 3] == pytest.approx(0.0, abs=0.5)
+    np.testing.assert_allclose(at[BEGIN_US + 200_000][HIT, :3], hover_rad_s, rtol=1e-9)
+    np.testing.assert_allclose(at[BEGIN_US + 200_000][[0, 2]], hover_rad_s, rtol=1e-9)
+    assert at[BEGIN_US + 400_000 + 200_000][HIT, 3] == pytest.approx(hover_rad_s, rel=1e-3)
+
+
+def test_what_begins_and_ends_is_told_once_and_at_its_step():
+    state = faults_of(fault_of("gps_loss"), fault_of("baro_freeze", start_s=0.5, duration_s=None, uav="all"))
+    told = {}
+    for time_us in range(STEP_US, 3_000_000, STEP_US):
+        for change in state.advance(time_us):
+            told.setdefault(time_us, []).append((kind(change.fault), change.fault.uav, change.began))
+    assert told == {
+        500_000: [("baro_freeze", "all", True)],
+        BEGIN_US: [("gps_loss", HIT, True)],
+        END_US: [("gps_loss", HIT, False)],
+    }
+
+
+def test_times_between_steps_act_from_the_step_after_and_what_fits_in_no_step_never_was():
+    state = faults_of(
+        fault_of("gps_loss", start_s=0.0101, duration_s=0.01),
+        fault_of("gps_loss", start_s=0.0205, duration_s=0.001),
+    )
+    lost_us = []
+    for time_us in range(STEP_US, 40_000, STEP_US):
+        state.advance(time_us)
+        if state.gps_lost is not None:
+            lost_us.append(time_us)
+    assert lost_us == [12_000, 16_000, 20_000]
+
+
+def test_a_fault_that_is_injected_counts_from_now():
+    state = faults_of()
+    state.advance(700_000)
+    state.add(fault_of("accel_bias", start_s=0.0, duration_s=0.1), 704_000)
+    assert not state.advance(700_000)
+    assert [c.began for c in state.advance(704_000)] == [True]
+    assert state.accel_offset_frd_m_s2 is not None
+    assert [c.began for c in state.advance(804_000)] == [False]
+    assert state.accel_offset_frd_m_s2 is None
+
+
+def test_a_fault_made_in_a_program_is_checked_before_it_is_sent():
+    with pytest.raises(msgspec.ValidationError, match="motor"):
+        validated(catalogue.MotorStop(uav=0, motor=7), N)
+    with pytest.raises(ValueError, match=r"fault\.uav: 3 is none of 3 vehicles"):
+        validated(catalogue.GpsLoss(uav=3), N)
+    sound = catalogue.GpsBias(uav=2, offset_ned_m=(1.0, 2.0, 3.0))
+    assert validated(sound, N) == sound
+
+
+def test_equal_runs_with_faults_are_equal_to_the_bit_and_noise_follows_the_seed():
+    everything = [fault_of(name, uav="all") for name in SENSOR_FAULTS]
+    first, again, other = (fly(*everything, until_us=1_500_000, seed=seed) for seed in (5, 5, 6))
+    assert not differences(first, again)
+    assert {each[1] for each in differences(first, other)} == {"gps_pos", "gps_vel"}
+
+
+def test_a_change_is_told_in_words():
+    change = Fault(time_us=4_500_000, instance=2, what="gps_loss", change="began")
+    assert describe(change) == "t = 4.50 s: fault gps_loss of uav 2 began"
+    change = Fault(time_us=4_500_000, instance=None, what="motor", change="ended")
+    assert describe(change) == "t = 4.50 s: fault motor of every uav ended"
+
+
+def test_every_kind_has_an_example_here():
+    tags = {member.__struct_config__.tag for member in AnyFault.__args__}
+    assert tags == EXAMPLES.keys()

@@ -1,0 +1,142 @@
+"""What a validation says: verdicts, page, command lines, allocation's oracle; the benchmark (9 s)."""
+
+import json
+import math
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+from scipy.optimize import linprog
+from typer.testing import CliRunner
+
+from autopilot.control.allocation import effectiveness
+from autopilot.control.params import AllocationParams
+from harness.validation import campaign
+from harness.validation.allocation import RANGE_N, _is_achievable, check_allocation
+from harness.validation.bench import _PARTS, _StopWatch, measure, record_flight
+from harness.validation.campaign import SUBJECTS
+from harness.validation.cli import BAD_INPUT, validate_app
+from harness.validation.plan import QUICK
+from harness.validation.report import Check, Section, Table, markdown
+
+SCRIPT = Path(__file__).parents[2] / "scripts" / "validate_vehicle.py"
+
+
+def check(value, **bounds):
+    return Check(name="rms", value=value, unit="m", **bounds)
+
+
+def test_verdicts():
+    assert check(0.2, at_most=0.2).passed
+    assert not check(0.2001, at_most=0.2).passed
+    assert check(0.1, at_least=0.1, at_most=0.2).passed
+    assert not check(0.05, at_least=0.1, at_most=0.2).passed
+    assert not check(math.nan, at_most=0.2).passed
+    assert not check(math.nan, at_least=0.2).passed
+    assert not check(math.inf, at_most=1e9).passed
+
+
+def test_page():
+    section = Section(
+        title="Hover",
+        conditions="In wind.\n",
+        checks=(check(0.12345, at_most=0.2), replace(check(3.0, at_least=0.1, at_most=0.2), px4="0.18 m")),
+        tables=(Table(caption="More:", columns=("a", "b"), rows=(("1", "2"),)),),
+        figures=(("x.png", "a figure"),),
+    )
+    page = markdown([section], introduction="All of it.\n")
+    assert "| what | measured | PX4 | required | met |\n" in page
+    assert "| rms | 0.123 m |  | at most 0.2 | yes |\n" in page
+    assert "| rms | 3 m | 0.18 m | 0.1 to 0.2 | **no** |\n" in page
+    assert "| a | b |\n| --- | --- |\n| 1 | 2 |\n" in page
+    assert page.endswith("![a figure](images/x.png)\n")
+
+
+def test_the_achievable_torques_are_those_that_a_linear_programme_finds():
+    rng = np.random.default_rng(4)
+    levers = effectiveness(AllocationParams())[1:3] * RANGE_N
+    torques = rng.uniform(-3.5, 3.5, (150, 2))
+    found = [
+        linprog(np.zeros(4), A_eq=levers, b_eq=torque, bounds=[(0.0, 1.0)] * 4).success for torque in torques
+    ]
+    assert 20 < sum(found) < 130
+    np.testing.assert_array_equal(_is_achievable(torques, levers), found)
+
+
+def test_allocation_of_random_demands():
+    worst = check_allocation(3000, seed=2)
+    assert 300 < worst.achievable < 1500
+    assert worst.lowest_control >= 0.0
+    assert worst.highest_control <= 1.0
+    assert max(worst.lost_torque_n_m, worst.turned_rad, worst.misreported_n_m, worst.added_thrust) < 1e-9
+
+
+def test_every_subject_is_judged_by_the_results_that_it_asks_for(tmp_path):
+    """Allocation alone is quick; of the others the jobs must at least go to another process."""
+    seen = []
+    (section,) = campaign.run(
+        replace(QUICK, demands=500),
+        ["allocation"],
+        images=tmp_path,
+        progress=lambda *told: seen.append(told),
+    )
+    assert seen == [("allocation", 1, 1)]
+    assert all(one.passed for one in section.checks)
+    for subject in SUBJECTS.values():
+        jobs = [job for group in subject.jobs(QUICK).values() for job in group]
+        assert jobs
+        assert all(function.__module__.startswith("harness.validation") for function, _ in jobs)
+
+
+def test_an_unknown_subject_is_one_line():
+    result = CliRunner().invoke(validate_app, ["--only", "hover,nonsense"])
+    assert result.exit_code == BAD_INPUT
+    assert result.stderr.count("\n") <= 2
+    assert "nonsense" in result.stderr
+
+
+def test_the_script_prints_nothing_but_json():
+    done = subprocess.run(
+        [sys.executable, SCRIPT, "--quick", "--only", "allocation", "--json"],
+        capture_output=True, text=True, check=False, timeout=200,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert {one["met"] for one in json.loads(done.stdout)} == {True}
+
+
+def test_a_stop_watch_takes_off_what_it_calls():
+    """10 ms within, 5 ms around it: by the clock, so with room for a busy machine, but never negative."""
+
+    def busy(seconds):
+        end = time.perf_counter() + seconds
+        while time.perf_counter() < end:
+            pass
+
+    watch = _StopWatch()
+    inner = watch.around("inner", lambda: busy(0.010))
+
+    def outer():
+        inner()
+        busy(0.005)
+
+    start_ns = time.perf_counter_ns()
+    watch.around("outer", outer)()
+    whole_ns = time.perf_counter_ns() - start_ns
+    assert watch.spent_ns["inner"] >= 10e6
+    assert 5e6 <= watch.spent_ns["outer"] <= whole_ns - watch.spent_ns["inner"]
+
+
+def test_the_parts_of_a_step_make_the_whole():
+    recording = record_flight(16.0)
+    cost = measure(recording, streams=False, repeats=1)
+    assert 0 < recording.armed_from < len(recording.stream)
+    assert sum(cost.parts_us.values()) == pytest.approx(cost.step_us)
+    assert {part for part, _, _ in _PARTS} < set(cost.parts_us)
+    assert min(cost.parts_us.values()) > 0.0
+    assert 0.0 < cost.floor_us < 0.5 * cost.step_us
+    with_streams = measure(recording, streams=True, repeats=1)
+    assert with_streams.parts_us["links and streams"] > 2.0 * cost.parts_us["links and streams"]

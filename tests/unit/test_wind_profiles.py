@@ -1,0 +1,142 @@
+"""What wind is without chance: its kinds, the mean over height, gusts that are written down. 1 s."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from harness.wind import GustConfig, GustyWind, Wind, WindConfig
+from harness.wind.gusts import GustProfiles, rise
+
+HEIGHT_M = np.full(2, 10.0)
+STILL = {"mean_n": 0.0}
+
+
+def wind_of(config, vehicles=2, seed=3):
+    return Wind(config, vehicles, np.random.default_rng(seed))
+
+
+def test_wind_as_a_force_is_the_gusty_wind_to_the_last_bit_and_its_air_is_at_rest():
+    config = WindConfig()
+    wind, alone = wind_of(config), GustyWind(config, 2, np.random.default_rng(3))
+    for step in range(120):
+        now = wind.step(0.004, time_us=4_000 * step, height_m=HEIGHT_M)
+        assert now.force_ned_n.tobytes() == alone.step(0.004).tobytes()
+        assert not now.air_vel_ned_m_s.any()
+
+
+def test_wind_as_a_velocity_is_no_force_and_blows_where_it_says():
+    config = WindConfig(kind="velocity", mean_m_s=6.0, direction_deg=90.0, vertical_fraction=-0.6)
+    now = wind_of(config).step(0.004, time_us=0, height_m=HEIGHT_M)
+    assert not now.force_ned_n.any()
+    np.testing.assert_allclose(now.air_vel_ned_m_s, np.tile((0.0, 4.8, -3.6), (2, 1)), atol=1e-12)
+
+
+def test_a_velocity_is_refused_where_a_force_is_expected():
+    with pytest.raises(ValueError, match='wind of kind "velocity" is no force'):
+        GustyWind(WindConfig(kind="velocity"), 1, np.random.default_rng(1))
+
+
+def test_the_logarithmic_mean_grows_by_equal_parts_per_factor_of_height():
+    """ln(h / z0) / ln(10 m / z0): 8 m/s at 10 m over z0 = 0.1 m are 4 m/s at 1 m and 12 m/s at 100 m."""
+    config = WindConfig(kind="velocity", mean_m_s=8.0, profile="logarithmic", roughness_length_m=0.1)
+    heights_m = np.array([-0.1, 0.0, 0.1, 1.0, 10.0, 100.0])
+    np.testing.assert_allclose(config.mean_speed_m_s(heights_m), (0.0, 0.0, 0.0, 4.0, 8.0, 12.0), atol=1e-12)
+    two = wind_of(config).step(0.004, time_us=0, height_m=np.array([1.0, 100.0])).air_vel_ned_m_s
+    np.testing.assert_allclose(np.linalg.norm(two, axis=1), (4.0, 12.0))
+
+
+GUSTS = {
+    "step": GustConfig(shape="step", start_s=2.0, duration_s=3.0, peak_n=4.0, direction_deg=0.0),
+    "ramp": GustConfig(shape="ramp", start_s=2.0, rise_s=1.0, duration_s=3.0, peak_n=4.0, direction_deg=0.0),
+    "one_minus_cosine": GustConfig(
+        shape="one_minus_cosine", start_s=2.0, rise_s=1.0, duration_s=2.0, peak_n=4.0, direction_deg=0.0
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    ("shape", "course"),
+    [
+        ("step", {1.999999: 0.0, 2.0: 4.0, 4.999999: 4.0, 5.0: 0.0}),
+        ("ramp", {2.0: 0.0, 2.25: 1.0, 3.0: 4.0, 4.0: 4.0, 4.5: 2.0, 5.0: 0.0, 9.0: 0.0}),
+        # 4/2 (1 - cos(pi t)): a third of the way is a quarter of the peak, half of it half
+        (
+            "one_minus_cosine",
+            {1.0: 0.0, 2.0: 0.0, 2 + 1 / 3: 1.0, 2.5: 2.0, 3.0: 4.0, 3.5: 2.0, 4.0: 0.0, 8.0: 0.0},
+        ),
+    ],
+)
+def test_a_gust_takes_its_course_at_its_time(shape, course):
+    profiles = GustProfiles(WindConfig(gusts=(GUSTS[shape],), **STILL))
+    for time_s, expected_n in course.items():
+        force = profiles.at(round(time_s * 1e6))
+        assert (0.0 if force is None else force[0]) == pytest.approx(expected_n, abs=2e-5)
+
+
+def test_a_gust_without_an_end_stays():
+    gust = GustConfig(shape="one_minus_cosine", start_s=1.0, rise_s=2.0, peak_n=1.0)
+    assert rise(gust, 1_000_000) == pytest.approx(0.5)
+    assert rise(gust, 2_000_000) == rise(gust, 10**12) == 1.0
+
+
+def test_gusts_add_to_the_wind_of_every_vehicle_and_to_each_other():
+    """One along the wind by default, one straight down; before and after them nothing has changed."""
+    gusts = (
+        GustConfig(shape="step", start_s=0.1, duration_s=0.1, peak_m_s=3.0),
+        GustConfig(shape="step", start_s=0.15, duration_s=0.1, peak_m_s=-2.0, vertical_fraction=1.0),
+    )
+    calm = WindConfig(kind="velocity", mean_m_s=5.0, direction_deg=90.0, turbulence="dryden")
+    plain, gusty = wind_of(calm), wind_of(msgspec.structs.replace(calm, gusts=gusts))
+    for step in range(75):
+        time_us = 4_000 * step
+        without, with_gusts = (
+            wind.step(0.004, time_us=time_us, height_m=HEIGHT_M).air_vel_ned_m_s for wind in (plain, gusty)
+        )
+        expected = np.zeros(3)
+        if 100_000 <= time_us < 200_000:
+            expected[1] = 3.0
+        if 150_000 <= time_us < 250_000:
+            expected[2] = -2.0
+        np.testing.assert_allclose(with_gusts - without, np.tile(expected, (2, 1)), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("toml", "says"),
+    [
+        ('shape = "step"\nstart_s = 1.0\nrise_s = 1.0', 'rise_s: a gust of shape "step" has none'),
+        ('shape = "one_minus_cosine"\nstart_s = 1.0', "rise_s: .* takes time to rise"),
+        ('shape = "ramp"\nstart_s = 1.0\nrise_s = 2.0\nduration_s = 3.0', "duration_s: 3 s is too short"),
+        ('shape = "step"\nstart_s = -1.0', "start_s"),
+        ('shape = "sine"\nstart_s = 1.0', "shape"),
+    ],
+)
+def test_a_gust_that_cannot_be_is_refused_by_name(toml, says):
+    with pytest.raises(msgspec.ValidationError, match=says):
+        msgspec.toml.decode(toml, type=GustConfig)
+
+
+@pytest.mark.parametrize(
+    ("toml", "says"),
+    [
+        ('kind = "velocity"\ngust_time_constant_s = 3.0', "gust_time_constant_s: has no effect"),
+        ('turbulence = "dryden"', 'turbulence: has no effect where kind is "force"'),
+        ('kind = "velocity"\nturbulence_height_m = 1.0', "turbulence_height_m"),
+        (
+            'kind = "velocity"\nprofile = "logarithmic"\nroughness_length_m = 2.0\nreference_height_m = 1.5',
+            "reference_height_m: expected more than roughness_length_m",
+        ),
+        ('kind = "velocity"\ngusts = [{shape="step", start_s=0.0, peak_n=1.0}]', "expected peak_m_s"),
+    ],
+)
+def test_what_does_not_belong_to_the_winds_kind_is_refused(toml, says):
+    with pytest.raises(msgspec.ValidationError, match=says):
+        msgspec.toml.decode(toml, type=WindConfig)
+
+
+def test_length_of_the_horizontal_part_keeps_the_magnitude():
+    gust = GustConfig(shape="step", start_s=0.0, peak_n=5.0, direction_deg=60.0, vertical_fraction=0.8)
+    force = GustProfiles(WindConfig(gusts=(gust,))).at(0)
+    expected = (3.0 * math.cos(math.radians(60.0)), 3.0 * math.sin(math.radians(60.0)), 4.0)
+    np.testing.assert_allclose(force, expected, atol=1e-12)
