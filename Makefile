@@ -5,10 +5,11 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.set-up
 ARGS ?=
 
-.PHONY: help setup swarm test lint format clean
+.PHONY: help setup swarm test validate lint format clean
 help:
 	@echo "make swarm [ARGS='--duration 20 --seed 3']   fly scenarios/article.toml"
 	@echo "make test  [ARGS='-k radio']                 run the tests"
+	@echo "make validate [ARGS='--quick | --out docs']   measure how well one vehicle flies (docs/validation.md)"
 	@echo "make lint | format | setup | clean"
 
 setup: $(STAMP)
@@ -24,6 +25,9 @@ swarm: $(STAMP)
 
 test: $(STAMP)
 	$(BIN)/python -m pytest $(ARGS)
+
+validate: $(STAMP)
+	$(BIN)/python scripts/validate_vehicle.py $(ARGS)
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

@@ -303,9 +303,7 @@ def _check_order(settings: Settings, name: str | None = None) -> None:
             low, high = (_setting(settings, _find(one)) for one in pair)
             if low > high or (strictly and low == high):
                 wanted = "less than" if strictly else "at most"
-                raise ParameterError(
-                    f"parameter {pair[0]} = {low:g} must be {wanted} {pair[1]} = {high:g}"
-                )
+                raise ParameterError(f"parameter {pair[0]} = {low:g} must be {wanted} {pair[1]} = {high:g}")
 
 
 S = TypeVar("S", bound=Struct)

@@ -63,7 +63,7 @@ def describe(message: Message) -> str | None:
             return f"{_at(message.time_us)}: {uav(message.first)} and {uav(message.second)} touched"
         case FaultChanged():
             who = "every uav" if message.instance is None else uav(message.instance)
-            what = message.what if message.motor is None else f"{message.what}, number {message.motor}"
+            what = message.what if message.motor is None else f"{message.what} {message.motor}"
             return f"{_at(message.time_us)}: fault {message.number} ({what}) of {who} {message.change}"
         case Warned():
             return f"{_at(message.time_us)}: {message.name}: {message.text}"

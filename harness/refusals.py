@@ -5,6 +5,15 @@ from collections.abc import Mapping
 
 import msgspec
 
+_WORDS = {
+    "Object contains unknown field": "unknown key",
+    "Object missing": "object missing",
+    "Expected": "expected",
+    "Invalid": "invalid",
+    " | null`": "`",
+}
+"""TOML has no null: a field that may be None is left out."""
+
 
 def explain(error: msgspec.ValidationError, expected: Mapping[str, str], *, root: str = "") -> str:
     """``Expected `float` >= 0.0 - at `$.wind.mean_n``` becomes ``wind.mean_n: expected `float` >= 0.0``.
@@ -21,5 +30,6 @@ def explain(error: msgspec.ValidationError, expected: Mapping[str, str], *, root
             reason = re.sub(r"^Expected `\w+ \| [^`]*`", f"expected {wanted}", reason)
             if reason.startswith("Invalid"):
                 reason = f"{reason}, expected {wanted}"
-    reason = reason.replace("Object contains unknown field", "unknown key").replace("Expected", "expected")
+    for said, meant in _WORDS.items():
+        reason = reason.replace(said, meant)
     return f"{where}: {reason}" if where else reason

@@ -22,15 +22,16 @@ from antenna.geometry import grid
 from autopilot.config import AutopilotConfig, Devices, OnboardConfig, Port, Site, VehicleConfig, VehiclePorts
 from autopilot.parameter_file import ParameterFileError
 from harness import autopilot_settings
-from harness.faults import AnyFault, check
+from harness.faults import EXPECTED, MOST_TIME_S, AnyFault, check
 from harness.physics.environment import EnvironmentConfig
+from harness.refusals import explain
 from harness.sensors.config import SensorsConfig
 from harness.wind import WindConfig
 from netsim.config import RadioConfig
 from netsim.ftm.stamps import distance_m, round_trip_std_ps
 
-NonNegative = Annotated[float, Meta(ge=0.0)]
-Positive = Annotated[float, Meta(gt=0.0)]
+Spacing = Annotated[float, Meta(gt=0.0, le=1000.0)]
+ARRAYS_OF_TABLES = ("faults", "wind.gusts")
 
 
 class ScenarioError(ValueError):
@@ -41,16 +42,16 @@ class RunConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The ``[run]`` table: how long, from which seed, and what a loss does."""
 
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 1
-    duration_s: NonNegative = 60.0
+    duration_s: Annotated[float, Meta(ge=0.0, le=MOST_TIME_S)] = 60.0
     """Simulated time in formation."""
-    reach_timeout_s: Positive = 120.0
+    reach_timeout_s: Annotated[float, Meta(gt=0.0, le=MOST_TIME_S)] = 120.0
     """Simulated time from the start within which the formation must be reached."""
     step_us: Annotated[int, Meta(ge=4_000, le=4_000)] = 4_000
     """Step of physics and lockstep: the 250 Hz at which PX4's simulator interface runs."""
     on_vehicle_loss: Literal["continue", "end"] = "continue"
     silence_limit_s: Annotated[float, Meta(gt=0.0, le=120.0)] = 5.0
     """Wall time after which a vehicle that lives but does not answer is given up."""
-    record_rate_hz: Annotated[float, Meta(gt=0.0, le=250.0)] = 50.0
+    record_rate_hz: Annotated[float, Meta(ge=0.001, le=250.0)] = 50.0
     """Rows per simulated second and vehicle in the flight log."""
 
 
@@ -61,8 +62,8 @@ class FormationConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     """Elements along the broadside axis."""
     rows: Annotated[int, Meta(ge=1, le=254)] = 2
     """Elements along the end-fire axis."""
-    broadside_spacing_lambda: Positive = 0.85
-    endfire_spacing_lambda: Positive = 0.25
+    broadside_spacing_lambda: Spacing = 0.85
+    endfire_spacing_lambda: Spacing = 0.25
     height_m: Annotated[float, Meta(ge=2.0, le=500.0)] = 10.0
     heading_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
     """Compass direction of the end-fire axis, which is where the main lobe points."""
@@ -179,7 +180,7 @@ MIN_SPACING_M = 0.8
 def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
     """Read a scenario file and apply ``path=value`` overrides.
 
-    Values in TOML's notation (bare words are strings).
+    Values in TOML's notation (bare words are strings); ``faults.0.uav`` is of the first of the faults.
 
     Raises ScenarioError with one line that names the file or override, the field's path and what is wrong.
     """
@@ -199,14 +200,14 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
         scenario = msgspec.convert(table, Scenario)
         autopilot = autopilot_settings.with_parameter_file(scenario.autopilot, path.parent)
     except msgspec.ValidationError as error:
-        raise ScenarioError(f"{path}: {_explain(error)}") from None
+        raise ScenarioError(f"{path}: {explain(error, EXPECTED)}") from None
     except ParameterFileError as error:
         raise ScenarioError(f"{path}: autopilot.params_file: {error}") from None
     return msgspec.structs.replace(scenario, autopilot=autopilot)
 
 
 def _override(table: dict[str, Any], override: str) -> None:
-    """Set one field in the nested table, making tables on the way."""
+    """Set one field in the nested table, making tables on the way; in an array, entries count from 0."""
     path, equals, text = override.partition("=")
     keys = [key.strip() for key in path.split(".")]
     if not equals or not all(keys):
@@ -215,19 +216,27 @@ def _override(table: dict[str, Any], override: str) -> None:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         value = text.strip()
-    for key in keys[:-1]:
-        inner = table.setdefault(key, {})
-        if not isinstance(inner, dict):
-            raise ScenarioError(f"--set {override}: {key} is a value, not a table")
-        table = inner
-    table[keys[-1]] = value
+    container: Any = table
+    for depth, key in enumerate(keys):
+        where = ".".join(keys[:depth])
+        if isinstance(container, list):
+            index = _index(container, key, where, override)
+            if depth == len(keys) - 1:
+                container[index] = value
+            else:
+                container = container[index]
+        elif not isinstance(container, dict):
+            raise ScenarioError(f"--set {override}: {where} is a value, not a table")
+        elif depth == len(keys) - 1:
+            container[key] = value
+        else:
+            missing: Any = [] if ".".join(keys[: depth + 1]) in ARRAYS_OF_TABLES else {}
+            container = container.setdefault(key, missing)
 
 
-def _explain(error: msgspec.ValidationError) -> str:
-    """``Expected `float` >= 0.0 - at `$.wind.mean_n``` becomes ``wind.mean_n: expected `float` >= 0.0``."""
-    reason, at, where = str(error).rpartition(" - at `$")
-    if not at:
-        reason, where = str(error), ""
-    where = where.rstrip("`").lstrip(".")
-    reason = reason.replace("Object contains unknown field", "unknown key").replace("Expected", "expected")
-    return f"{where}: {reason}" if where else reason
+def _index(entries: list[Any], key: str, where: str, override: str) -> int:
+    """Read a path's key as the number of one of the entries that there are."""
+    if not (key.isdecimal() and int(key) < len(entries)):
+        numbers = f"numbers 0 to {len(entries) - 1}" if entries else "none"
+        raise ScenarioError(f"--set {override}: {where} has no entry {key}; there are {numbers}")
+    return int(key)

@@ -193,7 +193,9 @@ FILTER_S = 1.0
 AVERAGE_S = 50.0
 """Time constant of the current that the remaining time is reckoned with; it moves only while armed."""
 SETTLING_US = 2 * US_PER_S
-"""From the first sample until the coulombs count."""
+"""From the beginning until the coulombs count."""
+GAP_US = US_PER_S
+"""Nothing is reckoned over a longer time without a sample, nor filtered: the monitor begins again."""
 VOLTAGE_RATE_1_S = 3.0
 """How fast the estimate follows the voltage, times the share that is missing by the voltage: PX4's 0.03 at
 each sample of its 100 Hz. The lower the voltage, the more it is trusted, against deep discharge."""
@@ -205,7 +207,8 @@ class BatteryMonitor:
     The remaining charge begins with that of the open-circuit voltage, counts coulombs, is drawn towards what
     the voltage says, and is at most what a pack that was full would have left. PX4 takes the open-circuit
     voltage as linear between empty and charged, so the estimate is up to 0.08 off the charge of a pack like
-    `BatterySimulator`'s.
+    `BatterySimulator`'s. After a gap in the samples and for another number of cells it begins again with the
+    voltage; what was consumed stays consumed.
     """
 
     def __init__(self, params: BatteryParams) -> None:
@@ -229,12 +232,14 @@ class BatteryMonitor:
         """Filtered open-circuit voltage."""
         self._average_a = self.params.average_current_a
         self._resistance = ResistanceEstimate(self.params.cells)
+        self._begins = True
+        """With the next sample."""
 
     def set_params(self, params: BatteryParams) -> None:
         """Change the settings; they count from the next sample on."""
         if params.cells != self.params.cells:
             self._resistance = ResistanceEstimate(params.cells)
-            self._cell_v *= self.params.cells / params.cells
+            self._begins = True
         self.params = params
 
     @property
@@ -253,9 +258,9 @@ class BatteryMonitor:
     def update(self, sample: BatterySample, *, armed: bool) -> None:
         """Take a measurement, later than the last."""
         params = self.params
-        if self.sampled_us is None:
+        elapsed_s = 0.0
+        if self._begins or self.sampled_us is None or sample.time_us - self.sampled_us > GAP_US:
             self._begin(sample)
-            elapsed_s = 0.0
         else:
             elapsed_s = (sample.time_us - self.sampled_us) / US_PER_S
         self.sampled_us = sample.time_us
@@ -280,6 +285,7 @@ class BatteryMonitor:
             self.warning = max(level, self.warning) if armed else level
 
     def _begin(self, sample: BatterySample) -> None:
+        self._begins = False
         self._first_us = sample.time_us
         self.voltage_v, self.current_a = sample.voltage_v, sample.current_a
         current_a = sample.current_a or 0.0

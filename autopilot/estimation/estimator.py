@@ -33,7 +33,7 @@ class Estimator:
     """Attitude, velocity, position and inertial biases of one vehicle from its sensors.
 
     Measurements may come in any order within a step, before the inertial sample that ends it. What is not
-    finite is dropped, and so are inertial samples not later than the one before.
+    finite is dropped, and so are inertial samples that no sensor can read or not later than the one before.
     """
 
     def __init__(self, params: EstimatorParams) -> None:
@@ -64,7 +64,7 @@ class Estimator:
 
     def on_imu(self, sample: ImuSample) -> None:
         """Take the inertial sample of the interval that ends at its time, and bring the state there."""
-        if sample.time_us <= self._time_us:
+        if not self._time_us < sample.time_us < NEVER_US:
             return
         if self._filter is None or self._fusion is None:
             self._align(sample)
@@ -223,7 +223,7 @@ class Estimator:
 
     def _align(self, sample: ImuSample) -> None:
         gyro_frd_rad_s = sample.gyro_frd_rad_s
-        if not (kernels.all_finite(sample.accel_frd_m_s2) and kernels.all_finite(gyro_frd_rad_s)):
+        if not kernels.is_plausible(gyro_frd_rad_s, sample.accel_frd_m_s2):
             return
         self._time_us = sample.time_us
         self.live.omega_frd_rad_s[:] = gyro_frd_rad_s - self.live.gyro_bias_rad_s
@@ -350,7 +350,7 @@ class Estimator:
 
     def _coast(self, sample: ImuSample) -> None:
         """After a failure: the rates alone."""
-        if not kernels.all_finite(sample.gyro_frd_rad_s):
+        if not kernels.is_plausible(sample.gyro_frd_rad_s, sample.accel_frd_m_s2):
             return
         self._time_us = sample.time_us
         self.live.omega_frd_rad_s[:] = sample.gyro_frd_rad_s - self.live.gyro_bias_rad_s

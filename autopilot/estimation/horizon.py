@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from autopilot.estimation.kernels import (
     GYRO_BIAS,
     STATES,
-    all_finite,
     error_transition,
     integrate,
+    is_plausible,
     predict_covariance,
 )
 from autopilot.estimation.yaw_gsf import carry_level, level_start
@@ -40,6 +40,7 @@ ESTIMATE = STD + STDS
 # the cursor: slots of the ring, then simulated times
 OLDEST, WAITING, HORIZON_US, NEWEST_US, DELAY_US = range(5)
 NOT_FINITE = -1
+"""Nor plausible."""
 
 
 @njit(cache=True)
@@ -70,7 +71,7 @@ def advance(
     ``samples`` rows are gyro, accelerometer and interval; ``estimate`` (ESTIMATE,) moves by the new sample.
     Returns the horizon's time, or NOT_FINITE for a sample that is dropped.
     """
-    if not (all_finite(gyro_frd_rad_s) and all_finite(accel_frd_m_s2)):
+    if not is_plausible(gyro_frd_rad_s, accel_frd_m_s2):
         return NOT_FINITE
     capacity = times_us.size
     slot = (cursor[OLDEST] + cursor[WAITING]) % capacity

@@ -38,6 +38,11 @@ GYRO_BIAS = 10
 ACCEL_BIAS = 13
 # process noise vector: power spectral densities
 GYRO_PSD, ACCEL_PSD, GYRO_BIAS_PSD, ACCEL_BIAS_PSD = range(4)
+GYRO_MAX_RAD_S = 100.0
+"""What reads more is broken: 1.4 times the range of the widest gyro (TDK ICM-45686, 4000 deg/s)."""
+ACCEL_MAX_M_S2 = 1000.0
+"""Likewise, 2.5 times that of the widest accelerometer (Analog Devices ADIS16497, 40 g): simulated sensors
+have no range, and a touch-down at 3 m/s, MPC_LAND_SPEED's most, that ends in a step of 4 ms is 750 m/s^2."""
 
 
 @njit(cache=True)
@@ -45,6 +50,15 @@ def all_finite(values: Array) -> bool:
     """Whether no element of an (n,) array is infinite or not a number."""
     for value in values:  # noqa: SIM110 - compiled, a loop is all it takes
         if not math.isfinite(value):
+            return False
+    return True
+
+
+@njit(cache=True)
+def is_plausible(gyro_frd_rad_s: Array, accel_frd_m_s2: Array) -> bool:
+    """Whether an inertial sample, (3,) each, is within what sensors can read; not-a-number is not."""
+    for i in range(3):
+        if not (abs(gyro_frd_rad_s[i]) <= GYRO_MAX_RAD_S and abs(accel_frd_m_s2[i]) <= ACCEL_MAX_M_S2):
             return False
     return True
 

@@ -50,6 +50,8 @@ BIAS_SHARE = 0.002
 CLIPPED_SIGMA = 5.0
 LEAST_WEIGHT = 1e-5
 LEAST_VARIANCE = 1e-6
+AZIMUTH_VAR_MAX_RAD2 = math.pi**2
+"""A heading cannot be known less, however long the gap; more would only cost digits."""
 
 # the complementary filter
 Q = 0
@@ -157,10 +159,13 @@ def predict_model(model: Array, cov: Array, felt_x: float, felt_y: float, dt_s: 
 def update_model(model: Array, cov: Array, vel_ne_m_s: Array, vel_var: float) -> float:
     """Fuse a velocity (2,) into one model, in place; return the measurement's likelihood.
 
-    An innovation of more than 5 sigma is shortened to that: a wild fix must not end a hypothesis.
+    An innovation of more than 5 sigma is shortened to that: a wild fix must not end a hypothesis. Where the
+    innovation's covariance has lost its digits nothing is fused, and the likelihood is zero.
     """
     s_nn, s_ee, s_ne = cov[0, 0] + vel_var, cov[1, 1] + vel_var, cov[0, 1]
     determinant = s_nn * s_ee - s_ne * s_ne
+    if not 0.5 * vel_var * vel_var <= determinant < math.inf:  # it is at least vel_var^2; also not-a-number
+        return 0.0
     north, east = vel_ne_m_s[0] - model[0], vel_ne_m_s[1] - model[1]
     squared = (s_ee * north * north - 2.0 * s_ne * north * east + s_nn * east * east) / determinant
     if squared > CLIPPED_SIGMA**2:
@@ -198,7 +203,7 @@ def fuse_velocity(
             covs[i, :2, :] = 0.0
             covs[i, :, :2] = 0.0
             covs[i, 0, 0] = covs[i, 1, 1] = vel_var
-            covs[i, 2, 2] += AZIMUTH_PSD_RAD2_S * dt_s
+            covs[i, 2, 2] = min(covs[i, 2, 2] + AZIMUTH_PSD_RAD2_S * dt_s, AZIMUTH_VAR_MAX_RAD2)
             models[i, :2] = vel_ne_m_s
         else:
             predict_model(models[i], covs[i], known * felt_x, known * felt_y, dt_s)

@@ -1,6 +1,7 @@
 """Forms the messages that the vehicle streams or is asked for, each from its present values."""
 
 import math
+from collections.abc import Iterable
 
 from pymavlink.dialects.v20 import common
 
@@ -18,6 +19,8 @@ _UNKNOWN_I16 = 32_767
 _CELLS_MAX = 10
 """That BATTERY_STATUS has room for."""
 _CENTIDEGREES = 36_000
+_I8, _I16, _U16, _I32 = (-128, 127), (-32_768, 32_767), (0, 65_535), (-(2**31), 2**31 - 1)
+_FLOAT32_MAX = 3.402823e38
 
 
 class Telemetry:
@@ -56,7 +59,7 @@ class Telemetry:
         if not (state.position_valid and state.height_valid):
             return None
         return common.MAVLink_local_position_ned_message(
-            self._boot_ms(), *state.pos_ned_m.tolist(), *state.vel_ned_m_s.tolist()
+            self._boot_ms(), *_singles(state.pos_ned_m.tolist()), *_singles(state.vel_ned_m_s.tolist())
         )
 
     def global_position_int(self) -> Message | None:
@@ -67,11 +70,11 @@ class Telemetry:
         lat_deg, lon_deg, alt_m = self._geodetic()
         home = self._flight.home
         relative_m = alt_m - (home.alt_m if home is not None else state.origin_alt_m)
-        north, east, down = (round(100.0 * v) for v in state.vel_ned_m_s.tolist())
-        heading_cdeg = round(math.degrees(self._yaw_rad()) * 100.0) % _CENTIDEGREES
+        north, east, down = (_whole(100.0 * v, _I16) for v in state.vel_ned_m_s.tolist())
+        heading_cdeg = _whole(math.degrees(self._yaw_rad()) * 100.0, _I32) % _CENTIDEGREES
         return common.MAVLink_global_position_int_message(
-            self._boot_ms(), round(lat_deg * 1e7), round(lon_deg * 1e7), round(alt_m * 1e3),
-            round(relative_m * 1e3), north, east, down, heading_cdeg,
+            self._boot_ms(), *_place(lat_deg, lon_deg, alt_m), _whole(relative_m * 1e3, _I32),
+            north, east, down, heading_cdeg,
         )  # fmt: skip
 
     def gps_raw_int(self) -> Message | None:
@@ -90,10 +93,7 @@ class Telemetry:
             return None
         state = self._flight.state
         return common.MAVLink_gps_global_origin_message(
-            round(state.origin_lat_deg * 1e7),
-            round(state.origin_lon_deg * 1e7),
-            round(state.origin_alt_m * 1e3),
-            self._flight.now_us,
+            *_place(state.origin_lat_deg, state.origin_lon_deg, state.origin_alt_m), self._flight.now_us
         )
 
     def home_position(self) -> Message | None:
@@ -102,8 +102,8 @@ class Telemetry:
         if home is None:
             return None
         return common.MAVLink_home_position_message(
-            round(home.lat_deg * 1e7), round(home.lon_deg * 1e7), round(home.alt_m * 1e3),
-            *home.pos_ned_m, home.q_ned_frd, 0.0, 0.0, 0.0, self._flight.now_us,
+            *_place(home.lat_deg, home.lon_deg, home.alt_m),
+            *_singles(home.pos_ned_m), home.q_ned_frd, 0.0, 0.0, 0.0, self._flight.now_us,
         )  # fmt: skip
 
     def extended_sys_state(self) -> Message:
@@ -122,9 +122,9 @@ class Telemetry:
         voltage_mv, current_ca, remaining_percent = _UNKNOWN_U16, -1, -1
         battery = flight.battery
         if battery.sampled_us is not None:
-            voltage_mv = min(round(1e3 * battery.voltage_v), _UNKNOWN_U16 - 1)
-            current_ca = -1 if battery.current_a is None else round(1e2 * battery.current_a)
-            remaining_percent = math.ceil(1e2 * battery.remaining)
+            voltage_mv = min(_whole(1e3 * battery.voltage_v, _U16), _UNKNOWN_U16 - 1)
+            current_ca = -1 if battery.current_a is None else _whole(1e2 * battery.current_a, _I16)
+            remaining_percent = _whole(math.ceil(1e2 * battery.remaining), _I8)
         return common.MAVLink_sys_status_message(
             _ALL_SENSORS,
             _ALL_SENSORS,
@@ -147,14 +147,15 @@ class Telemetry:
         if battery.sampled_us is None:
             return None
         cells = min(battery.params.cells, _CELLS_MAX)
-        cell_mv = round(1e3 * battery.voltage_v / battery.params.cells)
+        cell_mv = min(_whole(1e3 * battery.voltage_v / battery.params.cells, _U16), _UNKNOWN_U16 - 1)
         time_s = battery.time_remaining_s
         return common.MAVLink_battery_status_message(
             0, common.MAV_BATTERY_FUNCTION_ALL, common.MAV_BATTERY_TYPE_LIPO, _UNKNOWN_I16,
             [cell_mv] * cells + [_UNKNOWN_U16] * (_CELLS_MAX - cells),
-            -1 if battery.current_a is None else round(1e2 * battery.current_a),
-            round(battery.consumed_mah), -1, math.ceil(1e2 * battery.remaining),
-            0 if time_s is None else round(time_s), common.MAV_BATTERY_CHARGE_STATE_OK + battery.warning,
+            -1 if battery.current_a is None else _whole(1e2 * battery.current_a, _I16),
+            _whole(battery.consumed_mah, _I32), -1, _whole(math.ceil(1e2 * battery.remaining), _I8),
+            0 if time_s is None else _whole(time_s, _I32),
+            common.MAV_BATTERY_CHARGE_STATE_OK + battery.warning,
         )  # fmt: skip
 
     def altitude(self) -> Message | None:
@@ -165,6 +166,7 @@ class Telemetry:
         local_m = -float(state.pos_ned_m[2])
         amsl_m = state.origin_alt_m + local_m
         relative_m = amsl_m - self._flight.home.alt_m if self._flight.home is not None else local_m
+        amsl_m, local_m, relative_m = _singles((amsl_m, local_m, relative_m))
         return common.MAVLink_altitude_message(
             self._flight.now_us, amsl_m, amsl_m, local_m, relative_m, math.nan, math.nan
         )
@@ -176,9 +178,12 @@ class Telemetry:
             return None
         north, east, down = state.vel_ned_m_s.tolist()
         thrust = self._flight.attitude_setpoint.thrust if self._flight.attitude_setpoint is not None else 0.0
+        speed_m_s, alt_m, climb_m_s = _singles(
+            (math.hypot(north, east), state.origin_alt_m - float(state.pos_ned_m[2]), -down)
+        )
         return common.MAVLink_vfr_hud_message(
-            0.0, math.hypot(north, east), round(math.degrees(self._yaw_rad())) % 360, round(100.0 * thrust),
-            state.origin_alt_m - float(state.pos_ned_m[2]), -down,
+            0.0, speed_m_s, _whole(math.degrees(self._yaw_rad()), _I16) % 360, _whole(100.0 * thrust, _U16),
+            alt_m, climb_m_s,
         )  # fmt: skip
 
     def odometry(self) -> Message | None:
@@ -189,8 +194,8 @@ class Telemetry:
         vel_frd_m_s = quat_rotate_inverse(state.q_ned_frd, state.vel_ned_m_s)
         return common.MAVLink_odometry_message(
             self._flight.now_us, common.MAV_FRAME_LOCAL_NED, common.MAV_FRAME_BODY_FRD,
-            *state.pos_ned_m.tolist(), state.q_ned_frd.tolist(),
-            *vel_frd_m_s.tolist(), *state.omega_frd_rad_s.tolist(),
+            *_singles(state.pos_ned_m.tolist()), state.q_ned_frd.tolist(),
+            *_singles(vel_frd_m_s.tolist()), *state.omega_frd_rad_s.tolist(),
             _upper_triangle(state.pos_std_m.tolist() + state.attitude_std_rad.tolist()),
             _upper_triangle(state.vel_std_m_s.tolist() + [math.nan] * 3),
             state.reset_counter % 256, common.MAV_ESTIMATOR_TYPE_AUTOPILOT,
@@ -215,10 +220,10 @@ class Telemetry:
             if valid
         )
         north_m, east_m, down_m = state.pos_std_m.tolist()
+        ratios = [of.test_ratio for of in (fit.velocity, fit.position, fit.height, fit.heading)]
         return common.MAVLink_estimator_status_message(
-            self._flight.now_us, flags, fit.velocity.test_ratio, fit.position.test_ratio,
-            fit.height.test_ratio, fit.heading.test_ratio, math.nan, math.nan,
-            math.hypot(north_m, east_m), down_m,
+            self._flight.now_us, flags, *_singles(ratios), math.nan, math.nan,
+            *_singles((math.hypot(north_m, east_m), down_m)),
         )  # fmt: skip
 
     def highres_imu(self) -> Message | None:
@@ -237,7 +242,7 @@ class Telemetry:
         if s is None:
             return None
         return common.MAVLink_scaled_pressure_message(
-            self._boot_ms(), s.abs_pressure, s.diff_pressure, round(100.0 * s.temperature)
+            self._boot_ms(), s.abs_pressure, s.diff_pressure, _whole(100.0 * s.temperature, _I16)
         )
 
     def position_target_local_ned(self) -> Message | None:
@@ -259,7 +264,7 @@ class Telemetry:
         if setpoint.yaw_rad is None:
             type_mask |= common.POSITION_TARGET_TYPEMASK_YAW_IGNORE
         return common.MAVLink_position_target_local_ned_message(
-            self._boot_ms(), common.MAV_FRAME_LOCAL_NED, type_mask, *values,
+            self._boot_ms(), common.MAV_FRAME_LOCAL_NED, type_mask, *_singles(values),
             setpoint.yaw_rad if setpoint.yaw_rad is not None else 0.0, setpoint.yaw_rate_rad_s,
         )  # fmt: skip
 
@@ -281,7 +286,9 @@ class Telemetry:
     def servo_output_raw(self) -> Message:
         """SERVO_OUTPUT_RAW: the motors' controls as pulse widths, 1000 to 2000 us; 900 us disarmed."""
         armed = self._flight.commander.armed
-        widths_us = [round(1000.0 + 1000.0 * u) if armed else 900 for u in self._flight.motors.tolist()]
+        widths_us = [
+            _whole(1000.0 + 1000.0 * u, _U16) if armed else 900 for u in self._flight.motors.tolist()
+        ]
         return common.MAVLink_servo_output_raw_message(self._flight.now_us % 2**32, 0, *widths_us, 0, 0, 0, 0)
 
     def system_time(self) -> Message:
@@ -369,4 +376,26 @@ def _mm(accuracy_cm: int) -> int:
 
 def _upper_triangle(std: list[float]) -> list[float]:
     """Row-major upper triangle of a 6 x 6 covariance whose correlations are not given."""
-    return [std[row] ** 2 if row == column else 0.0 for row in range(6) for column in range(row, 6)]
+    variances = _singles(one * one for one in std)
+    return [variances[row] if row == column else 0.0 for row in range(6) for column in range(row, 6)]
+
+
+def _place(lat_deg: float, lon_deg: float, alt_m: float) -> tuple[int, int, int]:
+    """Latitude and longitude in 1e-7 degrees and altitude in millimetres, as positions travel."""
+    return _whole(lat_deg * 1e7, _I32), _whole(lon_deg * 1e7, _I32), _whole(alt_m * 1e3, _I32)
+
+
+def _whole(value: float, limits: tuple[int, int]) -> int:
+    """Nearest whole number that a field of these limits can hold; 0 for not-a-number."""
+    if math.isnan(value):
+        return 0
+    return round(min(max(value, limits[0]), limits[1]))
+
+
+def _singles(values: Iterable[float]) -> list[float]:
+    """Numbers that a float32 can hold; infinities and not-a-number are among them."""
+    return [
+        value if -_FLOAT32_MAX <= value <= _FLOAT32_MAX or not math.isfinite(value)
+        else math.copysign(_FLOAT32_MAX, value)
+        for value in values
+    ]  # fmt: skip

@@ -26,7 +26,7 @@ def rehearse() -> None:
     )
     with World(model=IRIS, spawn_pos_ned_m=spawn_ned_m, spawn_yaw_rad=0.0, step_us=_STEP_US) as world:
         forces, turbulent_air = (
-            Wind(config, vehicles, np.random.default_rng(0))
+            Wind(config, vehicles, np.random.default_rng(0), formation_height_m=10.0)
             for config in (WindConfig(), WindConfig(kind="velocity", turbulence="dryden"))
         )
         dt_s, height_m = _STEP_US * 1e-6, np.full(vehicles, 1.0)

@@ -4,7 +4,8 @@ The model is PX4's `gazebo_motor_model`: thrust and yaw torque by the square of 
 rolling moment after P. Martin and E. Salaün, "The true role of accelerometer feedback in quadrotor control",
 ICRA 2010. All of them go with the density of the air, of which Gazebo's constants are those at sea level. The
 ground effect, where it is wanted, is I. C. Cheeseman and W. E. Bennett, "The effect of the ground on a
-helicopter rotor in forward flight", ARC R&M 3021, 1955, equation for the hover.
+helicopter rotor in forward flight", ARC R&M 3021, 1955, equation for the hover; with the vehicle's tilt it
+fades by the cosine.
 """
 
 import math
@@ -46,6 +47,9 @@ class RotorKernelModel(NamedTuple):
 LEAST_HEIGHT_RADII = 0.5
 """Height of a rotor over its radius below which Cheeseman and Bennett's formula, which goes to infinity at a
 quarter, is held: it is usually taken to be valid above. A landed Iris's rotors are at 0.61."""
+MOST_AXIAL_FACTOR = 1.2
+"""Reached at 5 m/s from below by the Iris, whose hovering rotors induce 5.5 m/s, sqrt(3.8 N / (2 rho A)):
+from about there on a rotor works in its own vortex ring and gains no more."""
 
 
 def kernel_model(model: VehicleModel, *, step_s: float, ground_effect: bool = False) -> RotorKernelModel:
@@ -92,6 +96,17 @@ def rotor_speeds(
 
 
 @njit(cache=True)
+def axial_factor(inflow_from_below_m_s: float, limit_m_s: float) -> float:
+    """Thrust of a rotor over its static thrust, by the air's speed up its axis as the hub meets it.
+
+    Linear: in a climb or a downdraught it falls, to nothing at -``limit_m_s``; in a descent or an updraught
+    it rises as much, up to `MOST_AXIAL_FACTOR`. Gazebo's plugin takes the speed's magnitude, which makes
+    descents run away.
+    """
+    return min(max(1.0 + inflow_from_below_m_s / limit_m_s, 0.0), MOST_AXIAL_FACTOR)
+
+
+@njit(cache=True)
 def ground_effect(height_m: float, radius_m: float) -> float:
     """Thrust of a rotor so high above the ground over its thrust far from it, at the same speed."""
     radii = max(height_m / radius_m, LEAST_HEIGHT_RADII)
@@ -135,11 +150,11 @@ def wrenches(
             air_z = vel[2] + omega[0] * y - omega[1] * x
             blades = density * surroundings.effectiveness[vehicle, rotor]
             static_thrust = blades * (model.thrust_n_s2 * speed * speed)
-            # full in descent too: Gazebo's plugin takes |air_z|, and so makes every descent run away
-            up = static_thrust * min(max(1.0 + air_z / model.axial_speed_limit_m_s, 0.0), 1.0)
+            up = static_thrust * axial_factor(air_z, model.axial_speed_limit_m_s)
             if model.ground_effect_radius_m > 0.0 and down[2] > 0.0:  # not with the rotors below the body
                 height_m = surroundings.height_m[vehicle] - (down[0] * x + down[1] * y + down[2] * z)
-                up *= ground_effect(height_m, model.ground_effect_radius_m)
+                more = ground_effect(height_m, model.ground_effect_radius_m) - 1.0
+                up *= 1.0 + down[2] * more  # all of it when level, nothing at 90 degrees
             drag_x = blades * (-model.drag_n_s2_m * speed * air_x)
             drag_y = blades * (-model.drag_n_s2_m * speed * air_y)
             force[0] += drag_x

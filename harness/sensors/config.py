@@ -25,7 +25,7 @@ class GpsOverrides(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Per axis and fix, beside the slow error."""
     velocity_std_m_s: Annotated[float, Meta(ge=0.0, le=50.0)] | None = None
     """White, per axis and fix."""
-    rate_hz: Annotated[float, Meta(gt=0.0, le=50.0)] | None = None
+    rate_hz: Annotated[float, Meta(ge=0.1, le=50.0)] | None = None
     delay_s: Annotated[float, Meta(ge=0.0, le=0.3)] | None = None
     """Age of what a fix describes, when it arrives."""
 

@@ -7,6 +7,7 @@ section 5.4). That is to be asked only of data that obey the filter's model to t
 of known size, biases that walk as the filter believes. Pure functions of their seeds.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -110,6 +111,20 @@ class Consistency:
         low, high = self.band()
         mean = self.mean(group)
         return float(np.mean((mean > low) & (mean < high)))
+
+
+def pooled(campaigns: Sequence[Consistency]) -> Consistency:
+    """Take the runs of campaigns that looked at the same epochs for those of one."""
+    first = campaigns[0]
+    return Consistency(
+        time_s=first.time_s,
+        nees={group: np.concatenate([one.nees[group] for one in campaigns]) for group in first.nees},
+        innovations={
+            name: [series for one in campaigns for series in one.innovations[name]]
+            for name in first.innovations
+        },
+        refused=sum(one.refused for one in campaigns),
+    )
 
 
 def matched_noise(rng: np.random.Generator, params: EstimatorParams = MATCHED_PARAMS) -> Noise:

@@ -23,20 +23,21 @@ class GustyWind:
     def __init__(self, config: WindConfig, vehicles: int, rng: np.random.Generator) -> None:
         if config.kind != "force":
             raise ValueError(f'wind of kind "{config.kind}" is no force')
+        model = config.force_model()
         direction_rad = math.radians(config.direction_deg)
-        horizontal_n = config.mean_n * math.sqrt(1.0 - config.vertical_fraction**2)
+        horizontal_n = model.mean_n * math.sqrt(1.0 - config.vertical_fraction**2)
         self._mean_ned_n = np.array(
             [
                 horizontal_n * math.cos(direction_rad),
                 horizontal_n * math.sin(direction_rad),
-                config.mean_n * config.vertical_fraction,
+                model.mean_n * config.vertical_fraction,
             ]
         )
-        gust_rms_n = config.mean_n * config.gust_rms_fraction
+        gust_rms_n = model.mean_n * model.gust_rms_fraction
         self._gust_rms_ned_n = gust_rms_n * np.array([1.0, 1.0, VERTICAL_GUST_RATIO])
-        self._time_constant_s = config.gust_time_constant_s
-        self._shared_weight = math.sqrt(config.correlation)
-        self._own_weight = math.sqrt(1.0 - config.correlation)
+        self._time_constant_s = model.gust_time_constant_s
+        self._shared_weight = math.sqrt(model.correlation)
+        self._own_weight = math.sqrt(1.0 - model.correlation)
         self._rng = rng
         # row 0 is shared, row 1 + i belongs to vehicle i; of unit variance
         self._unit_gusts = rng.standard_normal((1 + vehicles, 3))

@@ -21,14 +21,19 @@ class WindNow(NamedTuple):
 
 
 class Wind:
-    """Wind of a scenario at ``vehicles`` vehicles; all its randomness is ``rng``'s."""
+    """Wind of a scenario at ``vehicles`` vehicles; all its randomness is ``rng``'s.
 
-    def __init__(self, config: WindConfig, vehicles: int, rng: np.random.Generator) -> None:
+    Turbulence is that of ``formation_height_m`` above the ground unless the scenario says another height.
+    """
+
+    def __init__(
+        self, config: WindConfig, vehicles: int, rng: np.random.Generator, *, formation_height_m: float
+    ) -> None:
         self._source: GustyWind | MovingAir
         if config.kind == "force":
             self._source = GustyWind(config, vehicles, rng)
         else:
-            self._source = MovingAir(config, vehicles, rng)
+            self._source = MovingAir(config, vehicles, rng, formation_height_m=formation_height_m)
         self._gusts = GustProfiles(config) if config.gusts else None
         self._nothing = np.zeros((vehicles, 3))
 

@@ -273,6 +273,47 @@ def test_a_corrected_number_of_cells_needs_no_filter_to_settle():
     assert flight.run(SAMPLE_PERIOD_US / 1e6).monitor.remaining == pytest.approx(right, abs=0.01)
 
 
+def test_nothing_is_reckoned_over_a_gap_in_the_samples():
+    """Five minutes without a battery at 17 A would be 1.4 Ah of 5.1; none of it was drawn, nor is counted."""
+    flight = Flight(structs.replace(SIM, initial=0.7)).run(30.0)
+    consumed_mah, charge = flight.monitor.consumed_mah, flight.pack.charge
+    flight.pack.set_params(structs.replace(SIM, enabled=0), PACK)
+    flight.run(300.0)
+    flight.pack.set_params(SIM, PACK)
+    assert flight.pack.charge == charge
+    flight.run(SAMPLE_PERIOD_US / 1e6)
+    assert flight.monitor.consumed_mah == pytest.approx(consumed_mah, abs=HOVER_A * 0.02 / 3.6)
+    assert flight.monitor.remaining == pytest.approx((open_circuit_v(charge) - 3.6) / 0.45, abs=0.02)
+    flight.run(10.0)
+    assert flight.monitor.consumed_mah == pytest.approx(consumed_mah + HOVER_A * 10.0 / 3.6, rel=0.01)
+    assert flight.pack.charge - 0.08 < flight.monitor.remaining < flight.pack.charge + 0.005
+
+
+def test_a_gap_of_a_second_is_reckoned_and_more_is_not():
+    """10 A for a second are 2.78 mAh."""
+    for gap_us, counted_mah in ((1_000_000, 10.0 / 3.6), (1_000_001, 0.0)):
+        monitor = BatteryMonitor(PACK)
+        monitor.update(BatterySample(0, 12.0, 10.0), armed=True)
+        monitor.update(BatterySample(gap_us, 12.0, 10.0), armed=True)
+        assert monitor.consumed_mah == pytest.approx(counted_mah)
+
+
+@pytest.mark.parametrize("cells", [2, 4])
+def test_another_number_of_cells_in_flight_makes_no_jump_and_warns_of_nothing(cells):
+    """The pack gets it, too: a cell is what it was, and so is its charge; 2 % for the drop under load."""
+    flight = Flight(structs.replace(SIM, initial=0.5)).run(10.0)
+    consumed_mah = flight.monitor.consumed_mah
+    flight.set_pack(cells=cells)
+    by_voltage = (open_circuit_v(flight.pack.charge) - 3.6) / 0.45
+    for _ in range(500):
+        flight.run(SAMPLE_PERIOD_US / 1e6)
+        assert flight.monitor.remaining == pytest.approx(by_voltage, abs=0.02)
+        assert flight.monitor.warning is BatteryWarning.NONE
+    assert flight.monitor.voltage_v == pytest.approx(flight.samples[-1].voltage_v, rel=1e-3)
+    assert flight.monitor.cell_resistance_ohm == pytest.approx(0.005, rel=0.1)
+    assert flight.monitor.consumed_mah == pytest.approx(consumed_mah + HOVER_A * 10.0 / 3.6, rel=0.01)
+
+
 @settings(max_examples=100, deadline=None)
 @given(st.floats(0.001, 0.03), st.integers(1, 12), st.integers(0, 2**32 - 1))
 def test_resistance_is_found_from_changing_currents(cell_ohm, cells, seed):

@@ -72,7 +72,7 @@ def test_controls_are_finite_for_all_accepted_parameters_and_wild_setpoints(over
 @example({}, STOP, (1.7e-291, 0.0, 3.0), 0.5)  # whose square is none any more
 @given(some_parameters, setpoints, st.tuples(*[st.floats(-100.0, 100.0)] * 3), st.floats(0.05, 0.95))
 def test_thrust_and_tilt_keep_their_limits_for_all_accepted_parameters(overrides, setpoint, vel_m_s, hover):
-    """At least the least thrust, also where the margin is all of the greatest: none is given up for nothing."""
+    """At least the least thrust, also where the margin is all of it: none is given up for nothing."""
     params = accepted(overrides).position
     attitude = (
         PositionController(params)

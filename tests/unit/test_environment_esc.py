@@ -38,6 +38,16 @@ def test_current_is_four_amperes_at_hover_and_goes_with_the_cube_of_the_speed():
     np.testing.assert_allclose(readings.speed_rpm[0], SPEEDS[0] * 9.5493, rtol=1e-5)
 
 
+def test_thin_air_takes_less_current():
+    """A rotor's power goes with the density: 0.9 of it at one vehicle, half a propeller or not."""
+    effectiveness = np.ones((2, 4))
+    effectiveness[1, 0] = 0.5
+    thick = esc.readings(SPEEDS, effectiveness)
+    thin = esc.readings(SPEEDS, effectiveness, np.array((1.0, 0.9)))
+    np.testing.assert_allclose(thin.current_a, thick.current_a * [[1.0], [0.9]], rtol=1e-12)
+    np.testing.assert_array_equal(thin.speed_rpm, thick.speed_rpm)
+
+
 def frame_of(time_us, *, fix):
     gps = GpsFixes(
         lat_deg=np.zeros(2), lon_deg=np.zeros(2), alt_m=np.zeros(2), vel_ned_m_s=np.zeros((2, 3)),

@@ -1,120 +1,35 @@
 """Every fault does what it says, to its vehicle alone and in its time alone. 5 s."""
 
-import msgspec
 import numpy as np
 import pytest
+from faults_fixtures import (
+    BEGIN_US,
+    END_US,
+    EXAMPLES,
+    HIT,
+    SENSOR_FAULTS,
+    SITE,
+    STEP_US,
+    N,
+    columns,
+    differences,
+    fault_of,
+    faults_of,
+    fly,
+    truth_at,
+)
 from pymavlink.dialects.v20 import common
 
-from autopilot.config import Site
 from autopilot.estimation import atmosphere
-from autopilot.estimation.rotation import quat_from_rotation_vector
 from autopilot.mavlink.codec import Parser
-from autopilot.navigation.geodesy import geodetic_to_ned
-from harness import faults as catalogue
-from harness.faults import AnyFault, Faults, kind, validated
+from autopilot.recording import SiteFrame
+from harness.faults import AnyFault, kind
 from harness.hil import SensorEncoder
-from harness.messages import Fault
+from harness.messages import FaultChanged
 from harness.physics.model import IRIS
-from harness.physics.truth import Truth
 from harness.physics.world import World
 from harness.progress import describe
-from harness.sensors.config import SensorsConfig
-from harness.sensors.suite import SensorSuite
-
-STEP_US = 4_000
-SITE = Site()
-N = 3
-HIT = 1
-"""The vehicle that the faults are about."""
-BEGIN_US, END_US = 1_000_000, 2_000_000
-EXAMPLES = {
-    "gps_loss": {},
-    "gps_bias": {"offset_ned_m": (30.0, -40.0, 5.0)},
-    "gps_noise": {"position_std_m": 4.0, "velocity_std_m_s": 0.5},
-    "accel_bias": {"offset_frd_m_s2": (1.0, -2.0, 0.5)},
-    "gyro_bias": {"offset_frd_rad_s": (0.1, 0.0, -0.2)},
-    "mag_bias": {"offset_frd_gauss": (0.05, 0.1, -0.02)},
-    "mag_yaw": {"heading_error_deg": 40.0},
-    "baro_freeze": {},
-    "baro_bias": {"offset_m": 8.0},
-    "motor": {"motor": 2, "effectiveness": 0.25},
-    "motor_stop": {"motor": 3},
-}
-SENSOR_FAULTS = [name for name in EXAMPLES if not name.startswith("motor")]
-
-
-def fault_of(name, **fields):
-    """Through the decoder, as from a scenario."""
-    table = {"kind": name, "uav": HIT, "start_s": 1.0, "duration_s": 1.0, **EXAMPLES[name], **fields}
-    return msgspec.convert(table, AnyFault)
-
-
-def faults_of(*faults, seed=5):
-    return Faults(faults, N, np.random.default_rng(seed))
-
-
-def fly(*faults, until_us=3_000_000, profile="consumer", seed=5):
-    """Frames of vehicles that climb apart, tilted and turning, with the faults in force."""
-    suite = SensorSuite(
-        config=SensorsConfig(profile=profile),
-        site=SITE,
-        vehicles=N,
-        step_us=STEP_US,
-        seed=np.random.SeedSequence(1),
-    )
-    state = faults_of(*faults, seed=seed)
-    frames = []
-    for time_us in range(STEP_US, until_us, STEP_US):
-        state.advance(time_us)
-        frames.append(suite.sample(time_us, truth_at(time_us), state))
-    return frames
-
-
-def truth_at(time_us):
-    t = time_us * 1e-6
-    q = [quat_from_rotation_vector(np.array((0.1, 0.2, 0.5 * vehicle + 0.3 * t))) for vehicle in range(N)]
-    return Truth(
-        pos_ned_m=np.array([(5.0 * vehicle, 1.0 * t, -10.0 - 2.0 * t) for vehicle in range(N)]),
-        vel_ned_m_s=np.tile((0.0, 1.0, -2.0), (N, 1)),
-        q_ned_frd=np.array(q),
-        omega_frd_rad_s=np.zeros((N, 3)),
-        rotor_speed_rad_s=np.zeros((N, 4)),
-        acc_ned_m_s2=np.zeros((N, 3)),
-        specific_force_frd_m_s2=np.tile((0.0, 0.0, -9.8066), (N, 1)),
-        mean_omega_frd_rad_s=np.zeros((N, 3)),
-    )
-
-
-def columns(frame):
-    """All that a frame says, by name: arrays whose first axis is the vehicle."""
-    said = {"accel": frame.accel_frd_m_s2, "gyro": frame.gyro_frd_rad_s}
-    if frame.mag_frd_gauss is not None:
-        said["mag"] = frame.mag_frd_gauss
-    if frame.baro is not None:
-        said |= {"pressure": frame.baro.pressure_hpa, "temperature": frame.baro.temperature_degc}
-    if frame.gps is not None:
-        pos = geodetic_to_ned(
-            frame.gps.lat_deg, frame.gps.lon_deg, frame.gps.alt_m, origin_lat_deg=SITE.latitude_deg,
-            origin_lon_deg=SITE.longitude_deg, origin_alt_m=SITE.altitude_m,
-        )  # fmt: skip
-        lost = np.zeros(N, bool) if frame.gps.lost is None else frame.gps.lost
-        said |= {"gps_pos": pos, "gps_vel": frame.gps.vel_ned_m_s, "gps_lost": lost}
-    return said
-
-
-def differences(healthy, faulty):
-    """(time_us, name, vehicle, faulty less healthy) of all values that are not the same to the bit."""
-    found = []
-    for before, after in zip(healthy, faulty, strict=True):
-        here, there = columns(before), columns(after)
-        assert here.keys() == there.keys()
-        for name, healthy_values in here.items():
-            for vehicle in range(N):
-                if not np.array_equal(healthy_values[vehicle], there[name][vehicle]):
-                    change = there[name][vehicle].astype(float) - healthy_values[vehicle].astype(float)
-                    found.append((after.time_us, name, vehicle, change))
-    return found
-
+from harness.recording import EVENT_KINDS
 
 AFFECTED = {
     "gps_loss": {"gps_lost"},
@@ -284,6 +199,23 @@ def test_a_jammed_receiver_reports_no_fix_and_no_satellites_and_the_others_go_on
         assert messages[0].lat != 0
 
 
+def test_the_flight_log_has_no_position_while_there_is_no_fix():
+    """Through the encoder and the vehicle's own parser: the site, then nothing, then the site again."""
+    site = SiteFrame(SITE)
+    encoder, seen = SensorEncoder(), {}
+    assert np.isnan(site.fix_ned_m(None)).all()
+    for frame in fly(fault_of("gps_loss"), profile="ideal"):
+        if frame.gps is not None:
+            data = list(encoder.encode(frame.time_us, frame))[HIT]
+            fix = next(m for m in Parser().push(data) if m.get_type() == "HIL_GPS")
+            seen[frame.time_us] = site.fix_ned_m(fix)
+    lost = {time_us for time_us, pos in seen.items() if np.isnan(pos).all()}
+    assert lost == {time_us for time_us in seen if BEGIN_US <= time_us < END_US}
+    for time_us in seen.keys() - lost:
+        expected = truth_at(time_us - 120_000).pos_ned_m[HIT]
+        np.testing.assert_allclose(seen[time_us], expected, atol=0.02)  # 1e-7 deg are 11 mm
+
+
 def spin(*faults, steps=500):
     """World of N hovering vehicles: rotor speeds and vertical accelerations, per step."""
     spawn = [(0.0, 5.0 * i, -200.0) for i in range(N)]
@@ -311,7 +243,7 @@ def test_a_broken_propeller_lifts_and_turns_less_at_its_speed():
     np.testing.assert_allclose(before.acc_ned_m_s2[0], before.acc_ned_m_s2[HIT], atol=1e-9)
     lost_n = 0.75 * 5.84e-6 * first.rotor_speed_rad_s[HIT, 2] ** 2
     lacking_m_s2 = first.acc_ned_m_s2[HIT, 2] - first.acc_ned_m_s2[0, 2]
-    # descending a little already, which takes nothing from the thrust, and both do
+    # both descend a little already, by which the thrust is hardly another
     assert lacking_m_s2 == pytest.approx(lost_n / 1.55, rel=0.01)
     roll_rad_s2, pitch_rad_s2, yaw_rad_s2 = first.omega_frd_rad_s[HIT] / (STEP_US * 1e-6)
     assert roll_rad_s2 == pytest.approx(-0.22 * lost_n / 0.029125, rel=0.02)
@@ -346,17 +278,53 @@ def test_what_begins_and_ends_is_told_once_and_at_its_step():
     }
 
 
-def test_times_between_steps_act_from_the_step_after_and_what_fits_in_no_step_never_was():
-    state = faults_of(
-        fault_of("gps_loss", start_s=0.0101, duration_s=0.01),
-        fault_of("gps_loss", start_s=0.0205, duration_s=0.001),
-    )
-    lost_us = []
-    for time_us in range(STEP_US, 40_000, STEP_US):
-        state.advance(time_us)
+def lost_us(*faults, step_us=STEP_US):
+    state, seen, told = faults_of(*faults), [], []
+    for time_us in range(step_us, 60_000, step_us):
+        told += state.advance(time_us)
         if state.gps_lost is not None:
-            lost_us.append(time_us)
-    assert lost_us == [12_000, 16_000, 20_000]
+            seen.append(time_us)
+    return seen, told
+
+
+def test_times_between_steps_act_from_the_step_after():
+    seen, _ = lost_us(fault_of("gps_loss", start_s=0.0101, duration_s=0.01))
+    assert seen == [12_000, 16_000, 20_000]
+
+
+@pytest.mark.parametrize("start_s", [0.008, 0.0081, 0.0099999, 0.012])
+def test_the_shortest_fault_there_is_lasts_for_one_step_wherever_it_begins(start_s):
+    seen, told = lost_us(fault_of("gps_loss", start_s=start_s, duration_s=0.004))
+    assert seen == [8_000 if start_s == 0.008 else 12_000]
+    assert len(told) == 2
+
+
+def test_what_lies_between_two_instants_that_are_looked_at_never_was():
+    assert lost_us(fault_of("gps_loss", start_s=0.021, duration_s=0.004), step_us=20_000) == ([], [])
+
+
+def test_of_one_instant_the_ended_are_told_before_the_begun_each_by_its_number():
+    state = faults_of(
+        fault_of("motor_stop", start_s=2.0),
+        fault_of("gps_loss"),
+        fault_of("motor", start_s=0.5, duration_s=1.5),
+    )
+    state.add(fault_of("baro_freeze", start_s=2.0, duration_s=None), 0)
+    told = {}
+    for time_us in range(STEP_US, 2_100_000, STEP_US):
+        for change in state.advance(time_us):
+            entry = (change.began, change.number, kind(change.fault), change.motor)
+            told.setdefault(time_us, []).append(entry)
+    assert told == {
+        500_000: [(True, 2, "motor", 2)],
+        BEGIN_US: [(True, 1, "gps_loss", None)],
+        END_US: [
+            (False, 2, "motor", 2),
+            (False, 1, "gps_loss", None),
+            (True, 0, "motor_stop", 3),
+            (True, 3, "baro_freeze", None),
+        ],
+    }
 
 
 def test_a_fault_that_is_injected_counts_from_now():
@@ -370,15 +338,6 @@ def test_a_fault_that_is_injected_counts_from_now():
     assert state.accel_offset_frd_m_s2 is None
 
 
-def test_a_fault_made_in_a_program_is_checked_before_it_is_sent():
-    with pytest.raises(msgspec.ValidationError, match="motor"):
-        validated(catalogue.MotorStop(uav=0, motor=7), N)
-    with pytest.raises(ValueError, match=r"fault\.uav: 3 is none of 3 vehicles"):
-        validated(catalogue.GpsLoss(uav=3), N)
-    sound = catalogue.GpsBias(uav=2, offset_ned_m=(1.0, 2.0, 3.0))
-    assert validated(sound, N) == sound
-
-
 def test_equal_runs_with_faults_are_equal_to_the_bit_and_noise_follows_the_seed():
     everything = [fault_of(name, uav="all") for name in SENSOR_FAULTS]
     first, again, other = (fly(*everything, until_us=1_500_000, seed=seed) for seed in (5, 5, 6))
@@ -387,10 +346,42 @@ def test_equal_runs_with_faults_are_equal_to_the_bit_and_noise_follows_the_seed(
 
 
 def test_a_change_is_told_in_words():
-    change = Fault(time_us=4_500_000, instance=2, what="gps_loss", change="began")
-    assert describe(change) == "t = 4.50 s: fault gps_loss of uav 2 began"
-    change = Fault(time_us=4_500_000, instance=None, what="motor", change="ended")
-    assert describe(change) == "t = 4.50 s: fault motor of every uav ended"
+    change = FaultChanged(
+        time_us=4_500_000, number=0, instance=2, what="gps_loss", motor=None, change="began"
+    )
+    assert describe(change) == "t = 4.50 s: fault 0 (gps_loss) of uav 2 began"
+    change = FaultChanged(
+        time_us=4_500_000, number=3, instance=None, what="motor_stop", motor=1, change="ended"
+    )
+    assert describe(change) == "t = 4.50 s: fault 3 (motor_stop 1) of every uav ended"
+
+
+def test_a_change_belongs_to_the_run_and_is_written_down():
+    assert FaultChanged.__struct_config__.tag in EVENT_KINDS
+
+
+def test_noise_at_one_vehicle_is_the_same_whatever_befalls_the_others(healthy):
+    """From the first fix on, with another's noise before, beside and on top, and with other faults."""
+    own = fault_of("gps_noise", duration_s=None)
+    alone = differences(healthy, fly(own))
+    for others in (
+        [fault_of("gps_noise", uav=0, start_s=0.3, duration_s=0.5)],
+        [fault_of("gps_noise", uav=2, start_s=1.5), fault_of("gps_bias", uav=0), fault_of("gps_loss", uav=2)],
+    ):
+        together = [each for each in differences(healthy, fly(*others, own)) if each[2] == HIT]
+        assert len(together) == len(alone)
+        for first, second in zip(alone, together, strict=True):
+            assert first[:3] == second[:3]
+            np.testing.assert_array_equal(first[3], second[3])
+
+
+def test_noises_that_overlap_add_up_by_their_variances(healthy):
+    """3 m and 4 m are 5 m: the same draws as of 5 m alone."""
+    two = fly(fault_of("gps_noise", position_std_m=3.0, velocity_std_m_s=0.0),
+              fault_of("gps_noise", uav="all", position_std_m=4.0, velocity_std_m_s=0.0))  # fmt: skip
+    one = fly(fault_of("gps_noise", position_std_m=5.0, velocity_std_m_s=0.0))
+    first, second = ([e[3] for e in differences(healthy, frames) if e[2] == HIT] for frames in (two, one))
+    np.testing.assert_allclose(first, second, atol=1e-6)
 
 
 def test_every_kind_has_an_example_here():

@@ -113,9 +113,10 @@ def test_drag_at_hover_is_0_565_newton_per_metre_per_second(axis):
 
 
 @pytest.mark.parametrize(
-    ("climb_m_s", "part"), [(0.0, 1.0), (12.5, 0.5), (25.0, 0.0), (40.0, 0.0), (-10.0, 1.0)]
+    ("climb_m_s", "part"),
+    [(0.0, 1.0), (12.5, 0.5), (25.0, 0.0), (40.0, 0.0), (-2.5, 1.1), (-5.0, 1.2), (-10.0, 1.2)],
 )
-def test_thrust_falls_off_linearly_in_a_climb(climb_m_s, part):
+def test_thrust_falls_off_linearly_in_a_climb_and_rises_as_much_in_a_slow_descent(climb_m_s, part):
     force, _ = level_wrench(HOVER_RAD_S, (0.0, 0.0, -climb_m_s))
     assert -force[2] == pytest.approx(part * WEIGHT_N, abs=1e-12)
 

@@ -84,17 +84,51 @@ def test_overrides_take_numbers_strings_words_and_new_tables():
         ("agents=0", "agents: expected `int` >= 1"),
         ("ports.simulator_tcp=65530", "ports.simulator_tcp: 65530 + 7 vehicles is over 65535"),
         ("wind.kind=breeze", "wind.kind: invalid enum value 'breeze'"),
-        ("wind.mean_m_s=3", 'wind: mean_m_s: has no effect where kind is "force"'),
-        ('wind={kind="velocity", mean_n=2.0}', 'wind: mean_n: has no effect where kind is "velocity"'),
+        ("wind.mean_m_s=3", 'wind: mean_m_s: no effect where kind is "force"'),
+        ('wind={kind="velocity", mean_n=2.0}', 'wind: mean_n: no effect where kind is "velocity"'),
+        (
+            "wind.kind=velocity",
+            (
+                'wind: mean_n, gust_rms_fraction, gust_time_constant_s: no effect where kind is "velocity"; '
+                'correlation: no effect where turbulence is "none"'
+            ),
+        ),
+        ("wind.mean_n=nan", "wind.mean_n: expected `float` >= 0.0"),
+        ("run.duration_s=inf", "run.duration_s: expected `float` <= 1000000.0"),
+        ("run.reach_timeout_s=inf", "run.reach_timeout_s: expected `float` <= 1000000.0"),
+        ("run.record_rate_hz=1e-300", "run.record_rate_hz: expected `float` >= 0.001"),
+        ("formation.endfire_spacing_lambda=inf", "formation.endfire_spacing_lambda: expected"),
+        ("sensors.gps.white_std_m=inf", "sensors.gps.white_std_m: expected `float` <= 1000.0"),
+        ("sensors.gps.rate_hz=1e-308", "sensors.gps.rate_hz: expected `float` >= 0.1"),
+        ("sensors.gps.bias_time_constant_s=inf", "sensors.gps.bias_time_constant_s: expected"),
+        ('wind.gusts=[{shape="step", start_s=1.0, peak_n=inf}]', "wind.gusts[0].peak_n: expected `float` <="),
         ('wind.gusts=[{shape="step", start_s=1.0, peak_m_s=3.0}]', "wind: gusts[0]: expected peak_n"),
         (
             'wind.gusts=[{shape="ramp", start_s=1.0, peak_n=3.0}]',
             'wind.gusts[0]: rise_s: a gust of shape "ramp" takes time to rise',
         ),
         ("environment.density=thin", "environment.density: invalid enum value 'thin'"),
-        ('faults=[{kind="gps_los", uav=0}]', "faults[0].kind: invalid value 'gps_los'"),
+        (
+            'faults=[{kind="gps_los", uav=0}]',
+            (
+                "faults[0].kind: invalid value 'gps_los', expected one of gps_loss, gps_bias, gps_noise, "
+                "accel_bias, gyro_bias, mag_bias, mag_yaw, baro_freeze, baro_bias, motor, motor_stop"
+            ),
+        ),
         ('faults=[{kind="gps_loss", uav=8}]', "faults[0].uav: 8 is none of 8 vehicles"),
-        ('faults=[{kind="gps_loss", uav="some"}]', "faults[0].uav: invalid enum value 'some'"),
+        (
+            'faults=[{kind="gps_loss", uav="some"}]',
+            "faults[0].uav: invalid enum value 'some', expected a number or \"all\"",
+        ),
+        ('faults=[{kind="gps_loss", uav=[1]}]', 'faults[0].uav: expected a number or "all", got `array`'),
+        ('faults=[{kind="gps_loss", uav=-1}]', "faults[0].uav: expected `int` >= 0"),
+        (
+            'faults=[{kind="gps_loss", uav=0, start_s=inf}]',
+            "faults[0].start_s: expected `float` <= 1000000.0",
+        ),
+        ('faults=[{kind="gps_noise", uav=0}]', "faults[0]: position_std_m, velocity_std_m_s: expected one"),
+        ("faults.0.uav=1", "--set faults.0.uav=1: faults has no entry 0; there are none"),
+        ("wind.gusts.2.peak_n=1", "--set wind.gusts.2.peak_n=1: wind.gusts has no entry 2; there are none"),
         ('faults=[{kind="gps_loss", uav=0, start_s=-1.0}]', "faults[0].start_s: expected `float` >= 0.0"),
         (
             'faults=[{kind="motor", uav=0, motor=4, effectiveness=0.5}]',
@@ -116,6 +150,42 @@ def test_a_wrong_field_is_named(override, says):
     text = str(caught.value)
     assert says.lower() in text.lower()
     assert "\n" not in text
+
+
+FAULTS = ROOT / "scenarios" / "faults.toml"
+TURBULENCE = ROOT / "scenarios" / "turbulence.toml"
+
+
+def test_overrides_reach_into_arrays_by_number():
+    before, after = load(FAULTS), load(FAULTS, ["faults.0.uav=3", "faults.1.offset_ned_m.2=-4.0"])
+    assert (before.faults[0].uav, after.faults[0].uav) == (0, 3)
+    assert after.faults[1].offset_ned_m == (*before.faults[1].offset_ned_m[:2], -4.0)
+    assert after.faults[2:] == before.faults[2:]
+    assert load(TURBULENCE, ["wind.gusts.0.peak_m_s=3"]).wind.gusts[0].peak_m_s == 3.0
+    whole = load(FAULTS, ['faults.3={kind="mag_yaw", uav="all", heading_error_deg=9.0}']).faults[3]
+    assert whole.heading_error_deg == 9.0
+
+
+@pytest.mark.parametrize(
+    ("override", "says"),
+    [
+        ("faults.4.uav=1", "faults has no entry 4; there are numbers 0 to 3"),
+        ("faults.-1.uav=1", "faults has no entry -1; there are numbers 0 to 3"),
+        ("faults.first.uav=1", "faults has no entry first; there are numbers 0 to 3"),
+        ("faults.0.uav.x=1", "faults.0.uav is a value, not a table"),
+        ("faults.1.offset_ned_m.3=1.0", "faults.1.offset_ned_m has no entry 3; there are numbers 0 to 2"),
+    ],
+)
+def test_an_entry_that_there_is_not_is_one_line(override, says):
+    with pytest.raises(ScenarioError) as caught:
+        load(FAULTS, [override])
+    assert str(caught.value) == f"--set {override}: {says}"
+
+
+def test_a_vehicle_is_not_an_entry():
+    """Tables with numbers for keys stay tables."""
+    scenario = load(ARTICLE, ["autopilot.per_uav.1.MPC_XY_P=1.1"])
+    assert scenario.autopilot.per_uav == {"1": {"MPC_XY_P": 1.1}}
 
 
 def test_a_missing_a_broken_and_a_binary_file_are_named(tmp_path):

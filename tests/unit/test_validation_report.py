@@ -15,11 +15,12 @@ from typer.testing import CliRunner
 
 from autopilot.control.allocation import effectiveness
 from autopilot.control.params import AllocationParams
-from harness.validation import campaign
+from harness.validation import campaign, estimation_section
 from harness.validation.allocation import RANGE_N, _is_achievable, check_allocation
 from harness.validation.bench import _PARTS, _StopWatch, measure, record_flight
 from harness.validation.campaign import SUBJECTS
 from harness.validation.cli import BAD_INPUT, validate_app
+from harness.validation.estimation import EPOCH_S, MEASUREMENTS, STATES, Consistency, WrongCompass, pooled
 from harness.validation.plan import QUICK
 from harness.validation.report import Check, Section, Table, markdown
 
@@ -90,6 +91,55 @@ def test_every_subject_is_judged_by_the_results_that_it_asks_for(tmp_path):
         jobs = [job for group in subject.jobs(QUICK).values() for job in group]
         assert jobs
         assert all(function.__module__.startswith("harness.validation") for function, _ in jobs)
+
+
+def drawn_campaign(seed, *, thinks_better_by=1.0, runs=20, epochs=90):
+    """Independent errors of a filter that is honest, or thinks itself better than it is."""
+    rng = np.random.default_rng(seed)
+    square = (rng.standard_normal((len(STATES), runs, epochs, 3)) ** 2).sum(axis=3) * thinks_better_by**2
+    return Consistency(
+        time_s=EPOCH_S * np.arange(epochs),
+        nees=dict(zip(STATES, square, strict=True)),
+        innovations={name: list(rng.standard_normal((runs, 300, 2))) for name in MEASUREMENTS},
+        refused=0,
+    )
+
+
+def nees_checks(campaigns):
+    compass = WrongCompass(caught_s=2.0, heading_error_rad=0.0, resets=1)
+    results = {"consistency": campaigns, "outage": [1.0], "compass": [compass]}
+    section = estimation_section.judge(QUICK, results, None)
+    return [one for one in section.checks if "NEES" in one.name], section
+
+
+def test_normalised_errors_are_judged_by_the_band_of_all_epochs_for_every_seed():
+    """A tenth too sure is 1.21 per degree of freedom: inside one epoch's 0.675 to 1.388, but not of 90.
+
+    20 runs of 90 independent epochs are 5400 degrees of freedom, a band of 1 +- 1.96 sqrt(2 / 5400) = 0.038.
+    """
+    checks, section = nees_checks([drawn_campaign(seed) for seed in (11, 12, 14)])
+    assert [one.passed for one in checks] == [True] * 8
+    assert checks[0].at_most - checks[0].at_least == pytest.approx(2 * 0.038, rel=0.3)
+    assert "outside" not in str(section.tables[0].rows)
+    checks, section = nees_checks(
+        [drawn_campaign(11), drawn_campaign(12, thinks_better_by=1.1), drawn_campaign(14)]
+    )
+    assert [one.passed for one in checks] == [True, False, True, False] * 2
+    low, high = drawn_campaign(12).band()
+    assert low < checks[1].value < high
+    assert [["outside" in cell for cell in row[1:]] for row in section.tables[0].rows] == [
+        [False] * 5, [True] * 5, [False] * 5,
+    ]  # fmt: skip
+
+
+def test_pooled_campaigns_are_one_of_all_their_runs():
+    campaigns = [drawn_campaign(seed, runs=5) for seed in range(3)]
+    together = pooled(campaigns)
+    assert together.nees["position"].shape == (15, 90)
+    assert len(together.innovations["height"]) == 15
+    assert together.overall("position")[0] == pytest.approx(
+        np.mean([one.overall("position")[0] for one in campaigns])
+    )
 
 
 def test_an_unknown_subject_is_one_line():

@@ -1,11 +1,39 @@
 """The parameter table against the settings that it leads to."""
 
+import itertools
+
 import msgspec
 import pytest
 
-from autopilot.params import TABLE, ParameterError, ParameterSet, Settings
+from autopilot.params import (
+    INDEX_OF,
+    NOT_OVER,
+    TABLE,
+    UNDER,
+    ParameterError,
+    ParameterSet,
+    Settings,
+    check_range,
+)
 
 NAMES = [parameter.name for parameter in TABLE]
+CHAINS = (
+    ("BAT_EMERGEN_THR", "BAT_CRIT_THR", "BAT_LOW_THR"),
+    ("BAT1_V_EMPTY", "BAT1_V_CHARGED"),
+    ("MPC_LAND_ALT2", "MPC_LAND_ALT1"),
+    ("MPC_THR_MIN", "MPC_THR_MAX"),
+)
+"""From the least to the greatest."""
+NEVER = {("BAT1_V_EMPTY", 5.0), ("BAT1_V_CHARGED", 2.0)}
+"""Ends of a range beyond which the other one has none left."""
+
+
+def with_room(name):
+    """Values of the others of its chain, as far from the parameter as they go."""
+    chain = next((chain for chain in CHAINS if name in chain), (name,))
+    at = chain.index(name)
+    below = {other: TABLE[INDEX_OF[other]].minimum for other in chain[:at]}
+    return below | {other: TABLE[INDEX_OF[other]].maximum for other in chain[at + 1 :]}
 
 
 def test_names_are_unique_sorted_and_fit_mavlink():
@@ -17,8 +45,11 @@ def test_names_are_unique_sorted_and_fit_mavlink():
 def test_each_row_changes_its_setting_over_its_whole_range_and_nothing_else(parameter):
     parameters = ParameterSet(Settings())
     assert parameter.minimum <= parameters.get(parameter.name) <= parameter.maximum
+    parameters = ParameterSet(Settings(), with_room(parameter.name))
     others = {name: parameters.get(name) for name in NAMES if name != parameter.name}
     for value in (parameter.minimum, parameter.maximum):
+        if (parameter.name, value) in NEVER:
+            continue
         parameters.set(parameter.name, value)
         assert parameters.get(parameter.name) == pytest.approx(value, rel=1e-12)
         # what the settings themselves allow is not narrower than what the table does
@@ -45,3 +76,58 @@ def test_units_are_px4s():
     parameters = ParameterSet(Settings(), {"MPC_TILTMAX_AIR": 30.0, "EKF2_GPS_DELAY": 110.0})
     assert parameters.settings.control.position.tilt_max_rad == pytest.approx(0.5235987756)
     assert parameters.settings.estimation.gps_delay_us == 110_000
+
+
+def test_the_chains_are_the_pairs_that_are_checked():
+    pairs = {pair for chain in CHAINS for pair in itertools.pairwise(chain)}
+    assert pairs == set(NOT_OVER + UNDER)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "line"),
+    [
+        (
+            {"MPC_THR_MIN": 0.5, "MPC_THR_MAX": 0.4},
+            "parameter MPC_THR_MIN = 0.5 must be at most MPC_THR_MAX = 0.4",
+        ),
+        ({"BAT_LOW_THR": 0.06}, "parameter BAT_CRIT_THR = 0.07 must be at most BAT_LOW_THR = 0.06"),
+        ({"BAT_EMERGEN_THR": 0.1}, "parameter BAT_EMERGEN_THR = 0.1 must be at most BAT_CRIT_THR = 0.07"),
+        (
+            {"BAT1_V_EMPTY": 4.05},
+            "parameter BAT1_V_EMPTY = 4.05 must be less than BAT1_V_CHARGED = 4.05",
+        ),
+        ({"MPC_LAND_ALT1": 4.0}, "parameter MPC_LAND_ALT2 = 5 must be at most MPC_LAND_ALT1 = 4"),
+    ],
+)
+def test_pairs_out_of_order_are_one_line_and_change_nothing(overrides, line):
+    with pytest.raises(ParameterError) as error:
+        ParameterSet(Settings(), overrides)
+    assert str(error.value) == line
+    parameters = ParameterSet(Settings(), dict(list(overrides.items())[:-1]))
+    before = parameters.settings
+    with pytest.raises(ParameterError):
+        parameters.set(*list(overrides.items())[-1])
+    assert parameters.settings is before
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        {"BAT_LOW_THR": 0.04, "BAT_CRIT_THR": 0.03, "BAT_EMERGEN_THR": 0.02},
+        {"BAT_LOW_THR": 0.5, "BAT_CRIT_THR": 0.5, "BAT_EMERGEN_THR": 0.5},
+        {"MPC_THR_MIN": 0.11, "MPC_THR_MAX": 0.11},
+        {"BAT1_V_EMPTY": 2.8, "BAT1_V_CHARGED": 3.4},
+        {"MPC_LAND_ALT1": 2.0, "MPC_LAND_ALT2": 1.0},
+    ],
+)
+def test_overrides_in_order_are_taken_whichever_comes_first(overrides):
+    """On the way from the defaults there every one of them is out of order in one of the two directions."""
+    for names in itertools.permutations(overrides):
+        parameters = ParameterSet(Settings(), {name: overrides[name] for name in names})
+        assert {name: parameters.get(name) for name in overrides} == overrides
+
+
+def test_a_range_alone_is_checked_without_the_others():
+    check_range("MPC_THR_MAX", 0.1)
+    with pytest.raises(ParameterError, match="outside"):
+        check_range("MPC_THR_MAX", 0.09)

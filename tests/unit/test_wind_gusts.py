@@ -115,6 +115,8 @@ def test_the_seed_decides_everything():
         ("mean_n = -1.0", "mean_n"),
         ("correlation = 1.1", "correlation"),
         ("gust_time_constant_s = 0.0", "gust_time_constant_s"),
+        ("gust_time_constant_s = inf", "gust_time_constant_s"),
+        ("mean_n = nan", "mean_n"),
     ],
 )
 def test_values_out_of_range_are_refused_by_name(toml, path):

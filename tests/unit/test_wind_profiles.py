@@ -14,7 +14,7 @@ STILL = {"mean_n": 0.0}
 
 
 def wind_of(config, vehicles=2, seed=3):
-    return Wind(config, vehicles, np.random.default_rng(seed))
+    return Wind(config, vehicles, np.random.default_rng(seed), formation_height_m=10.0)
 
 
 def test_wind_as_a_force_is_the_gusty_wind_to_the_last_bit_and_its_air_is_at_rest():
@@ -42,9 +42,20 @@ def test_the_logarithmic_mean_grows_by_equal_parts_per_factor_of_height():
     """ln(h / z0) / ln(10 m / z0): 8 m/s at 10 m over z0 = 0.1 m are 4 m/s at 1 m and 12 m/s at 100 m."""
     config = WindConfig(kind="velocity", mean_m_s=8.0, profile="logarithmic", roughness_length_m=0.1)
     heights_m = np.array([-0.1, 0.0, 0.1, 1.0, 10.0, 100.0])
-    np.testing.assert_allclose(config.mean_speed_m_s(heights_m), (0.0, 0.0, 0.0, 4.0, 8.0, 12.0), atol=1e-12)
+    speed_m_s = config.velocity_model(10.0).mean_speed_m_s(heights_m)
+    np.testing.assert_allclose(speed_m_s, (0.0, 0.0, 0.0, 4.0, 8.0, 12.0), atol=1e-12)
     two = wind_of(config).step(0.004, time_us=0, height_m=np.array([1.0, 100.0])).air_vel_ned_m_s
     np.testing.assert_allclose(np.linalg.norm(two, axis=1), (4.0, 12.0))
+
+
+def test_no_profile_has_more_than_60_metres_per_second_anywhere():
+    """The steepest that is taken: 60 m/s at ten roughness lengths of 1 m would be 180 m/s at 1000 m."""
+    config = WindConfig(
+        kind="velocity", mean_m_s=60.0, profile="logarithmic", reference_height_m=10.0, roughness_length_m=1.0
+    )
+    heights_m = np.array([2.0, 10.0, 1000.0])
+    speed_m_s = config.velocity_model(10.0).mean_speed_m_s(heights_m)
+    np.testing.assert_allclose(speed_m_s, (60.0 * math.log10(2.0), 60.0, 60.0))
 
 
 GUSTS = {
@@ -109,6 +120,7 @@ def test_gusts_add_to_the_wind_of_every_vehicle_and_to_each_other():
         ('shape = "one_minus_cosine"\nstart_s = 1.0', "rise_s: .* takes time to rise"),
         ('shape = "ramp"\nstart_s = 1.0\nrise_s = 2.0\nduration_s = 3.0', "duration_s: 3 s is too short"),
         ('shape = "step"\nstart_s = -1.0', "start_s"),
+        ('shape = "step"\nstart_s = 1.0\nduration_s = 0.0039', "duration_s"),
         ('shape = "sine"\nstart_s = 1.0', "shape"),
     ],
 )
@@ -120,19 +132,97 @@ def test_a_gust_that_cannot_be_is_refused_by_name(toml, says):
 @pytest.mark.parametrize(
     ("toml", "says"),
     [
-        ('kind = "velocity"\ngust_time_constant_s = 3.0', "gust_time_constant_s: has no effect"),
-        ('turbulence = "dryden"', 'turbulence: has no effect where kind is "force"'),
-        ('kind = "velocity"\nturbulence_height_m = 1.0', "turbulence_height_m"),
         (
-            'kind = "velocity"\nprofile = "logarithmic"\nroughness_length_m = 2.0\nreference_height_m = 1.5',
-            "reference_height_m: expected more than roughness_length_m",
+            'kind = "velocity"\nmean_n = 5.0\ngust_time_constant_s = 2.0',
+            'mean_n, gust_time_constant_s: no effect where kind is "velocity"',
+        ),
+        ('turbulence = "dryden"', 'turbulence: no effect where kind is "force"'),
+        ('profile = "uniform"', 'profile: no effect where kind is "force"'),
+        (
+            'kind = "velocity"\nroughness_length_m = 0.03\nreference_height_m = 10.0',
+            'reference_height_m, roughness_length_m: no effect where profile is "uniform"',
+        ),
+        (
+            'kind = "velocity"\nwind_20ft_m_s = 5.0\nturbulence_height_m = 9.0\ncorrelation = 0.8',
+            'correlation, wind_20ft_m_s, turbulence_height_m: no effect where turbulence is "none"',
+        ),
+        (
+            'kind = "velocity"\nturbulence = "none"\nmean_n = 1.0\nleast_passing_speed_m_s = 2.0',
+            'mean_n: .* "velocity"; least_passing_speed_m_s: no effect where turbulence is "none"',
+        ),
+        ('kind = "velocity"\nturbulence = "dryden"\nturbulence_height_m = 1.0', "turbulence_height_m"),
+        (
+            'kind = "velocity"\nprofile = "logarithmic"\nroughness_length_m = 2.0\nreference_height_m = 19.9',
+            "reference_height_m: expected at least 10 times roughness_length_m, 2 m",
+        ),
+        (
+            'kind = "velocity"\nprofile = "logarithmic"\nroughness_length_m = 1.1',
+            "reference_height_m: expected at least 10 times roughness_length_m, 1.1 m",
         ),
         ('kind = "velocity"\ngusts = [{shape="step", start_s=0.0, peak_n=1.0}]', "expected peak_m_s"),
     ],
 )
 def test_what_does_not_belong_to_the_winds_kind_is_refused(toml, says):
+    """By its presence, usual value or not."""
     with pytest.raises(msgspec.ValidationError, match=says):
         msgspec.toml.decode(toml, type=WindConfig)
+
+
+def test_what_is_not_said_has_the_usual_values_of_its_kind():
+    force, velocity = WindConfig().force_model(), WindConfig(kind="velocity").velocity_model(10.0)
+    assert (force.mean_n, force.gust_rms_fraction, force.gust_time_constant_s) == (5.0, 0.2, 2.0)
+    assert (velocity.mean_m_s, velocity.profile, velocity.turbulence) == (5.0, "uniform", "none")
+    assert force.correlation == velocity.correlation == 0.8
+    said = WindConfig(mean_n=0.0, gust_rms_fraction=0.0, correlation=0.0).force_model()
+    assert (said.mean_n, said.gust_rms_fraction, said.correlation) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("formation_m", "scale_m"), [(2.0, 3.048), (10.0, 10.0), (120.0, 120.0), (500.0, 304.8)]
+)
+def test_turbulence_is_that_of_the_formations_height_unless_said(formation_m, scale_m):
+    """Within the 10 to 1000 feet of the specification; its vertical length is the height itself."""
+    config = WindConfig(kind="velocity", turbulence="dryden")
+    assert config.velocity_model(formation_m).turbulence_height_m == scale_m
+    said = msgspec.structs.replace(config, turbulence_height_m=50.0)
+    assert said.velocity_model(formation_m).turbulence_height_m == 50.0
+    # what flies in it: the same air as if that height had been said, and another than at 50 m
+    courses = [
+        Wind(each, 2, np.random.default_rng(3), formation_height_m=formation_m)
+        .step(0.004, time_us=0, height_m=HEIGHT_M)
+        .air_vel_ned_m_s.tobytes()
+        for each in (config, msgspec.structs.replace(config, turbulence_height_m=scale_m), said)
+    ]
+    assert courses[0] == courses[1] != courses[2]
+
+
+@pytest.mark.parametrize(
+    ("field", "most"),
+    [("start_s", 1e6), ("rise_s", 1e6), ("duration_s", 1e6), ("peak_n", 100.0), ("peak_m_s", 60.0)],
+)
+def test_every_number_of_a_gust_has_a_finite_limit(field, most):
+    table = {"shape": "ramp", "start_s": 0.0, "rise_s": 0.1, "peak_n": 1.0} | {field: most}
+    msgspec.convert(table, GustConfig)
+    for value in (most * (1.0 + 1e-9), math.inf, -math.inf, math.nan):
+        with pytest.raises(msgspec.ValidationError, match=field):
+            msgspec.convert(table | {field: value}, GustConfig)
+
+
+FLOATS = (
+    "direction_deg", "vertical_fraction", "correlation",
+    "mean_n", "gust_rms_fraction", "gust_time_constant_s",
+    "mean_m_s", "reference_height_m", "roughness_length_m", "wind_20ft_m_s", "turbulence_height_m",
+    "least_passing_speed_m_s",
+)  # fmt: skip
+
+
+def test_every_number_of_the_wind_has_a_finite_limit():
+    others = {"kind", "gusts", "profile", "turbulence"}
+    assert set(WindConfig.__struct_fields__) == others.union(FLOATS)
+    for field in FLOATS:
+        for value in (math.inf, -math.inf, math.nan):
+            with pytest.raises(msgspec.ValidationError, match=rf"\$\.{field}"):
+                msgspec.convert({field: value}, WindConfig)
 
 
 def test_length_of_the_horizontal_part_keeps_the_magnitude():

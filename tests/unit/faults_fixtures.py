@@ -1,0 +1,106 @@
+"""Faults as a scenario has them, and flights of simulated sensors with and without."""
+
+import msgspec
+import numpy as np
+
+from autopilot.config import Site
+from autopilot.estimation.rotation import quat_from_rotation_vector
+from autopilot.navigation.geodesy import geodetic_to_ned
+from harness.faults import AnyFault, Faults
+from harness.physics.truth import Truth
+from harness.sensors.config import SensorsConfig
+from harness.sensors.suite import SensorSuite
+
+STEP_US = 4_000
+SITE = Site()
+N = 3
+HIT = 1
+"""The vehicle that the faults are about."""
+BEGIN_US, END_US = 1_000_000, 2_000_000
+EXAMPLES = {
+    "gps_loss": {},
+    "gps_bias": {"offset_ned_m": (30.0, -40.0, 5.0)},
+    "gps_noise": {"position_std_m": 4.0, "velocity_std_m_s": 0.5},
+    "accel_bias": {"offset_frd_m_s2": (1.0, -2.0, 0.5)},
+    "gyro_bias": {"offset_frd_rad_s": (0.1, 0.0, -0.2)},
+    "mag_bias": {"offset_frd_gauss": (0.05, 0.1, -0.02)},
+    "mag_yaw": {"heading_error_deg": 40.0},
+    "baro_freeze": {},
+    "baro_bias": {"offset_m": 8.0},
+    "motor": {"motor": 2, "effectiveness": 0.25},
+    "motor_stop": {"motor": 3},
+}
+SENSOR_FAULTS = [name for name in EXAMPLES if not name.startswith("motor")]
+
+
+def fault_of(name, **fields):
+    """Through the decoder, as from a scenario."""
+    table = {"kind": name, "uav": HIT, "start_s": 1.0, "duration_s": 1.0, **EXAMPLES[name], **fields}
+    return msgspec.convert(table, AnyFault)
+
+
+def faults_of(*faults, seed=5):
+    return Faults(faults, N, np.random.default_rng(seed))
+
+
+def fly(*faults, until_us=3_000_000, profile="consumer", seed=5):
+    """Frames of vehicles that climb apart, tilted and turning, with the faults in force."""
+    suite = SensorSuite(
+        config=SensorsConfig(profile=profile),
+        site=SITE,
+        vehicles=N,
+        step_us=STEP_US,
+        seed=np.random.SeedSequence(1),
+    )
+    state = faults_of(*faults, seed=seed)
+    frames = []
+    for time_us in range(STEP_US, until_us, STEP_US):
+        state.advance(time_us)
+        frames.append(suite.sample(time_us, truth_at(time_us), state))
+    return frames
+
+
+def truth_at(time_us):
+    t = time_us * 1e-6
+    q = [quat_from_rotation_vector(np.array((0.1, 0.2, 0.5 * vehicle + 0.3 * t))) for vehicle in range(N)]
+    return Truth(
+        pos_ned_m=np.array([(5.0 * vehicle, 1.0 * t, -10.0 - 2.0 * t) for vehicle in range(N)]),
+        vel_ned_m_s=np.tile((0.0, 1.0, -2.0), (N, 1)),
+        q_ned_frd=np.array(q),
+        omega_frd_rad_s=np.zeros((N, 3)),
+        rotor_speed_rad_s=np.zeros((N, 4)),
+        acc_ned_m_s2=np.zeros((N, 3)),
+        specific_force_frd_m_s2=np.tile((0.0, 0.0, -9.8066), (N, 1)),
+        mean_omega_frd_rad_s=np.zeros((N, 3)),
+    )
+
+
+def columns(frame):
+    """All that a frame says, by name: arrays whose first axis is the vehicle."""
+    said = {"accel": frame.accel_frd_m_s2, "gyro": frame.gyro_frd_rad_s}
+    if frame.mag_frd_gauss is not None:
+        said["mag"] = frame.mag_frd_gauss
+    if frame.baro is not None:
+        said |= {"pressure": frame.baro.pressure_hpa, "temperature": frame.baro.temperature_degc}
+    if frame.gps is not None:
+        pos = geodetic_to_ned(
+            frame.gps.lat_deg, frame.gps.lon_deg, frame.gps.alt_m, origin_lat_deg=SITE.latitude_deg,
+            origin_lon_deg=SITE.longitude_deg, origin_alt_m=SITE.altitude_m,
+        )  # fmt: skip
+        lost = np.zeros(N, bool) if frame.gps.lost is None else frame.gps.lost
+        said |= {"gps_pos": pos, "gps_vel": frame.gps.vel_ned_m_s, "gps_lost": lost}
+    return said
+
+
+def differences(healthy, faulty):
+    """(time_us, name, vehicle, faulty less healthy) of all values that are not the same to the bit."""
+    found = []
+    for before, after in zip(healthy, faulty, strict=True):
+        here, there = columns(before), columns(after)
+        assert here.keys() == there.keys()
+        for name, healthy_values in here.items():
+            for vehicle in range(N):
+                if not np.array_equal(healthy_values[vehicle], there[name][vehicle]):
+                    change = there[name][vehicle].astype(float) - healthy_values[vehicle].astype(float)
+                    found.append((after.time_us, name, vehicle, change))
+    return found

@@ -1,0 +1,100 @@
+"""No fault that is taken is too much for what has to say it; what is too much is refused by name. 1 s."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from faults_fixtures import BEGIN_US, N, fault_of, fly
+
+from autopilot.mavlink.codec import Parser
+from harness import faults as catalogue
+from harness.faults import AnyFault, validated
+from harness.hil import SensorEncoder
+
+
+def test_a_fault_made_in_a_program_is_checked_before_it_is_sent():
+    with pytest.raises(ValueError, match=r"^fault\.motor: expected `int` <= 3$"):
+        validated(catalogue.MotorStop(uav=0, motor=7), N)
+    with pytest.raises(ValueError, match=r'^fault\.uav: .*, expected a number or "all"$'):
+        validated(catalogue.GpsLoss(uav="some"), N)
+    with pytest.raises(ValueError, match=r"fault\.uav: 3 is none of 3 vehicles"):
+        validated(catalogue.GpsLoss(uav=3), N)
+    sound = catalogue.GpsBias(uav=2, offset_ned_m=(1.0, 2.0, 3.0))
+    assert validated(sound, N) == sound
+
+
+LIMITS = {
+    "gps_bias": {"offset_ned_m": 10_000.0, "rate_m_s": 100.0},
+    "gps_noise": {"position_std_m": 1000.0, "velocity_std_m_s": 50.0},
+    "accel_bias": {"offset_frd_m_s2": 100.0},
+    "gyro_bias": {"offset_frd_rad_s": 35.0},
+    "mag_bias": {"offset_frd_gauss": 10.0},
+    "mag_yaw": {"heading_error_deg": 180.0},
+    "baro_bias": {"offset_m": 5000.0},
+    "motor": {"effectiveness": 1.0},
+    "gps_loss": {"start_s": 1e6, "duration_s": 1e6},
+}
+FIELDS = [(name, field, most) for name, limits in LIMITS.items() for field, most in limits.items()]
+
+
+@pytest.mark.parametrize(("name", "field", "most"), FIELDS)
+def test_every_number_has_a_finite_limit(name, field, most):
+    """The limit itself is taken; what is beyond it, infinite or no number is refused by its name.
+
+    So it is in a scenario, and in a fault that a program injects.
+    """
+
+    def put(value):
+        return {field: (0.0, value, 0.0) if field.startswith("offset_") and field != "offset_m" else value}
+
+    sound = fault_of(name, **put(most))
+    for value in (most * (1.0 + 1e-9), math.inf, -math.inf, math.nan):
+        with pytest.raises(msgspec.ValidationError, match=field):
+            fault_of(name, **put(value))
+        with pytest.raises(ValueError, match=rf"^fault\.{field}"):
+            validated(msgspec.structs.replace(sound, **put(value)), N)
+
+
+def test_every_float_of_every_fault_is_among_them():
+    """Whoever adds a field without a limit is reminded here."""
+    for member in AnyFault.__args__:
+        for field in msgspec.structs.fields(member):
+            if field.name in {"uav", "motor", "start_s", "duration_s"}:
+                continue
+            assert field.name in LIMITS[member.__struct_config__.tag]
+
+
+def test_a_duration_below_a_step_and_noise_that_is_none_are_refused():
+    with pytest.raises(msgspec.ValidationError, match="duration_s"):
+        fault_of("gps_loss", duration_s=0.0039)
+    with pytest.raises(msgspec.ValidationError, match="expected one of them above 0"):
+        fault_of("gps_noise", position_std_m=0.0, velocity_std_m_s=0.0)
+    fault_of("gps_noise", position_std_m=0.0)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_worst_of_all_faults_together_can_be_sent(sign):
+    """300 of each: 3000 km and 17 km/s per axis, 1500 km of pressure altitude. Integers and air saturate."""
+    worst = [
+        fault_of("gps_bias", uav="all", offset_ned_m=(sign * 1e4,) * 3, rate_m_s=100.0, duration_s=None),
+        fault_of("gps_bias", uav="all", offset_ned_m=(sign * 1e4,) * 3, duration_s=None),
+        fault_of("gps_noise", uav="all", position_std_m=1000.0, velocity_std_m_s=50.0, duration_s=None),
+        fault_of("baro_bias", uav="all", offset_m=sign * 5000.0, duration_s=None),
+        fault_of("accel_bias", uav="all", offset_frd_m_s2=(sign * 100.0,) * 3, duration_s=None),
+        fault_of("gyro_bias", uav="all", offset_frd_rad_s=(sign * 35.0,) * 3, duration_s=None),
+        fault_of("mag_bias", uav="all", offset_frd_gauss=(sign * 10.0,) * 3, duration_s=None),
+    ]
+    encoder, seen = SensorEncoder(), {}
+    for frame in fly(*worst * 300, until_us=1_600_000):
+        for data in encoder.encode(frame.time_us, frame):
+            for message in Parser().push(data):
+                seen.setdefault(message.get_type(), []).append(message)
+    last = seen["HIL_GPS"][-1]
+    assert (last.vn, last.ve, last.vd) == ((32_767,) * 3 if sign > 0.0 else (-32_768,) * 3)
+    assert last.vel == 65_535
+    # the barometer ends at the limits of its range, give or take its error
+    pressures_hpa = [m.abs_pressure for m in seen["HIL_SENSOR"] if m.time_usec > BEGIN_US and m.abs_pressure]
+    limit_hpa = 10.0 if sign > 0.0 else 1200.0
+    assert len(pressures_hpa) > 20
+    np.testing.assert_allclose(pressures_hpa, limit_hpa, atol=2.0)
