@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from autopilot.params import INDEX_OF, TABLE, Parameter, ParameterError, ParameterSet, Settings
+from autopilot.params import INDEX_OF, TABLE, Parameter, ParameterError, ParameterSet, Settings, check_range
 
 INT32, REAL32 = "6", "9"
 AUTOPILOT_COMPONENT = 1
@@ -136,7 +136,7 @@ def _value(name: str, text: str, kind: str) -> float:
     if not pattern.fullmatch(text):
         raise ParameterError(f"{name}: {text!r} is no {'whole ' if kind == INT32 else ''}number")
     value = _real(text)
-    ParameterSet(Settings()).set(name, value)
+    check_range(name, value)
     return value
 
 

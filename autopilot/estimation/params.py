@@ -28,9 +28,10 @@ class EstimatorParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     gyro_bias_noise_rad_s2: PositiveSmall = 1e-3
     """EKF2_GYR_B_NOISE"""
     accel_bias_noise_m_s3: PositiveSmall = 0.01
-    """EKF2_ACC_B_NOISE"""
-    accel_bias_init_m_s2: PositiveSmall = 0.2
-    """EKF2_ABIAS_INIT: one sigma per axis at switch-on"""
+    """EKF2_ACC_B_NOISE: as fast as the range lets it follow the consumer part's drift (PX4: 0.003)"""
+    accel_bias_init_m_s2: PositiveSmall = 0.1
+    """EKF2_ABIAS_INIT: one sigma per axis at switch-on (PX4: 0.2); the consumer part has 0.09, of which 0.05
+    turn-on. A wider one lets a hover, which cannot tell bias from tilt, learn what is neither"""
     gyro_bias_limit_rad_s: PositiveSmall = 0.15
     """EKF2_GYR_B_LIM, per axis"""
     accel_bias_limit_m_s2: PositiveSmall = 0.4

@@ -50,6 +50,8 @@ BIAS_SHARE = 0.002
 CLIPPED_SIGMA = 5.0
 LEAST_WEIGHT = 1e-5
 LEAST_VARIANCE = 1e-6
+VELOCITY_VAR_MAX_M2_S2 = 1e12
+"""Beyond any flight: a covariance that has come there is broken."""
 AZIMUTH_VAR_MAX_RAD2 = math.pi**2
 """A heading cannot be known less, however long the gap; more would only cost digits."""
 
@@ -163,8 +165,10 @@ def update_model(model: Array, cov: Array, vel_ne_m_s: Array, vel_var: float) ->
     innovation's covariance has lost its digits nothing is fused, and the likelihood is zero.
     """
     s_nn, s_ee, s_ne = cov[0, 0] + vel_var, cov[1, 1] + vel_var, cov[0, 1]
+    if not (s_nn < VELOCITY_VAR_MAX_M2_S2 and s_ee < VELOCITY_VAR_MAX_M2_S2):  # nor not-a-number
+        return 0.0
     determinant = s_nn * s_ee - s_ne * s_ne
-    if not 0.5 * vel_var * vel_var <= determinant < math.inf:  # it is at least vel_var^2; also not-a-number
+    if not determinant >= 0.5 * vel_var * vel_var:  # vel_var^2 is the least that it can be
         return 0.0
     north, east = vel_ne_m_s[0] - model[0], vel_ne_m_s[1] - model[1]
     squared = (s_ee * north * north - 2.0 * s_ne * north * east + s_nn * east * east) / determinant

@@ -61,7 +61,10 @@ def test_gyro_bias_is_the_mean_rate_and_accelerometer_bias_is_seen_along_gravity
     np.testing.assert_array_equal(x[10:13], [0.01, -0.02, 0.03])
     np.testing.assert_allclose(x[13:16], [0.0, 0.15, 0.0], atol=1e-12)
     # a density of 0.15 x sqrt(10 ms) leaves 0.015 m/s^2 after a second
-    np.testing.assert_allclose(np.sqrt(cov.diagonal()[12:]), [0.2, 0.015, 0.2], rtol=0.01)
+    horizontal_m_s2 = PARAMS.accel_bias_init_m_s2
+    np.testing.assert_allclose(
+        np.sqrt(cov.diagonal()[12:]), [horizontal_m_s2, 0.015, horizontal_m_s2], rtol=0.01
+    )
 
 
 def test_covariance_is_that_of_the_errors_made():
@@ -93,9 +96,11 @@ def test_covariance_is_that_of_the_errors_made():
 def test_tilt_and_bias_are_correlated_so_that_knowing_one_gives_the_other():
     accel, field = at_rest(Rotation.identity())
     _, cov = align_at_rest(PARAMS, accel, np.zeros(3), field, 1.0)
-    # 0.2 m/s^2 of bias along the nose is 20 mrad of pitch
-    assert np.sqrt(cov[1, 1]) == pytest.approx(0.2 / GRAVITY_M_S2, rel=0.01)
-    assert cov[1, 12] / np.sqrt(cov[1, 1] * cov[12, 12]) == pytest.approx(-1.0, abs=0.01)
+    # 0.1 m/s^2 of bias along the nose is 10 mrad of pitch, of which noise of 0.015 m/s^2 hides 1.5
+    bias_m_s2 = PARAMS.accel_bias_init_m_s2
+    assert np.sqrt(cov[1, 1]) == pytest.approx(np.hypot(bias_m_s2, 0.015) / GRAVITY_M_S2, rel=1e-3)
+    correlation = -bias_m_s2 / np.hypot(bias_m_s2, 0.015)
+    assert cov[1, 12] / np.sqrt(cov[1, 1] * cov[12, 12]) == pytest.approx(correlation, abs=1e-3)
 
 
 def test_a_quiet_second_aligns():

@@ -1,4 +1,4 @@
-"""What a validation says: verdicts, page, command lines, allocation's oracle; the benchmark (9 s)."""
+"""What a validation says: verdicts, page, command lines, allocation's oracle; the benchmark (20 s)."""
 
 import json
 import math
@@ -15,12 +15,15 @@ from typer.testing import CliRunner
 
 from autopilot.control.allocation import effectiveness
 from autopilot.control.params import AllocationParams
+from harness.sensors.config import PROFILES
 from harness.validation import campaign, estimation_section
 from harness.validation.allocation import RANGE_N, _is_achievable, check_allocation
 from harness.validation.bench import _PARTS, _StopWatch, measure, record_flight
 from harness.validation.campaign import SUBJECTS
 from harness.validation.cli import BAD_INPUT, validate_app
 from harness.validation.estimation import EPOCH_S, MEASUREMENTS, STATES, Consistency, WrongCompass, pooled
+from harness.validation.hover import Hover, fly_hover
+from harness.validation.hover_section import untold_tilt_deg
 from harness.validation.plan import QUICK
 from harness.validation.report import Check, Section, Table, markdown
 
@@ -140,6 +143,25 @@ def test_pooled_campaigns_are_one_of_all_their_runs():
     assert together.overall("position")[0] == pytest.approx(
         np.mean([one.overall("position")[0] for one in campaigns])
     )
+
+
+def test_the_tilt_that_a_hover_cannot_know_is_that_of_the_simulated_biases():
+    """40000 drawn biases: their mean tilt, and how often a mean of eight is beyond the limit (2.5 %)."""
+    rng = np.random.default_rng(15)
+    model = PROFILES["consumer"].accel_m_s2.at_interval(0.004)
+    axes = rng.standard_normal((40_000, 2, 2)) * (model.turn_on_std, model.drift_std)
+    tilts_deg = np.degrees(np.linalg.norm(axes.sum(axis=2), axis=1) / 9.80665)
+    assert untold_tilt_deg(10**12) == pytest.approx(tilts_deg.mean(), rel=0.01)
+    beyond = np.mean(tilts_deg.reshape(-1, 8).mean(axis=1) > untold_tilt_deg(8))
+    assert beyond == pytest.approx(0.025, abs=0.015)
+
+
+def test_a_calm_hover_with_consumer_sensors_learns_no_tilt_that_it_cannot_know():
+    """Eight flights; with an EKF2_ABIAS_INIT of 0.2 their mean is over the limit."""
+    hovers = [
+        Hover(seed=seed, mean_n=0.0, gust_rms_n=0.0, sensors="consumer", measure_s=10.0) for seed in range(8)
+    ]
+    assert np.mean([fly_hover(hover).tilt_deg for hover in hovers]) < untold_tilt_deg(8)
 
 
 def test_an_unknown_subject_is_one_line():
