@@ -123,7 +123,7 @@ def uav(config: dict[str, Any]) -> None:
     ):
         gcs.bind((ports["host"], ports["gcs_local_udp"]))
         companion.bind((ports["host"], ports["companion_local_udp"]))
-        if config["autopilot"]["params"].get("SYS_AUTOSTART") == config["instance"]:
+        if config["autopilot"]["params"].get("MIS_TAKEOFF_ALT") == config["instance"]:
             complain(f"{name}: no such airframe")
             sys.exit(2)
         details = {"gcs_local_udp": gcs.getsockname()[1], "companion_local_udp": companion.getsockname()[1]}

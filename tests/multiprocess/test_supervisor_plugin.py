@@ -71,7 +71,7 @@ def test_swarm_that_does_not_start_shows_why(tmp_path: Path) -> None:
         tmp_path,
         """
         def test_airframe(swarm):
-            swarm("small.toml", overrides=["autopilot.params.SYS_AUTOSTART=1"])
+            swarm("small.toml", overrides=["autopilot.params.MIS_TAKEOFF_ALT=1"])
         """,
     )
     assert finished.returncode == 1

@@ -157,7 +157,7 @@ def test_formation_that_is_not_reached(launch: Launch) -> None:
 
 def test_vehicle_that_fails_at_the_start_is_named_with_its_reason() -> None:
     scenario = Scenario(name="fine", agents=3)
-    params = type(scenario.autopilot)(params={"SYS_AUTOSTART": 1.0})
+    params = type(scenario.autopilot)(params={"MIS_TAKEOFF_ALT": 1.0})
     swarm = Swarm(Scenario(name="fine", agents=3, autopilot=params))
     with pytest.raises(
         SwarmError, match=r"^uav 1 \(pid \d+\) ended with status 2: uav 1: no such airframe \(log"
