@@ -62,12 +62,14 @@ def test_overrides_take_numbers_strings_words_and_new_tables():
             'sensors.profile="gazebo"',
             "onboard.localisation=gps",
             "autopilot.params.MPC_XY_P=1.1",
+            "autopilot.per_uav.3.MPC_XY_P=1.2",
         ],
     )
     assert scenario.wind.mean_n == 2.0
     assert scenario.sensors.profile == "gazebo"
     assert scenario.onboard.localisation == "gps"
-    assert scenario.autopilot.params == {"MPC_XY_P": 1.1}
+    assert scenario.autopilot.params["MPC_XY_P"] == 1.1
+    assert scenario.autopilot.per_uav == {"3": {"MPC_XY_P": 1.2}}
 
 
 @pytest.mark.parametrize(
