@@ -16,7 +16,7 @@ from autopilot.params import Settings
 from autopilot.protocol.flight_data import FlightData
 from autopilot.protocol.manual_control import ManualControlService
 from autopilot.protocol.offboard import OffboardService
-from autopilot.sensors import SensorInput
+from autopilot.sensors import TIMEOUTS_US, SensorInput
 
 SLOW_PERIOD_US = 100_000
 _TERMINATE = 4
@@ -95,7 +95,7 @@ class Monitor:
     def _conditions(self, flight: FlightData, now_us: int) -> int:
         state, slow = flight.state, self._slow_conditions
         conditions = self._sensors.conditions(now_us) | slow & _CHARGE
-        if conditions & _IMU:  # without it the estimate stands still, and says nothing of that
+        if now_us - state.time_us <= TIMEOUTS_US[_IMU]:  # else no sample was taken, and it stands still
             if state.attitude_valid:
                 conditions |= _ATTITUDE
             if state.height_valid:

@@ -107,8 +107,6 @@ class BatterySimulator:
     def __init__(self, params: BatterySimParams, pack: BatteryParams) -> None:
         self.params = params
         self.pack = pack
-        self.emptied = False
-        """Measures an empty pack whatever the charge, as an injected failure does."""
         self._drawn_mah = (1.0 - params.initial) * self.capacity_mah
         self._cubes = 0.0
         """Sum over the steps and motors of (u + 0.1)^3."""
@@ -160,7 +158,7 @@ class BatterySimulator:
         in_hover = params.hover_rotor_rad_s / 1000.0
         current_a = params.avionics_current_a + params.hover_motor_current_a * cubes / in_hover**3
         self._draw(current_a * elapsed_s / AS_PER_MAH)
-        charge = 0.0 if self.emptied else self.charge
+        charge = self.charge
         drop_v = current_a * params.resistance_ohm * resistance_growth(charge)
         return BatterySample(now_us, self.pack.cells * (open_circuit_v(charge) - drop_v), current_a)
 
@@ -175,7 +173,7 @@ class BatterySimulator:
         else:
             self._drawn_mah = 0.0
         pack = self.pack
-        charge = 0.0 if self.emptied else self.charge
+        charge = self.charge
         return BatterySample(now_us, pack.cells * (pack.empty_v + charge * _span_v(pack)), None)
 
 

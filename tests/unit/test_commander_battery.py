@@ -229,9 +229,10 @@ def test_nothing_is_warned_of_before_the_measurements_have_settled():
 def test_an_emptied_pack_is_an_emergency_within_three_seconds():
     """The voltage filter needs 1 s; from the middle the estimate follows the voltage faster than that."""
     flight = Flight().run(5.0)
-    flight.pack.emptied = True
+    pack, whole = flight.pack, flight.pack.pack
+    pack.set_params(pack.params, structs.replace(whole, capacity_mah=1.0))  # of which more has been drawn
     assert flight.run(3.0).monitor.warning is BatteryWarning.EMERGENCY
-    flight.pack.emptied = False
+    pack.set_params(pack.params, whole)
     assert flight.run(5.0).monitor.warning is BatteryWarning.EMERGENCY
 
 

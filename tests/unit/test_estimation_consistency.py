@@ -1,6 +1,6 @@
 """Whether the filter knows how wrong it is: normalised errors and white innovations over 20 Monte Carlo runs.
 
-One campaign of 20 flights of 60 s serves all tests of this file (7 s on one core).
+The campaigns of seeds 1, 2 and 3, each of 20 flights of 60 s, serve all tests of this file (11 s).
 """
 
 import numpy as np
@@ -12,6 +12,7 @@ from harness.validation.estimation import (
     Consistency,
     consistency,
     outage_drift_m,
+    pooled,
     whiteness,
 )
 
@@ -20,7 +21,7 @@ RUNS = 20
 
 @pytest.fixture(scope="module")
 def campaign():
-    return consistency(runs=RUNS, duration_s=60.0, seed=2)
+    return pooled([consistency(runs=RUNS, duration_s=60.0, seed=seed) for seed in (1, 2, 3)])
 
 
 def white(rng, *, memory=0.0, scale=1.0, runs=10, count=300, axes=3):
@@ -36,21 +37,21 @@ def white(rng, *, memory=0.0, scale=1.0, runs=10, count=300, axes=3):
 
 @pytest.mark.parametrize("group", ["velocity", "position"])
 def test_normalised_errors_of_the_last_epoch_are_within_their_band(campaign, group):
-    """The plainest form: 20 independent runs at one moment, 60 degrees of freedom, [0.67, 1.39] of 95 %."""
+    """The plainest form: 60 independent runs at one moment, 180 degrees of freedom, [0.80, 1.22] of 95 %."""
     low, high = campaign.band()
-    assert (low, high) == pytest.approx((0.675, 1.388), abs=1e-3)
+    assert (low, high) == pytest.approx((0.804, 1.217), abs=1e-3)
     assert low < campaign.mean(group)[-1] < high
 
 
 @pytest.mark.parametrize("group", ["velocity", "position"])
 def test_normalised_errors_over_all_epochs_are_within_their_band(campaign, group):
-    """1800 epochs are not 1800 samples: the band is that of as many as their autocorrelation leaves.
+    """5400 epochs are not 5400 samples: the band is that of as many as their autocorrelation leaves.
 
-    Of velocity some 380, of position 80, for its errors last for seconds.
+    Of velocity some 1200, of position 210, for its errors last for seconds.
     """
     mean, (low, high) = campaign.overall(group)
     assert low < mean < high
-    assert high - low < 0.45
+    assert high - low < 0.25
 
 
 @pytest.mark.parametrize("group", STATES)
@@ -66,12 +67,8 @@ def test_no_honest_measurement_is_refused(campaign):
 
 @pytest.mark.parametrize("name", MEASUREMENTS)
 def test_innovations_are_white_and_of_the_variance_that_was_expected(campaign, name):
-    """Autocorrelations at lags 1 to 20, each axis and run for itself, and averaged over both; power.
-
-    The share of single ones has a hundredth of slack: axes of one measurement are not quite independent.
-    """
+    """Autocorrelations at lags 1 to 20, averaged over axes and runs: the greatest, and the power."""
     seen = whiteness(campaign.innovations[name])
-    assert seen.inside > seen.band[0] - 0.01
     assert seen.greatest < seen.greatest_limit
     low, high = seen.mean_square_band
     assert low < seen.mean_square < high
@@ -80,7 +77,6 @@ def test_innovations_are_white_and_of_the_variance_that_was_expected(campaign, n
 def test_the_tests_of_whiteness_can_fail():
     rng = np.random.default_rng(3)
     good = whiteness(white(rng))
-    assert good.band[0] - 0.01 < good.inside
     assert good.greatest < good.greatest_limit
     coloured = whiteness(white(rng, memory=0.2))
     assert coloured.greatest > 2.0 * coloured.greatest_limit

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from msgspec import structs
 from msgspec.structs import replace
 from pymavlink.dialects.v20 import common
 from vehicle_world import STEP_US, Flight, vehicle_config
@@ -290,18 +291,22 @@ def test_arming_asks_for_the_charge_that_the_parameter_names():
         assert flight.texts()[-1] == "Arming denied: battery below COM_ARM_BAT_MIN"
 
 
-def test_an_inertial_sensor_that_falls_silent_is_no_estimate():
-    """What the filter last knew stays where it is: without new samples it must not be flown by."""
+@pytest.mark.parametrize("broken", ["silent", "mad"])
+def test_an_inertial_sensor_that_falls_silent_or_goes_mad_is_no_estimate(broken):
+    """What the filter last knew stays where it is: without samples that it takes it must not be flown by."""
     with Flight(vehicle_config()) as flight:
         flight.take_off(5.0)
         sensors = flight.vehicle._sensors
-        take = sensors.take
-        sensors.take = lambda *_: False
+        if broken == "silent":
+            sensors.take = lambda *_: False
+        else:
+            flight.vehicle.estimator.on_imu = lambda sample, on_imu=flight.vehicle.estimator.on_imu: on_imu(
+                structs.replace(sample, gyro_frd_rad_s=np.full(3, 1e4))
+            )
         begin_us = flight.now_us
         assert flight.run(2.0, until=lambda: flight.vehicle.commander.terminated)
         # 100 ms until the sensor counts as gone, and half a second in case it comes back
         assert flight.now_us - begin_us == pytest.approx(600_000, abs=2 * STEP_US)
-        sensors.take = take
 
 
 @pytest.mark.parametrize("action", [2, 5])
