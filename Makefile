@@ -5,11 +5,13 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.set-up
 ARGS ?=
 
-.PHONY: help setup swarm test validate lint format clean
+.PHONY: help setup swarm test validate validate-radio bench-radio lint format clean
 help:
 	@echo "make swarm [ARGS='--duration 20 --seed 3']   fly scenarios/article.toml"
 	@echo "make test  [ARGS='-k radio']                 run the tests"
 	@echo "make validate [ARGS='--quick | --out docs']   measure how well one vehicle flies (docs/validation.md)"
+	@echo "make validate-radio [ARGS='--quick | --out docs']   compare the radio with ns-3 (docs/radio-validation.md)"
+	@echo "make bench-radio [ARGS='--peer COMMAND']      measure what the radio costs"
 	@echo "make lint | format | setup | clean"
 
 setup: $(STAMP)
@@ -28,6 +30,12 @@ test: $(STAMP)
 
 validate: $(STAMP)
 	$(BIN)/python scripts/validate_vehicle.py $(ARGS)
+
+validate-radio: $(STAMP)
+	$(BIN)/python scripts/validate_radio.py $(ARGS)
+
+bench-radio: $(STAMP)
+	$(BIN)/python scripts/bench_radio.py $(ARGS)
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

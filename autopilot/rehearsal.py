@@ -18,7 +18,7 @@ from autopilot.navigation.setpoints import Navigator
 from autopilot.onboard.phases import Phase
 from autopilot.types import Array
 from autopilot.vehicle import Vehicle
-from netsim.wire.messages import Broadcast, Delivery, FtmResult, RxItem, TxItem
+from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult, RxItem, TxItem
 
 LIMIT_US = 40_000_000
 JOINING_STEPS = 250
@@ -130,12 +130,14 @@ def _arrivals(theirs: Iterable[TxItem], own: Iterable[TxItem], *, other: int, ti
             seq=item.seq,
             status="ok",
             measured_ns=at_ns,
+            ended_ns=at_ns,
             distance_m=DISTANCE_M,
             distance_std_m=0.1,
             rssi_dbm=-60.0,
             round_trips=7,
+            measurements=8,
         )
         for item in own
-        if not isinstance(item, Broadcast)
+        if isinstance(item, FtmRequest)
     ]
     return arrivals

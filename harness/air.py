@@ -2,7 +2,7 @@
 
 import msgspec
 
-from autopilot.types import Array
+from harness.physics.truth import Truth
 from netsim.radio import ADVANCE_LIMIT_S, advance_key
 from netsim.transport import Pending, Transport
 from netsim.wire.messages import Advance, Advanced, decode, encode, pack_rows
@@ -15,10 +15,11 @@ class RadioSilent(ConnectionError):
 class Air:
     """The time master's side of the emulated channel.
 
-    Asks it to go on, and only when it has something to do.
+    Asks it to go on, and only when it has something to do; with guests on the channel that is always.
     """
 
-    def __init__(self, transport: Transport, run_id: str) -> None:
+    def __init__(self, transport: Transport, run_id: str, *, guests: bool = False) -> None:
+        self._guests = guests
         self._asker = transport.asker(advance_key(run_id), timeout_s=ADVANCE_LIMIT_S)
         self._request: Advance | None = None
         self._pending: Pending | None = None
@@ -28,16 +29,14 @@ class Air:
         """On every link, in the intervals that begin from now on; None is the scenario's own value."""
         self.busy_ns = 0
 
-    def begin(
-        self, time_us: int, step_us: int, pos_ned_m: Array, vel_ned_m_s: Array, silent: tuple[int, ...]
-    ) -> None:
+    def begin(self, time_us: int, step_us: int, truth: Truth, silent: tuple[int, ...]) -> None:
         """Let the emulator simulate the step that begins now, unless the air stays quiet for so long.
 
-        It works beside the physics, so it is given where the vehicles (n, 3) are and how they move now: what
-        their acceleration changes in a step is less than a tenth of a millimetre. The ``silent`` are gone.
+        It works beside the physics, so it is given where the vehicles are and how they move now: what their
+        acceleration changes in a step is less than a tenth of a millimetre. The ``silent`` are gone.
         """
         to_us = time_us + step_us
-        if not self._handed_over and to_us < self._quiet_until_us:
+        if not self._guests and not self._handed_over and to_us < self._quiet_until_us:
             return
         self._handed_over = False
         self._ask(
@@ -45,8 +44,9 @@ class Air:
                 to_us=to_us,
                 release_us=to_us + step_us,
                 at_us=time_us,
-                pos_ned_m=pack_rows(pos_ned_m),
-                vel_ned_m_s=pack_rows(vel_ned_m_s),
+                pos_ned_m=pack_rows(truth.pos_ned_m),
+                vel_ned_m_s=pack_rows(truth.vel_ned_m_s),
+                q_ned_frd=pack_rows(truth.q_ned_frd),
                 silent=silent,
                 extra_attenuation_db=self.extra_attenuation_db,
             )

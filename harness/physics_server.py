@@ -162,7 +162,7 @@ class Simulation:
         if self._air is not None:
             if recorded:
                 self._air_log.append([(self.time_us, self._air.busy_ns)])
-            self._air.begin(self.time_us, self._step_us, truth.pos_ned_m, truth.vel_ned_m_s, self._gone())
+            self._air.begin(self.time_us, self._step_us, truth, self._gone())
         stopped = self._faults.rotor_stopped
         self._world.step(
             np.array(self._controls),
@@ -368,7 +368,7 @@ def serve(config: PhysicsConfig, listeners: list[socket.socket], radio_endpoint:
         air = None
         if radio_endpoint is not None:
             transport = stack.enter_context(contextlib.closing(Transport.connect(radio_endpoint)))
-            air = Air(transport, config.run_id)
+            air = Air(transport, config.run_id, guests=bool(config.scenario.radio.guests))
         simulation = stack.enter_context(contextlib.closing(Simulation(config, listeners, air)))
         emit(Ready(name="physics", pid=os.getpid()))
         stopped = False

@@ -41,6 +41,7 @@ class RunFolder:
         self.flight, self.radio = path / "flight.parquet", path / "radio.parquet"
         self.ftm, self.air = path / "ftm.parquet", path / "air.parquet"
         self.raw_truth, self.raw_air = self.raw / "truth.bin", self.raw / "air.bin"
+        self.capture = path / "radio.pcapng"
         self.raw_frames, self.raw_sessions = self.raw / "frames.bin", self.raw / "sessions.bin"
 
     @classmethod
@@ -68,6 +69,7 @@ class RunFolder:
             radio=scenario.radio,
             frame_log_path=str(self.raw_frames),
             session_log_path=str(self.raw_sessions),
+            capture_path=str(self.capture) if scenario.radio.capture else None,
         )
         return self._write("radio", config)
 

@@ -27,6 +27,7 @@ from harness.physics.environment import EnvironmentConfig
 from harness.refusals import explain
 from harness.sensors.config import SensorsConfig
 from harness.wind import WindConfig
+from netsim import settings as radio_settings
 from netsim.config import RadioConfig
 from netsim.ftm.stamps import distance_m, round_trip_std_ps
 
@@ -107,6 +108,10 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         autopilot_settings.check(self.autopilot, self.site, self.agents)
         for number, fault in enumerate(self.faults):
             check(fault, self.agents, path=f"faults[{number}]")
+        try:
+            radio_settings.check(self.radio, self.agents)
+        except ValueError as error:
+            raise ValueError(f"radio.{error}") from None
         nearest_m = min(pdist(self.places_ned_m()), default=math.inf)
         if nearest_m < MIN_SPACING_M:
             raise ValueError(

@@ -5,33 +5,46 @@ submissions and poses give the same results, in whatever order the stations' bat
 submitted.
 """
 
-from collections import Counter
+from collections.abc import Callable
+from functools import partial
 from math import log10
 
 import numpy as np
 from numpy.typing import NDArray
 
-from netsim.config import RadioConfig
+from netsim.config import RadioConfig, StationConfig
 from netsim.frames import DATA_OVERHEAD_BYTES, GROUP, UDP_OVERHEAD_BYTES, FrameKind
 from netsim.ftm.session import FtmRadio, Ranging
 from netsim.ftm.stamps import Clock
 from netsim.kernel import EventQueue
-from netsim.mac.access import EDCA, AccessParameters
+from netsim.mac.access import DCF, EDCA, AccessParameters
 from netsim.mac.jobs import Job, Outcome
+from netsim.mac.rates import AdaptiveRate, channel_modes
 from netsim.mac.station import Station as Mac
 from netsim.phy.medium import Medium, Transmission
-from netsim.phy.modes import phy_mode
+from netsim.phy.modes import PhyMode, phy_mode
 from netsim.phy.propagation import Links, Trajectories, Vector
-from netsim.records import Counters, FrameRecord, FtmCounters, SessionRecord
+from netsim.records import Counters, FrameRecord, SessionRecord, Tally
+from netsim.settings import check
 from netsim.streams import Model, Streams, Uniforms
-from netsim.wire.messages import Broadcast, Delivery, FtmResult, RxItem, TxBatch, TxItem
+from netsim.wire.messages import (
+    Broadcast,
+    Delivery,
+    FtmRequest,
+    FtmResult,
+    RxItem,
+    Sent,
+    TxBatch,
+    TxItem,
+    Unicast,
+)
 
 NOTHING_PENDING_US = 2**62 // 1000
 Doubles = NDArray[np.float64]
 
 
 class _Host:
-    """Between one station's MAC and its applications: hands broadcasts up and FTM frames to the ranging."""
+    """Between one station's MAC and its applications: hands datagrams up and FTM frames to the ranging."""
 
     def __init__(self, emulator: "Emulator", index: int, ftm: FtmRadio) -> None:
         self._emulator = emulator
@@ -41,23 +54,34 @@ class _Host:
     def on_frame(self, transmission: Transmission, power_mw: float, end_ns: int, *, duplicate: bool) -> None:
         """See `netsim.mac.station.Upper`."""
         payload = transmission.frame.body
-        if isinstance(payload, bytes):
-            self._emulator.deliver(self._index, transmission, payload, power_mw, end_ns)
-        else:
+        if not isinstance(payload, bytes):
             self._ftm.on_frame(transmission, power_mw, end_ns, duplicate=duplicate)
+        elif not duplicate:
+            self._emulator.deliver(self._index, transmission, payload, power_mw, end_ns)
 
 
 class Emulator:
     """All radios of a run and the channel between them.
 
-    ``seed`` is the emulator's own; every model and link draws from a stream of its own below it. Raises
-    ValueError for a mode that the channel's width does not have.
+    ``seed`` is the emulator's own; every model and link draws from a stream of its own below it.
+    ``on_transmission`` is told of every frame that has ended. Raises ValueError for settings that contradict
+    each other (`netsim.settings`).
     """
 
-    def __init__(self, *, config: RadioConfig, stations: int, seed: np.random.SeedSequence) -> None:
+    def __init__(
+        self,
+        *,
+        config: RadioConfig,
+        stations: int,
+        seed: np.random.SeedSequence,
+        on_transmission: Callable[[Transmission], None] | None = None,
+    ) -> None:
+        check(config, stations - len(config.guests))
         self._config = config
         self._stations = stations
         self._streams = Streams(seed)
+        self._tally = Tally(stations)
+        self._on_transmission = on_transmission
         self.queue = EventQueue()
         self.trajectories = Trajectories(stations)
         self._links = Links(config, self.trajectories, stations, self._streams)
@@ -69,55 +93,65 @@ class Emulator:
             streams=self._streams,
             on_ended=self._on_ended,
         )
-        self._broadcast_mode = phy_mode(config.broadcast_mode, config.bandwidth_mhz)
         self._host_jitter = [Uniforms(self._streams.generator(Model.HOST, i)) for i in range(stations)]
         self._bias_m: dict[tuple[int, int], float] = {}
-        used = {config.broadcast_access_category, config.ftm.access_category}
-        access: dict[str, AccessParameters] = {
-            name: parameters for name, parameters in EDCA.items() if name in used
-        }
+        own = {each.station: each for each in config.stations}
+        defaults = StationConfig(station=0)
+        self._broadcast_modes: list[PhyMode] = []
+        self._data_modes: list[PhyMode] = []
+        self._rates: list[AdaptiveRate | None] = []
+        """By station; None where the mode is fixed."""
+        self._ftm: list[FtmRadio] = []
+        self._macs: list[Mac] = []
         clocks = [
             Clock(config.ftm.clock_ppm, self._streams.generator(Model.CLOCK, i)) for i in range(stations)
         ]
-        self._ftm: list[FtmRadio] = []
-        self._macs: list[Mac] = []
         for i in range(stations):
-            ftm = FtmRadio(
-                station=i,
-                stations=stations,
-                config=config,
-                environment=self,
-                clocks=clocks,
-                generator=self._streams.generator(Model.TIME_STAMP, i),
-                on_result=self._on_ranged,
-            )
-            mac = Mac(
-                index=i,
-                queue=self.queue,
-                medium=self._medium,
-                access=access,
-                control_mode=phy_mode(config.control_mode, config.bandwidth_mhz),
-                queue_frames=config.queue_frames,
-                backoff=Uniforms(self._streams.generator(Model.BACKOFF, i)),
-                upper=_Host(self, i, ftm),
-            )
-            ftm.attach(mac)
-            self._ftm.append(ftm)
-            self._macs.append(mac)
+            self._set_modes(i, own.get(i, defaults))
+            self._add_station(i, clocks)
         self._silent: set[int] = set()
         self._submitted: list[tuple[int, int, int, TxItem]] = []
         self._received: list[tuple[int, int, int, int, RxItem]] = []
-        self._frames: list[FrameRecord] = []
-        self._sessions: list[SessionRecord] = []
-        self._sent = dict.fromkeys(FrameKind, 0)
-        self._drops: Counter[str] = Counter()
-        self._broadcasts_delivered = [0] * stations
-        self._broadcasts_collided = [0] * stations
-        self._broadcasts_lost = [0] * stations
-        self._ftm_requested = 0
-        self._ftm_ended: Counter[str] = Counter()
-        self._error_sum_m = 0.0
-        self._error_square_sum_m2 = 0.0
+
+    def _set_modes(self, station: int, own: StationConfig) -> None:
+        width_mhz = self._config.bandwidth_mhz
+        self._broadcast_modes.append(phy_mode(own.broadcast_mode or self._config.broadcast_mode, width_mhz))
+        data_mode = own.data_mode or self._config.data_mode
+        if data_mode == "adaptive":
+            modes = channel_modes(width_mhz, vht=True)
+            uniforms = Uniforms(self._streams.generator(Model.RATE, station))
+            self._rates.append(AdaptiveRate(modes, uniforms))
+            self._data_modes.append(modes[0])
+        else:
+            self._rates.append(None)
+            self._data_modes.append(phy_mode(data_mode, width_mhz))
+
+    def _add_station(self, station: int, clocks: list[Clock]) -> None:
+        config = self._config
+        ftm = FtmRadio(
+            station=station,
+            stations=self._stations,
+            config=config,
+            environment=self,
+            clocks=clocks,
+            generator=self._streams.generator(Model.TIME_STAMP, station),
+            nlos_generator=self._streams.generator(Model.NLOS_BIAS, station),
+            on_result=self._on_ranged,
+        )
+        access: dict[str, AccessParameters] = EDCA if config.access == "edca" else dict.fromkeys(EDCA, DCF)
+        mac = Mac(
+            index=station,
+            queue=self.queue,
+            medium=self._medium,
+            access=access,
+            control_mode=phy_mode(config.control_mode, config.bandwidth_mhz),
+            queue_frames=config.queue_frames,
+            backoff=Uniforms(self._streams.generator(Model.BACKOFF, station)),
+            upper=_Host(self, station, ftm),
+        )
+        ftm.attach(mac)
+        self._ftm.append(ftm)
+        self._macs.append(mac)
 
     # --- the hosts' side
 
@@ -134,13 +168,20 @@ class Emulator:
             self._submitted.append((max(ready_ns, self.queue.now_ns), batch.station, item.seq, item))
 
     def advance(
-        self, *, to_us: int, at_us: int, pos_ned_m: Doubles, vel_ned_m_s: Doubles
+        self,
+        *,
+        to_us: int,
+        at_us: int,
+        pos_ned_m: Doubles,
+        vel_ned_m_s: Doubles,
+        q_ned_frd: Doubles | None = None,
     ) -> list[tuple[int, RxItem]]:
         """Simulate up to and including ``to_us``.
 
-        The stations are at ``pos_ned_m`` (n, 3) at ``at_us`` and move at ``vel_ned_m_s`` (n, 3). Returns
-        (station, item) in order of (time, source, seq, station), where the source of a ranging result is its
-        peer. Raises ValueError for arrays of another shape or that are not finite, or a time that is past.
+        The stations are at ``pos_ned_m`` (n, 3) at ``at_us``, move at ``vel_ned_m_s`` (n, 3) and have the
+        attitudes ``q_ned_frd`` (n, 4), wxyz; without those they are level. Returns (station, item) in order
+        of (time, source, seq, station), where the source of a result is the peer or destination. Raises
+        ValueError for arrays of another shape or that are not finite, or a time that is past.
         """
         positions, velocities = (np.asarray(each, dtype=np.float64) for each in (pos_ned_m, vel_ned_m_s))
         for each in (positions, velocities):
@@ -148,10 +189,15 @@ class Emulator:
                 raise ValueError(
                     f"positions and velocities must be finite and of shape ({self._stations}, 3)"
                 )
+        if q_ned_frd is not None and not (
+            q_ned_frd.shape == (self._stations, 4) and np.isfinite(q_ned_frd).all()
+        ):
+            raise ValueError(f"attitudes must be finite and of shape ({self._stations}, 4)")
         to_ns = 1_000 * to_us
         if to_ns < self.queue.now_ns:
             raise ValueError(f"cannot go back to {to_us} us: it is {self.queue.now_ns // 1_000} us")
-        self.trajectories.set(1_000 * at_us, _vectors(positions), _vectors(velocities))
+        attitudes = None if q_ned_frd is None else [(w, x, y, z) for w, x, y, z in q_ned_frd.tolist()]
+        self.trajectories.set(1_000 * at_us, _vectors(positions), _vectors(velocities), attitudes)
         self._submitted.sort(key=lambda entry: entry[:3])
         for ready_ns, station, _, item in self._submitted:
             self.queue.at(ready_ns, self._on_ready, (station, item))
@@ -171,31 +217,74 @@ class Emulator:
         station, item = entry
         if station in self._silent:
             return
-        if isinstance(item, Broadcast):
-            self._broadcast(station, item)
-            return
-        self._ftm_requested += 1
-        timeout_ns = 1_000 * (item.at_us + self._config.ftm.request_timeout_us)
-        self._ftm[station].request(item.peer, item.seq, timeout_ns)
+        match item:
+            case Broadcast():
+                self._broadcast(station, item)
+            case Unicast():
+                self._unicast(station, item)
+            case FtmRequest():
+                self._tally.ftm_requested += 1
+                # a guest does not know the time: its request begins when it comes
+                asked_ns = max(1_000 * item.at_us, self.queue.now_ns - self._host_latency_ns)
+                timeout_ns = asked_ns + 1_000 * self._config.ftm.request_timeout_us
+                self._ftm[station].request(item.peer, item.seq, timeout_ns)
+
+    @property
+    def _host_latency_ns(self) -> int:
+        """Longest time from an application's call to the radio."""
+        return 1_000 * (self._config.host_latency_us + self._config.host_jitter_us)
 
     def _broadcast(self, station: int, item: Broadcast) -> None:
+        config = self._config
         job = Job(
             kind=FrameKind.DATA,
             destination=GROUP,
-            mode=self._broadcast_mode,
+            mode=self._broadcast_modes[station],
             frame_bytes=len(item.payload) + UDP_OVERHEAD_BYTES + DATA_OVERHEAD_BYTES,
-            expires_ns=self.queue.now_ns + 1_000 * self._config.queue_lifetime_us,
-            retry_limit=self._config.rts_retry_limit,
+            expires_ns=self.queue.now_ns + 1_000 * config.queue_lifetime_us,
+            retry_limit=config.rts_retry_limit,
             done=self._on_broadcast_done,
             seq=item.seq,
             body=item.payload,
-            rts=self._config.broadcast_rts,
+            rts=config.broadcast_rts,
         )
-        self._macs[station].enqueue(self._config.broadcast_access_category, job)
+        self._macs[station].enqueue(config.broadcast_access_category, job)
 
     def _on_broadcast_done(self, _job: Job, outcome: Outcome) -> None:
         if outcome is not Outcome.SENT:
-            self._drops[outcome.value] += 1
+            self._tally.drops[outcome.value] += 1
+
+    def _unicast(self, station: int, item: Unicast) -> None:
+        config = self._config
+        frame_bytes = len(item.payload) + UDP_OVERHEAD_BYTES + DATA_OVERHEAD_BYTES
+        job = Job(
+            kind=FrameKind.DATA,
+            destination=item.destination,
+            mode=self._data_modes[station],
+            rates=self._rates[station],
+            frame_bytes=frame_bytes,
+            expires_ns=self.queue.now_ns + 1_000 * config.queue_lifetime_us,
+            retry_limit=config.retry_limit,
+            done=partial(self._on_unicast_done, station),
+            seq=item.seq,
+            body=item.payload,
+            rts=frame_bytes > config.rts_threshold_bytes,
+        )
+        self._macs[station].enqueue(config.data_access_category, job)
+
+    def _on_unicast_done(self, station: int, job: Job, outcome: Outcome) -> None:
+        self._tally.unicasts[outcome.value] += 1
+        if station in self._silent:
+            return
+        now = self.queue.now_ns
+        sent = Sent(
+            destination=job.destination,
+            seq=job.seq,
+            ended_ns=now,
+            status=outcome.value,
+            attempts=job.attempts,
+        )
+        self._received.append((now, job.destination, job.seq, station, sent))
 
     def deliver(
         self, station: int, transmission: Transmission, payload: bytes, power_mw: float, end_ns: int
@@ -209,24 +298,7 @@ class Emulator:
         self._received.append((end_ns, frame.source, frame.seq, station, item))
 
     def _on_ranged(self, ranging: Ranging) -> None:
-        self._ftm_ended[ranging.status] += 1
-        if ranging.status == "ok":
-            error_m = ranging.distance_m - ranging.true_distance_m
-            self._error_sum_m += error_m
-            self._error_square_sum_m2 += error_m * error_m
-        self._sessions.append(
-            SessionRecord(
-                measured_ns=ranging.measured_ns,
-                initiator=ranging.initiator,
-                peer=ranging.peer,
-                status=ranging.status,
-                distance_m=ranging.distance_m,
-                true_distance_m=ranging.true_distance_m,
-                distance_std_m=ranging.distance_std_m,
-                round_trips=ranging.round_trips,
-                rssi_dbm=ranging.rssi_dbm,
-            )
-        )
+        self._tally.count_session(ranging)
         if ranging.initiator in self._silent:
             return
         result = FtmResult(
@@ -234,10 +306,12 @@ class Emulator:
             seq=ranging.seq,
             status=ranging.status,
             measured_ns=ranging.measured_ns,
+            ended_ns=ranging.ended_ns,
             distance_m=ranging.distance_m,
             distance_std_m=ranging.distance_std_m,
             rssi_dbm=ranging.rssi_dbm,
             round_trips=ranging.round_trips,
+            measurements=ranging.measurements,
         )
         self._received.append((ranging.ended_ns, ranging.peer, ranging.seq, ranging.initiator, result))
 
@@ -263,67 +337,38 @@ class Emulator:
     @property
     def counters(self) -> Counters:
         """Counts since the start."""
-        return Counters(
-            frames_sent={kind.value: self._sent[kind] for kind in FrameKind},
-            broadcasts_delivered=tuple(self._broadcasts_delivered),
-            broadcasts_collided=tuple(self._broadcasts_collided),
-            broadcasts_lost_to_noise=tuple(self._broadcasts_lost),
-            drops=dict(sorted(self._drops.items())),
-            ftm=FtmCounters(
-                requested=self._ftm_requested,
-                completed=self._ftm_ended["ok"],
-                failed={status: count for status, count in sorted(self._ftm_ended.items()) if status != "ok"},
-                error_sum_m=self._error_sum_m,
-                error_square_sum_m2=self._error_square_sum_m2,
-            ),
-        )
+        return self._tally.counters
 
     def take_frames(self) -> list[FrameRecord]:
         """Transmissions that ended since the last call, in order of their end."""
-        frames, self._frames = self._frames, []
-        return frames
+        return self._tally.take_frames()
 
     def take_sessions(self) -> list[SessionRecord]:
         """Ranging sessions that ended since the last call, in order of their end."""
-        sessions, self._sessions = self._sessions, []
-        return sessions
+        return self._tally.take_sessions()
+
+    # --- what ranging asks of the world
 
     def calibration_bias_m(self, a: int, b: int) -> float:
         """Constant range offset that calibration left between two devices."""
-        if self._config.ftm.calibration_bias_std_m == 0.0:
-            return 0.0
+        config = self._config.ftm
+        if config.calibration_bias_std_m == 0.0:
+            return config.calibration_bias_m
         pair = (min(a, b), max(a, b))
         if pair not in self._bias_m:
             generator = self._streams.generator(Model.CALIBRATION, *pair)
-            self._bias_m[pair] = float(generator.normal(0.0, self._config.ftm.calibration_bias_std_m))
+            own_m = float(generator.normal(0.0, config.calibration_bias_std_m))
+            self._bias_m[pair] = config.calibration_bias_m + own_m
         return self._bias_m[pair]
 
+    def blocked(self, a: int, b: int, at_ns: int) -> bool:
+        """Whether something stands in the line of sight between two stations."""
+        return self._links.blocked(a, b, at_ns)
+
     def _on_ended(self, transmission: Transmission) -> None:
-        frame = transmission.frame
-        self._sent[frame.kind] += 1
-        if frame.kind is FrameKind.DATA:
-            for counts, receivers in (
-                (self._broadcasts_delivered, transmission.delivered),
-                (self._broadcasts_collided, transmission.collided),
-                (self._broadcasts_lost, transmission.lost_to_noise),
-            ):
-                for receiver in receivers:
-                    counts[receiver] += 1
-        self._frames.append(
-            FrameRecord(
-                transmission.start_ns,
-                transmission.end_ns,
-                frame.source,
-                frame.destination,
-                frame.kind,
-                frame.mode.name,
-                frame.bytes,
-                frame.seq,
-                len(transmission.delivered),
-                len(transmission.collided),
-                len(transmission.lost_to_noise),
-            )
-        )
+        self._tally.count_frame(transmission)
+        if self._on_transmission is not None:
+            self._on_transmission(transmission)
 
 
 def _vectors(rows: Doubles) -> list[Vector]:

@@ -1,11 +1,11 @@
-"""A station's way to the emulated channel: hand over transmissions, take what arrived.
+"""A vehicle's way to the emulated channel: hand over transmissions, take what arrived, in lockstep.
 
-Keys of the run's radio.
+With the keys of the run's radio. Programs outside the lockstep use `netsim.guest`.
 """
 
 import logging
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from netsim.transport import Question, Transport
 from netsim.wire.messages import Ack, RxBatch, RxItem, TxBatch, TxItem, decode, encode
@@ -39,8 +39,36 @@ def advance_key(run_id: str) -> str:
     return f"coflight/{run_id}/radio/advance"
 
 
+def directory_key(run_id: str) -> str:
+    """Served by the emulator: DirectoryRequest -> Directory; ``*`` finds the run behind an endpoint."""
+    return f"coflight/{run_id}/radio/directory"
+
+
 class RadioLost(ConnectionError):
     """The emulator does not acknowledge; the text is one line."""
+
+
+class Inbox:
+    """Takes a station's deliveries as they come in by Zenoh's threads, each once, and acknowledges them."""
+
+    def __init__(self, station: int, put: Callable[[RxBatch], None]) -> None:
+        self._station = station
+        self._put = put
+        self._newest_us = -1
+        self.malformed = 0
+        """Bytes on this station's key that were no delivery."""
+
+    def take(self, question: Question) -> None:
+        """Answer one question on the station's key."""
+        batch = decode(RxBatch, question.payload)
+        if batch is None or batch.station != self._station:
+            self.malformed += 1
+            logger.warning("dropped %d bytes that are no delivery", len(question.payload))
+            return
+        if batch.release_us > self._newest_us:  # else a repetition, for the first acknowledgement was late
+            self._newest_us = batch.release_us
+            self._put(batch)
+        question.answer(_ACK)
 
 
 class RadioClient:
@@ -53,12 +81,10 @@ class RadioClient:
     def __init__(self, *, endpoint: str, run_id: str, station: int) -> None:
         self._station = station
         self._batches: deque[RxBatch] = deque()
-        self._newest_us = -1
-        self.malformed = 0
-        """Bytes on this station's key that were no delivery."""
+        self._inbox = Inbox(station, self._batches.append)
         self._transport = Transport.connect(endpoint)
         try:
-            self._transport.serve(receive_key(run_id, station), self._on_delivery)
+            self._transport.serve(receive_key(run_id, station), self._inbox.take)
             self._asker = self._transport.asker(transmit_key(run_id), timeout_s=ANSWER_LIMIT_S)
             # The declaration above travels ahead of this empty batch: once it is acknowledged, deliveries
             # find the way.
@@ -81,20 +107,14 @@ class RadioClient:
             items.extend(self._batches.popleft().items)
         return items
 
+    @property
+    def malformed(self) -> int:
+        """Count of what came in on this station's key and was no delivery."""
+        return self._inbox.malformed
+
     def close(self) -> None:
         """Leave the channel."""
         self._transport.close()
-
-    def _on_delivery(self, question: Question) -> None:
-        batch = decode(RxBatch, question.payload)
-        if batch is None or batch.station != self._station:
-            self.malformed += 1
-            logger.warning("dropped %d bytes that are no delivery", len(question.payload))
-            return
-        if batch.release_us > self._newest_us:  # else a repetition, for the first acknowledgement was late
-            self._newest_us = batch.release_us
-            self._batches.append(batch)
-        question.answer(_ACK)
 
 
 _ACK = encode(Ack())

@@ -10,24 +10,28 @@ import gc
 import logging
 import os
 import queue
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from netsim.child import Finished, Ready, Stop, commands, emit
+from netsim.capture.writer import Capture
+from netsim.child import Finished, Influenced, Ready, Stop, commands, emit
 from netsim.config import ServerConfig
 from netsim.emulator import Emulator
 from netsim.logs import FRAME_LOG, SESSION_LOG
-from netsim.radio import DELIVERY_LIMIT_S, advance_key, receive_key, transmit_key
+from netsim.radio import DELIVERY_LIMIT_S, advance_key, directory_key, receive_key, transmit_key
 from netsim.record_log import RecordLog
 from netsim.transport import Asker, Question, Transport
 from netsim.wire.messages import (
     Ack,
     Advance,
     Advanced,
+    Directory,
+    DirectoryRequest,
     RxBatch,
     RxItem,
     Station,
@@ -40,21 +44,61 @@ from netsim.wire.messages import (
 logger = logging.getLogger(__name__)
 
 Doubles = NDArray[np.float64]
-_Motion = tuple[Doubles, Doubles]
+
+
+class Motion(NamedTuple):
+    """Positions (n, 3), velocities (n, 3) and attitudes (n, 4), wxyz, of the stations."""
+
+    pos_ned_m: Doubles
+    vel_ned_m_s: Doubles
+    q_ned_frd: Doubles
+
 
 STREAM = 802
 """Sets the emulator's random streams apart from those of the run's other processes."""
 
 
 class Server:
-    """Owns the session, the emulator and the logs; `serve` runs until it is told to stop."""
+    """Owns the session, the emulator and the logs; `serve` runs until it is told to stop.
 
-    def __init__(self, config: ServerConfig, inbox: "queue.SimpleQueue[Question | Stop]") -> None:
+    ``on_visit`` is called when a guest first sends. Raises TransportError, OSError for a log, ValueError for
+    settings that do not go together.
+    """
+
+    def __init__(
+        self,
+        config: ServerConfig,
+        inbox: "queue.SimpleQueue[Question | Stop]",
+        *,
+        on_visit: Callable[[], None] = lambda: None,
+    ) -> None:
         self._config = config
         self._inbox = inbox
-        self._emulator = Emulator(
-            config=config.radio, stations=config.stations, seed=np.random.SeedSequence([config.seed, STREAM])
+        radio = config.radio
+        self._stations = config.stations + len(radio.guests)
+        self._guests_pos_ned_m = np.array([guest.pos_ned_m for guest in radio.guests]).reshape(-1, 3)
+        self._capture = (
+            None
+            if config.capture_path is None
+            else Capture(
+                config.capture_path, config=radio, comment=f"seed {config.seed}"
+            )
         )
+        self._emulator = Emulator(
+            config=radio,
+            stations=self._stations,
+            seed=np.random.SeedSequence([config.seed, STREAM]),
+            on_transmission=None if self._capture is None else self._capture.append,
+        )
+        self._directory = encode(
+            Directory(
+                run_id=config.run_id,
+                vehicles=config.stations,
+                guests=tuple(guest.name for guest in radio.guests),
+            )
+        )
+        self._visited = False
+        self._on_visit = on_visit
         self._submitted: list[TxBatch] = []
         self._malformed = 0
         self._silent: frozenset[Station] = frozenset()
@@ -65,8 +109,9 @@ class Server:
         self._transport = Transport.listen(config.host, config.port)
         self._receivers: list[Asker] = [
             self._transport.asker(receive_key(config.run_id, station), timeout_s=DELIVERY_LIMIT_S)
-            for station in range(config.stations)
+            for station in range(self._stations)
         ]
+        self._transport.serve(directory_key(config.run_id), self._on_directory)
         self._transport.serve(transmit_key(config.run_id), self._on_transmissions)
         self._transport.serve(advance_key(config.run_id), inbox.put)
 
@@ -86,42 +131,67 @@ class Server:
             if request is None or motion is None:
                 self._malformed += 1
                 continue
-            item.answer(encode(self._advance(request, motion)))
+            item.answer(encode(self.advance(request, motion)))
         return {"counters": msgspec.to_builtins(self._emulator.counters), "malformed": self._malformed}
 
     def close(self) -> None:
         """End the session and the logs; harmless when repeated."""
         self._transport.close()
-        for log in (self._frame_log, self._session_log):
+        for log in (self._frame_log, self._session_log, self._capture):
             if log is not None:
                 log.close()
 
     def _on_transmissions(self, question: Question) -> None:
         batch = decode(TxBatch, question.payload)
-        if batch is None or batch.station >= self._config.stations:
+        if batch is None or batch.station >= self._stations:
             self._malformed += 1
             logger.warning("dropped %d bytes that are no transmission", len(question.payload))
             return
         if batch.items:
+            if batch.station >= self._config.stations and not self._visited:
+                # a guest's traffic depends on more than scenario and seed
+                self._visited = True
+                self._on_visit()
             self._submitted.append(batch)
         question.answer(_ACK)
 
-    def _motion(self, request: Advance) -> _Motion | None:
-        """Positions and velocities of an `Advance`; None unless they are all stations', finite and ahead."""
-        stations = self._config.stations
-        pos_ned_m = unpack_rows(request.pos_ned_m, stations=stations, columns=3)
-        vel_ned_m_s = unpack_rows(request.vel_ned_m_s, stations=stations, columns=3)
-        if pos_ned_m is None or vel_ned_m_s is None or request.to_us < self._reached_us:
-            return None
-        return (pos_ned_m, vel_ned_m_s) if np.isfinite(pos_ned_m + vel_ned_m_s).all() else None
+    def _on_directory(self, question: Question) -> None:
+        if decode(DirectoryRequest, question.payload) is None:
+            self._malformed += 1
+            return
+        question.answer(self._directory)
 
-    def _advance(self, request: Advance, motion: _Motion) -> Advanced:
+    def _motion(self, request: Advance) -> Motion | None:
+        """Where an `Advance` puts the vehicles; None unless it is all of them, finite and ahead."""
+        vehicles = self._config.stations
+        pos_ned_m = unpack_rows(request.pos_ned_m, stations=vehicles, columns=3)
+        vel_ned_m_s = unpack_rows(request.vel_ned_m_s, stations=vehicles, columns=3)
+        q_ned_frd = unpack_rows(request.q_ned_frd, stations=vehicles, columns=4)
+        if pos_ned_m is None or vel_ned_m_s is None or q_ned_frd is None:
+            return None
+        motion = Motion(pos_ned_m, vel_ned_m_s, q_ned_frd)
+        ahead = request.to_us >= self._reached_us
+        return motion if ahead and all(np.isfinite(rows).all() for rows in motion) else None
+
+    def _with_guests(self, motion: Motion) -> Motion:
+        """Motion of all stations: guests stand still, upright."""
+        guests = len(self._guests_pos_ned_m)
+        if guests == 0:
+            return motion
+        return Motion(
+            np.vstack([motion.pos_ned_m, self._guests_pos_ned_m]),
+            np.vstack([motion.vel_ned_m_s, np.zeros((guests, 3))]),
+            np.vstack([motion.q_ned_frd, np.tile([1.0, 0.0, 0.0, 0.0], (guests, 1))]),
+        )
+
+    def advance(self, request: Advance, motion: Motion) -> Advanced:
+        """Simulate and deliver what an `Advance` asks for, if that has not been done before."""
         for station in frozenset(request.silent) - self._silent:
             self._emulator.set_silent(station)
             self._undelivered.pop(station, None)
         self._silent = frozenset(request.silent)
         if request.to_us > self._reached_us:
-            self._simulate(request, *motion)
+            self._simulate(request, self._with_guests(motion))
             self._reached_us = request.to_us
         self._deliver()
         return Advanced(
@@ -131,7 +201,7 @@ class Server:
             unresponsive=tuple(self._undelivered),
         )
 
-    def _simulate(self, request: Advance, pos_ned_m: Doubles, vel_ned_m_s: Doubles) -> None:
+    def _simulate(self, request: Advance, motion: Motion) -> None:
         # Zenoh's threads append to the list while this runs, so what is taken is cut off by position first.
         count = len(self._submitted)
         batches = self._submitted[:count]
@@ -144,7 +214,11 @@ class Server:
         self._emulator.set_extra_attenuation_db(request.extra_attenuation_db)
         arrivals: dict[Station, list[RxItem]] = {}
         for station, item in self._emulator.advance(
-            to_us=request.to_us, at_us=request.at_us, pos_ned_m=pos_ned_m, vel_ned_m_s=vel_ned_m_s
+            to_us=request.to_us,
+            at_us=request.at_us,
+            pos_ned_m=motion.pos_ned_m,
+            vel_ned_m_s=motion.vel_ned_m_s,
+            q_ned_frd=motion.q_ned_frd,
         ):
             arrivals.setdefault(station, []).append(item)
         self._undelivered = {
@@ -162,10 +236,13 @@ class Server:
             self._session_log.append(sessions)
 
     def _deliver(self) -> None:
-        """Hand every station its arrivals, all at once, and wait a while for the acknowledgements."""
+        """Hand every station its arrivals, all at once, and wait a while for the acknowledgements.
+
+        A guest may not be there, or slow: nobody waits for it.
+        """
         asked = {station: self._receivers[station].ask(batch) for station, batch in self._undelivered.items()}
         for station, pending in asked.items():
-            if pending.answer() is not None:
+            if station >= self._config.stations or pending.answer() is not None:
                 del self._undelivered[station]
 
 
@@ -180,7 +257,7 @@ def run(config_path: Path, *, supervised: bool) -> None:
     """Serve as the configuration file says. Raises TransportError, OSError or msgspec.DecodeError."""
     config = msgspec.json.decode(config_path.read_bytes(), type=ServerConfig)
     inbox: queue.SimpleQueue[Question | Stop] = queue.SimpleQueue()
-    server = Server(config, inbox)
+    server = Server(config, inbox, on_visit=lambda: emit(Influenced(name="radio", by="a guest on the radio")))
     with contextlib.closing(server):
         if supervised:
             commands(Stop, inbox)

@@ -21,6 +21,10 @@ class Model(IntEnum):
     CLOCK = 5
     TIME_STAMP = 6
     CALIBRATION = 7
+    OBSTRUCTION = 8
+    INTERFERENCE = 9
+    NLOS_BIAS = 10
+    RATE = 11
 
 
 class Streams:

@@ -26,7 +26,7 @@ from autopilot.onboard.localisation import CooperativeLocalisation, Localisation
 from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.phases import Phase
 from autopilot.onboard.traffic import SILENCE_US, Traffic
-from netsim.wire.messages import Delivery, FtmResult, TxItem
+from netsim.wire.messages import Delivery, FtmResult, RxItem, Sent, TxItem
 
 Array = NDArray[np.float64]
 
@@ -168,11 +168,17 @@ class OnboardApp:
                 self._commands.on_ack(msg, now_us)
                 self._due_us = 0
 
-    def on_radio(self, item: Delivery | FtmResult, now_us: int) -> None:
+    def on_radio(self, item: RxItem, now_us: int) -> None:
         """Take what the radio received or measured."""
-        if isinstance(item, Delivery):
-            self._on_beacon(item, now_us)
-            return
+        match item:
+            case Delivery():
+                self._on_beacon(item, now_us)
+            case FtmResult():
+                self._on_ranged(item, now_us)
+            case Sent():  # of a datagram to one station, and this application sends none
+                pass
+
+    def _on_ranged(self, item: FtmResult, now_us: int) -> None:
         distance = self._traffic.measured(item)
         if distance is not None and self.localisation is not None:
             self.localisation.on_range(

@@ -1,9 +1,10 @@
-"""How much a validation flies, and how its flights are handed out."""
-
-from collections.abc import Callable
-from typing import Any
+"""How much a vehicle's validation flies."""
 
 from msgspec import Struct
+
+from harness.validation.runner import Job, Results
+
+__all__ = ["QUICK", "Job", "Plan", "Results"]
 
 
 class Plan(Struct, frozen=True, kw_only=True):
@@ -20,7 +21,3 @@ class Plan(Struct, frozen=True, kw_only=True):
 
 
 QUICK = Plan(seeds=6, measure_s=20.0, recoveries=40, throws=6, demands=10_000, estimator_runs=20)
-
-Job = tuple[Callable[[Any], Any], Any]
-"""A function of a module, for it goes to another process, and its argument."""
-Results = dict[str, list[Any]]

@@ -63,9 +63,11 @@ class Section(Struct, frozen=True, kw_only=True):
     """(file name, what it shows)"""
 
 
-def markdown(sections: Sequence[Section], *, introduction: str) -> str:
+def markdown(
+    sections: Sequence[Section], *, introduction: str, title: str = "Validation of one vehicle"
+) -> str:
     """Give the whole page; figures are in ``images/`` beside it."""
-    parts = ["# Validation of one vehicle\n", introduction]
+    parts = [f"# {title}\n", introduction]
     for section in sections:
         parts += [f"## {section.title}\n", section.conditions]
         columns: tuple[str, ...] = ("what", "measured", "required", "met")
@@ -90,16 +92,16 @@ def write(path: Path, text: str) -> None:
     path.write_text(text, encoding="utf-8")
 
 
-def show(console: Console, sections: Sequence[Section]) -> None:
-    """Print checks and tables."""
+def show(console: Console, sections: Sequence[Section], *, px4: bool = True) -> None:
+    """Print checks and tables, with a column for a real PX4's numbers if ``px4``."""
     for section in sections:
         table = RichTable(title=section.title, title_justify="left", title_style="bold")
-        for column in ("what", "measured", "required", "met", "PX4"):
+        for column in ("what", "measured", "required", "met", *(("PX4",) if px4 else ())):
             table.add_column(column)
         for check in section.checks:
             name, value, requirement, _ = check.cells
             met = "[green]yes[/]" if check.passed else "[bold red]no[/]"
-            table.add_row(name, value, requirement, met, check.px4)
+            table.add_row(name, value, requirement, met, *((check.px4,) if px4 else ()))
         console.print(table)
         for more in section.tables:
             detail = RichTable(title=more.caption, title_justify="left", title_style="italic")

@@ -1,8 +1,9 @@
-"""When a station may send: interframe spaces, contention windows and the backoff of one access category.
+"""When one queue may send: interframe spaces, contention windows and the backoff of one access category.
 
-Source: IEEE 802.11-2016, 10.3.4 (DCF) and 10.22.2 (EDCA); 5 GHz OFDM timing of table 17-21. A backoff slot
-counts once it has passed idle, as in DCF; a station that has nothing to send still counts its last backoff
-down.
+Source: IEEE 802.11-2016, 10.3.4 (DCF) and 10.22.2 (EDCA); 5 GHz OFDM timing of table 17-21. DCF counts a
+slot once it has passed idle; EDCA counts at the boundaries of slots, so also the one whose beginning was idle
+though somebody began to send in it (10.22.2.4). A station that has nothing to send still counts its last
+backoff down.
 """
 
 from collections import deque
@@ -19,8 +20,8 @@ SLOT_NS = 9_000
 SIFS_NS = 16_000
 EIFS_EXTRA_NS = SIFS_NS + phy_mode("ofdm6", 20).duration_ns(ACK_BYTES)
 """EIFS less DIFS: room for an ACK at the lowest rate that this station may not hear."""
-SENSE_GUARD_NS = 2
-"""What begins this close to a slot's boundary is not sensed before it: delays are rounded to nanoseconds."""
+CCA_NS = 4_000
+"""aCCATime, for which energy goes unnoticed: who begins to send within it does so in spite of it."""
 
 
 class AccessParameters(Struct, frozen=True, kw_only=True):
@@ -29,6 +30,10 @@ class AccessParameters(Struct, frozen=True, kw_only=True):
     aifsn: int
     cw_min: int
     cw_max: int
+    txop_ns: int = 0
+    """TXOP limit, for which a queue may go on after a success; 0 is one exchange."""
+    edca: bool = True
+    """Backoff counts at the boundaries of slots; DCF's counts slots that have passed."""
 
     @property
     def aifs_ns(self) -> int:
@@ -36,10 +41,10 @@ class AccessParameters(Struct, frozen=True, kw_only=True):
         return SIFS_NS + self.aifsn * SLOT_NS
 
 
-DCF = AccessParameters(aifsn=2, cw_min=15, cw_max=1023)
+DCF = AccessParameters(aifsn=2, cw_min=15, cw_max=1023, edca=False)
 EDCA = {
-    "vo": AccessParameters(aifsn=2, cw_min=3, cw_max=7),
-    "vi": AccessParameters(aifsn=2, cw_min=7, cw_max=15),
+    "vo": AccessParameters(aifsn=2, cw_min=3, cw_max=7, txop_ns=1_504_000),
+    "vi": AccessParameters(aifsn=2, cw_min=7, cw_max=15, txop_ns=3_008_000),
     "be": AccessParameters(aifsn=3, cw_min=15, cw_max=1023),
     "bk": AccessParameters(aifsn=7, cw_min=15, cw_max=1023),
 }
@@ -54,6 +59,7 @@ class Contender:
     """
 
     __slots__ = (
+        "_ahead_slots",
         "_uniforms",
         "access",
         "access_ns",
@@ -64,11 +70,16 @@ class Contender:
         "fresh",
         "jobs",
         "parameters",
+        "priority",
+        "txop_ns",
     )
 
-    def __init__(self, parameters: AccessParameters, uniforms: Uniforms) -> None:
+    def __init__(self, parameters: AccessParameters, priority: int, uniforms: Uniforms) -> None:
         self.parameters = parameters
+        self.priority = priority
+        """0 is the first."""
         self.aifs_ns = parameters.aifs_ns
+        self.txop_ns = parameters.txop_ns
         self.jobs: deque[Job] = deque()
         self.cw = parameters.cw_min
         self.backoff_slots = 0
@@ -78,6 +89,7 @@ class Contender:
         self.access_ns = NEVER_NS
         self.fresh = False
         """The frame found the medium idle and drew no backoff."""
+        self._ahead_slots = 1 if parameters.edca else 0
         self._uniforms = uniforms
 
     def draw_backoff(self) -> None:
@@ -86,7 +98,10 @@ class Contender:
         self.fresh = False
 
     def succeeded(self) -> None:
-        """Return to the smallest window and back off: the exchange went well, or its frame was given up."""
+        """Return to the smallest window and back off.
+
+        So after a success, and after a frame was given up at its retry limit (10.3.3).
+        """
         self.cw = self.parameters.cw_min
         self.draw_backoff()
 
@@ -96,9 +111,9 @@ class Contender:
         self.draw_backoff()
 
     def freeze(self, from_ns: int) -> None:
-        """Stop counting, as the medium is busy from then on; an access planned for before goes ahead."""
+        """Stop counting, as the medium is sensed busy from then on; an access until then goes ahead."""
         if self.access is not None:
-            if self.access_ns <= from_ns + SENSE_GUARD_NS:
+            if self.access_ns <= from_ns:
                 return
             EventQueue.cancel(self.access)
             self.access = None
@@ -106,7 +121,7 @@ class Contender:
                 self.draw_backoff()
                 self.base_ns = NEVER_NS
                 return
-        passed_ns = from_ns + SENSE_GUARD_NS - self.base_ns
-        if passed_ns > 0:
-            self.backoff_slots = max(0, self.backoff_slots - passed_ns // SLOT_NS)
+        if self.backoff_slots and from_ns >= self.base_ns:
+            passed_slots = (from_ns - self.base_ns) // SLOT_NS + self._ahead_slots
+            self.backoff_slots = max(0, self.backoff_slots - passed_slots)
         self.base_ns = NEVER_NS

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from enum import StrEnum
 
 from netsim.frames import FrameKind
+from netsim.mac.rates import RateControl
 from netsim.phy.medium import Transmission
 from netsim.phy.modes import PhyMode
 
@@ -26,7 +27,7 @@ class Job:
 
     __slots__ = (
         "ack", "attempts", "body", "cancelled", "destination", "done", "expires_ns", "failures",
-        "frame_bytes", "kind", "mode", "retry_limit", "rts", "seq", "sequence", "transmission",
+        "frame_bytes", "kind", "mode", "rates", "retry_limit", "rts", "seq", "sequence", "transmission",
     )  # fmt: skip
 
     def __init__(
@@ -42,10 +43,13 @@ class Job:
         seq: int = 0,
         body: object = None,
         rts: bool = False,
+        rates: RateControl | None = None,
     ) -> None:
         self.kind = kind
         self.destination = destination
         self.mode = mode
+        self.rates = rates
+        """Chooses ``mode`` anew before each attempt; None keeps it."""
         self.frame_bytes = frame_bytes
         self.expires_ns = expires_ns
         self.retry_limit = retry_limit

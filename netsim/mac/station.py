@@ -1,14 +1,18 @@
-"""Which frames follow which: exchanges of RTS, CTS, data and ACK, with NAV, EIFS, retries and queues.
+"""Which frames follow which: exchanges of RTS, CTS, data and ACK, their failures, and TXOPs of several.
 
-Every queue contends through its `Contender`; an exchange belongs to one of them and excludes the others while
-it lasts.
+After a success a queue that has a TXOP limit goes on after SIFS, as long as its next exchange as a whole ends
+within the limit (10.22.2.8). The Duration field of a frame covers the rest of its own exchange and the one
+that is to follow it in the TXOP, as between fragments: others that are not in reach of the answer keep quiet,
+and little is reserved in vain if the TXOP breaks off. After a failure it does: the queue backs off.
 
 Group frames after RTS, which the standard does not have: the RTS goes to the neighbour heard loudest within
 the last second, the CTS of that neighbour clears the way, and the group frame follows after SIFS; a station
 that has heard nobody for a second sends without. No CTS means a collision: the window doubles, and the next
 RTS goes to the next loudest, for the first may be gone; after the retry limit the frame is dropped.
 
-Left out: fragmentation, several frames in one TXOP, power save, aggregation.
+At the retry limit the window falls back to its smallest (10.3.3). A frame that expires leaves it as it is.
+
+Left out: fragmentation, power save, aggregation, block acknowledgement, CF-End.
 """
 
 from collections.abc import Mapping
@@ -16,8 +20,9 @@ from enum import Enum
 from typing import Protocol
 
 from netsim.frames import ACK_BYTES, CTS_BYTES, GROUP, RTS_BYTES, Frame, FrameKind
-from netsim.kernel import NEVER_NS, Event, EventQueue
-from netsim.mac.access import EIFS_EXTRA_NS, SENSE_GUARD_NS, SIFS_NS, SLOT_NS, AccessParameters, Contender
+from netsim.kernel import Event, EventQueue
+from netsim.mac.access import SIFS_NS, SLOT_NS, AccessParameters, Contender
+from netsim.mac.channel import ChannelAccess
 from netsim.mac.jobs import Job, Outcome
 from netsim.phy.medium import Medium, Transmission
 from netsim.phy.modes import NON_HT_PREAMBLE_NS, PhyMode, response_mode
@@ -45,7 +50,7 @@ class Phase(Enum):
     AWAITING_ACK = 3
 
 
-class Station:
+class Station(ChannelAccess):
     """MAC of one station."""
 
     def __init__(
@@ -60,57 +65,42 @@ class Station:
         backoff: Uniforms,
         upper: Upper,
     ) -> None:
+        super().__init__(
+            queue=queue,
+            receiver=medium.receivers[index],
+            access=access,
+            queue_frames=queue_frames,
+            backoff=backoff,
+        )
         self.index = index
-        self._queue = queue
         self._medium = medium
-        self._receiver = medium.receivers[index]
         self._receiver.listener = self
         self._control_mode = control_mode
-        self._queue_frames = queue_frames
-        self._held = 0
         self._upper = upper
-        self._by_category = {name: Contender(parameters, backoff) for name, parameters in access.items()}
-        self._contenders = list(self._by_category.values())
-        self._current: Contender | None = None
         self._phase = Phase.IDLE
+        self._txop_end_ns = 0
         self._timeout: Event | None = None
         self._timed_out = False
-        self._frozen = False
-        self._silent = False
-        self._nav_until_ns = 0
-        self._eifs_until_ns = 0
-        self._wait_until_ns = 0
         self._sequence = 0
         self._heard: dict[int, tuple[int, float]] = {}
-        self._last_sequence: dict[int, int] = {}
+        """By station: when it was last heard, and how loud."""
+        self._last_sequence: dict[tuple[int, FrameKind], int] = {}
+        """By sender and kind, each of which keeps to one queue of the sender and so to an order."""
 
     # --- the host's side
 
     def enqueue(self, category: str, job: Job) -> None:
         """Take a frame for transmission. A full queue, and a station that is silent, ends the job at once."""
-        if self._silent or self._held >= self._queue_frames:
+        if self._silent or self._full():
             job.done(job, Outcome.OVERFLOW)
-            return
-        self._receiver.attentive = True
-        contender = self._by_category[category]
-        first = not contender.jobs
-        contender.jobs.append(job)
-        self._held += 1
-        if not first or self._current is contender:
-            return
-        idle = not self._medium_busy()
-        if contender.backoff_slots == 0 or (idle and self._backoff_passed(contender)):
-            contender.backoff_slots = 0
-            contender.fresh = idle
-            if not idle:
-                contender.draw_backoff()
-        self._resume()
+        else:
+            self._contend(category, job)
 
     def silence(self) -> None:
         """End for good: nothing is sent, answered or heard any more."""
         self._silent = True
         self._medium.remove(self.index)
-        self._freeze(self._queue.now_ns - 2 * SENSE_GUARD_NS)
+        self._freeze(self._queue.now_ns - 1)
         self._stop_waiting()
         self._current = None
         for contender in self._contenders:
@@ -119,126 +109,39 @@ class Station:
                 job.done(job, Outcome.EXPIRED)
         self._held = 0
 
-    # --- when
-
-    def _medium_busy(self) -> bool:
-        now = self._queue.now_ns
-        receiver = self._receiver
-        return (
-            self._current is not None
-            or receiver.busy_from_ns + SENSE_GUARD_NS < now < receiver.busy_until_ns
-            or now < self._nav_until_ns
-            or now < receiver.sending_until_ns
-        )
-
-    def _backoff_passed(self, contender: Contender) -> bool:
-        return self._queue.now_ns >= contender.base_ns + contender.backoff_slots * SLOT_NS
-
-    def _freeze(self, from_ns: int) -> None:
-        self._frozen = True
-        attentive = self._held > 0
-        for contender in self._contenders:
-            contender.freeze(from_ns)
-            if contender.backoff_slots:
-                attentive = True
-        # with nothing to send and no backoff to count, the station stays frozen until that changes
-        self._receiver.attentive = attentive
-
-    def _resume(self) -> None:
-        """Plan each queue's next access from what is known of the medium; what changes that calls again."""
-        now = self._queue.now_ns
-        receiver = self._receiver
-        if (
-            self._current is not None
-            or receiver.sending_until_ns > now
-            or self._silent
-            or not receiver.attentive
-        ):
-            return
-        busy = receiver.busy_until_ns > now
-        # a busy period that the station cannot have sensed yet does not hold it back
-        unsensed = busy and now <= receiver.busy_from_ns + SENSE_GUARD_NS
-        if busy and not unsensed:
-            return
-        idle_ns = max(
-            receiver.idle_before_ns if unsensed else receiver.busy_until_ns,
-            receiver.sending_until_ns,
-            self._nav_until_ns,
-            self._eifs_until_ns,
-            self._wait_until_ns,
-        )
-        self._frozen = False
-        for contender in self._contenders:
-            base_ns = idle_ns + contender.aifs_ns
-            contender.base_ns = base_ns
-            if not contender.jobs:
-                continue
-            access_ns = max(now, base_ns + contender.backoff_slots * SLOT_NS)
-            if contender.access is not None:
-                if contender.access_ns == access_ns:
-                    continue
-                self._queue.cancel(contender.access)
-            contender.access_ns = access_ns
-            contender.access = self._queue.at(access_ns, self._on_access, contender)
-        if unsensed:
-            self._freeze(receiver.busy_from_ns)
-
-    def _on_access(self, contender: Contender) -> None:
-        contender.access = None
-        now = self._queue.now_ns
-        if self._current is not None or self._receiver.sending_until_ns > now:
-            contender.base_ns = NEVER_NS
-            return
-        while contender.jobs and (contender.jobs[0].expires_ns <= now or contender.jobs[0].cancelled):
-            self._give_up(contender, Outcome.EXPIRED)
-        if not contender.jobs:
-            self._resume()
-            return
-        rivals = [
-            other
-            for other in self._contenders
-            if other.access is not None and other.access_ns <= now + SENSE_GUARD_NS
-        ]
-        winner = contender
-        if rivals:
-            # of queues that would send in one slot the first in priority does; the others have collided
-            winner = min((contender, *rivals), key=self._contenders.index)
-            self._current = winner
-            for loser in (contender, *rivals):
-                if loser.access is not None:
-                    self._queue.cancel(loser.access)
-                    loser.access = None
-                if loser is not winner:
-                    loser.base_ns = NEVER_NS
-                    self._fail(loser)
-        self._current = winner
-        winner.backoff_slots = 0
-        winner.fresh = False
-        self._begin(winner)
-
-    # --- which sequence
+    # --- the own exchange
 
     def _begin(self, contender: Contender) -> None:
+        self._txop_end_ns = self._queue.now_ns + contender.txop_ns
+        self._choose_mode(contender.jobs[0])
+        self._start(contender)
+
+    def _choose_mode(self, job: Job) -> None:
+        if job.rates is not None:
+            job.mode = job.rates.mode_for(
+                job.destination,
+                frame_bytes=job.frame_bytes,
+                failures=job.failures,
+                now_ns=self._queue.now_ns,
+            )
+
+    def _start(self, contender: Contender) -> None:
+        if self._current is not contender or not contender.jobs:
+            return
         job = contender.jobs[0]
         job.attempts += 1
         target = self._rts_target(job) if job.rts else None
         if target is None:
             self._send_job(contender)
             return
-        cts_mode = response_mode(self._control_mode)
-        nav_ns = (
-            2 * SIFS_NS
-            + cts_mode.duration_ns(CTS_BYTES)
-            + job.mode.duration_ns(job.frame_bytes)
-            + self._answer_ns(job)
-        )
+        cts_ns = response_mode(self._control_mode).duration_ns(CTS_BYTES)
         rts = Frame(
             kind=FrameKind.RTS,
             source=self.index,
             destination=target,
             mode=self._control_mode,
             frame_bytes=RTS_BYTES,
-            nav_ns=nav_ns,
+            nav_ns=SIFS_NS + cts_ns + SIFS_NS + _data_ns(job),
         )
         self._phase = Phase.AWAITING_CTS
         self._send(rts, timeout=True)
@@ -250,11 +153,6 @@ class Station:
         heard = [(-power_mw, other) for other, (at_ns, power_mw) in self._heard.items() if at_ns >= oldest_ns]
         return sorted(heard)[job.failures % len(heard)][1] if heard else None
 
-    def _answer_ns(self, job: Job) -> int:
-        if job.destination == GROUP:
-            return 0
-        return SIFS_NS + response_mode(job.mode).duration_ns(ACK_BYTES)
-
     def _send_job(self, contender: Contender) -> None:
         if self._current is not contender or not contender.jobs:
             return
@@ -263,13 +161,18 @@ class Station:
             self._sequence += 1
             job.sequence = self._sequence
         awaits = job.destination != GROUP
+        nav_ns = _answer_ns(job)
+        if contender.txop_ns and len(contender.jobs) > 1:
+            next_ns = self._queue.now_ns + _data_ns(job) + SIFS_NS + self._exchange_ns(contender.jobs[1])
+            if next_ns <= self._txop_end_ns:
+                nav_ns += SIFS_NS + self._exchange_ns(contender.jobs[1])
         frame = Frame(
             kind=job.kind,
             source=self.index,
             destination=job.destination,
             mode=job.mode,
             frame_bytes=job.frame_bytes,
-            nav_ns=self._answer_ns(job),
+            nav_ns=nav_ns,
             seq=job.seq,
             sequence=job.sequence,
             body=job.body,
@@ -285,28 +188,51 @@ class Station:
             self._timeout = self._queue.at(transmission.end_ns + RESPONSE_TIMEOUT_NS, self._on_timeout, None)
         return transmission
 
-    def _respond(self, frame: Frame) -> None:
-        if not self._silent and self._receiver.sending_until_ns <= self._queue.now_ns:
-            self._send(frame)
+    def _exchange_ns(self, job: Job) -> int:
+        """Time that the exchange of a frame takes from its RTS or itself on."""
+        if not job.rts:
+            return _data_ns(job)
+        cts_ns = response_mode(self._control_mode).duration_ns(CTS_BYTES)
+        return self._control_mode.duration_ns(RTS_BYTES) + SIFS_NS + cts_ns + SIFS_NS + _data_ns(job)
 
-    def _on_timeout(self, _: None) -> None:
-        self._timeout = None
-        if self._receiver.lock is not None:
-            # a frame has begun in time: whether it is the answer shows at its end
-            self._timed_out = True
-        else:
-            self._exchange_failed()
-
-    def _stop_waiting(self) -> None:
-        self._timed_out = False
-        if self._timeout is not None:
-            self._queue.cancel(self._timeout)
-            self._timeout = None
-
-    def _exchange_failed(self) -> None:
+    def _succeeded(self, outcome: Outcome, end_ns: int) -> None:
+        """End the exchange at ``end_ns``, and begin the next one of the same TXOP if it fits."""
         contender = self._current
         if contender is None:
             return
+        self._stop_waiting()
+        self._give_up(contender, outcome)
+        if self._current is not contender:
+            return
+        if contender.txop_ns and self._goes_on(contender, end_ns + SIFS_NS):
+            return
+        self._current = None
+        self._phase = Phase.IDLE
+        self._receiver.attentive = True
+        contender.succeeded()
+        self._resume()
+
+    def _goes_on(self, contender: Contender, start_ns: int) -> bool:
+        """Begin the next exchange of a TXOP at ``start_ns`` if there is one and it ends within the limit."""
+        contender.cw = contender.parameters.cw_min
+        self._drop_expired(contender)
+        if self._current is not contender or not contender.jobs:
+            return False
+        job = contender.jobs[0]
+        self._choose_mode(job)
+        if start_ns + self._exchange_ns(job) > self._txop_end_ns:
+            return False
+        self._phase = Phase.SENDING
+        self._queue.at(start_ns, self._start, contender)
+        return True
+
+    def _failed(self) -> None:
+        contender = self._current
+        if contender is None:
+            return
+        job = contender.jobs[0]
+        if self._phase is Phase.AWAITING_ACK and job.rates is not None:
+            job.rates.report(job.destination, job.mode, acknowledged=False)
         self._stop_waiting()
         self._current = None
         self._phase = Phase.IDLE
@@ -315,88 +241,51 @@ class Station:
         self._fail(contender)
         self._resume()
 
-    def _fail(self, contender: Contender) -> None:
-        job = contender.jobs[0]
-        job.failures += 1
-        if job.failures > job.retry_limit:
-            contender.succeeded()
-            self._give_up(contender, Outcome.RETRY_LIMIT)
+    def _on_timeout(self, _: None) -> None:
+        self._timeout = None
+        if self._receiver.lock is not None:
+            # a frame has begun in time: whether it is the answer shows at its end
+            self._timed_out = True
         else:
-            contender.collided()
+            self._failed()
 
-    def _give_up(self, contender: Contender, outcome: Outcome) -> None:
-        job = contender.jobs.popleft()
-        self._held -= 1
-        job.done(job, outcome)
-
-    def _exchange_succeeded(self, outcome: Outcome) -> None:
-        contender = self._current
-        if contender is None:
-            return
-        self._stop_waiting()
-        self._current = None
-        self._phase = Phase.IDLE
-        self._receiver.attentive = True
-        contender.succeeded()
-        self._give_up(contender, outcome)
-        self._resume()
+    def _stop_waiting(self) -> None:
+        self._timed_out = False
+        if self._timeout is not None:
+            self._queue.cancel(self._timeout)
+            self._timeout = None
 
     # --- what the receiver reports
-
-    def on_busy(self, from_ns: int) -> None:
-        """See `netsim.phy.medium.Listener`."""
-        if not self._frozen:
-            self._freeze(from_ns)
-
-    def on_air_changed(self) -> None:
-        """See `netsim.phy.medium.Listener`."""
-        if self._frozen:
-            self._resume()
 
     def on_sent(self, transmission: Transmission) -> None:
         """See `netsim.phy.medium.Listener`."""
         if self._phase is Phase.SENDING and not transmission.frame.is_answer:
-            self._exchange_succeeded(Outcome.SENT)
+            self._succeeded(Outcome.SENT, transmission.end_ns)
         else:
             self._resume()
 
     def on_error(self, end_ns: int) -> None:
         """See `netsim.phy.medium.Listener`: errors make the station wait EIFS."""
-        self._eifs_until_ns = end_ns + EIFS_EXTRA_NS
+        self._after_error(end_ns)
         if self._timed_out:
-            self._exchange_failed()
+            self._failed()
 
     def on_received(self, transmission: Transmission, power_mw: float, end_ns: int) -> None:
         """See `netsim.phy.medium.Listener`."""
         frame = transmission.frame
-        self._eifs_until_ns = 0
+        if self._eifs_until_ns:
+            self._end_eifs()
         destination = frame.destination
         if destination == self.index:
             self._received_own(transmission, power_mw, end_ns)
         elif destination == GROUP:
             self._upper.on_frame(transmission, power_mw, end_ns, duplicate=False)
-        else:
-            nav_until_ns = end_ns + frame.nav_ns
-            if nav_until_ns > self._nav_until_ns:
-                self._nav_until_ns = nav_until_ns
-                if frame.kind is FrameKind.RTS:
-                    self._watch_rts(frame, end_ns)
+        elif frame.nav_ns:
+            self._reserve(frame, end_ns)
         if not frame.is_answer:
             self._heard[frame.source] = (end_ns, power_mw)
         if self._timed_out:
-            self._exchange_failed()
-
-    def _watch_rts(self, rts: Frame, end_ns: int) -> None:
-        """NAV falls if no frame follows an RTS (10.3.2.4)."""
-        cts_ns = response_mode(rts.mode).duration_ns(CTS_BYTES)
-        wait_ns = 2 * SIFS_NS + cts_ns + NON_HT_PREAMBLE_NS + 2 * SLOT_NS
-        self._queue.at(end_ns + wait_ns, self._on_rts_unused, (end_ns, self._nav_until_ns))
-
-    def _on_rts_unused(self, reservation: tuple[int, int]) -> None:
-        rts_end_ns, nav_until_ns = reservation
-        if self._receiver.locked_ns <= rts_end_ns and self._nav_until_ns == nav_until_ns:
-            self._nav_until_ns = self._queue.now_ns
-            self._resume()
+            self._failed()
 
     def _received_own(self, transmission: Transmission, power_mw: float, end_ns: int) -> None:
         frame = transmission.frame
@@ -408,24 +297,49 @@ class Station:
                 self._queue.at(end_ns + SIFS_NS, self._send_job, contender)
         elif frame.kind is FrameKind.ACK:
             if self._phase is Phase.AWAITING_ACK and contender is not None:
-                contender.jobs[0].ack = transmission
-                self._exchange_succeeded(Outcome.ACKNOWLEDGED)
+                job = contender.jobs[0]
+                job.ack = transmission
+                if job.rates is not None:
+                    job.rates.report(job.destination, job.mode, acknowledged=True)
+                self._succeeded(Outcome.ACKNOWLEDGED, end_ns)
         elif frame.kind is FrameKind.RTS:
-            if self._nav_until_ns <= end_ns and self._current is None:
-                mode = response_mode(frame.mode)
-                nav_ns = frame.nav_ns - SIFS_NS - mode.duration_ns(CTS_BYTES)
-                self._answer(FrameKind.CTS, frame.source, mode, CTS_BYTES, nav_ns, end_ns)
+            # NAV holds back the answer, unless it is the same station that set it (10.22.2.4)
+            free = self._nav_until_ns <= end_ns or self._nav_holder == frame.source
+            if free and self._current is None:
+                self._answer(FrameKind.CTS, frame, CTS_BYTES, end_ns)
         else:
-            mode = response_mode(frame.mode)
-            self._answer(FrameKind.ACK, frame.source, mode, ACK_BYTES, 0, end_ns)
-            duplicate = self._last_sequence.get(frame.source) == frame.sequence
-            self._last_sequence[frame.source] = frame.sequence
+            self._answer(FrameKind.ACK, frame, ACK_BYTES, end_ns)
+            sender = (frame.source, frame.kind)
+            duplicate = self._last_sequence.get(sender) == frame.sequence
+            self._last_sequence[sender] = frame.sequence
             self._upper.on_frame(transmission, power_mw, end_ns, duplicate=duplicate)
 
-    def _answer(
-        self, kind: FrameKind, to: int, mode: PhyMode, frame_bytes: int, nav_ns: int, end_ns: int
-    ) -> None:
+    # --- answers
+
+    def _answer(self, kind: FrameKind, to: Frame, frame_bytes: int, end_ns: int) -> None:
+        mode = response_mode(to.mode)
         answer = Frame(
-            kind=kind, source=self.index, destination=to, mode=mode, frame_bytes=frame_bytes, nav_ns=nav_ns
+            kind=kind,
+            source=self.index,
+            destination=to.source,
+            mode=mode,
+            frame_bytes=frame_bytes,
+            nav_ns=max(0, to.nav_ns - SIFS_NS - mode.duration_ns(frame_bytes)),
         )
         self._queue.at(end_ns + SIFS_NS, self._respond, answer)
+
+    def _respond(self, frame: Frame) -> None:
+        if not self._silent and self._receiver.sending_until_ns <= self._queue.now_ns:
+            self._send(frame)
+
+
+def _answer_ns(job: Job) -> int:
+    """Time from the end of a frame to the end of its ACK."""
+    if job.destination == GROUP:
+        return 0
+    return SIFS_NS + response_mode(job.mode).duration_ns(ACK_BYTES)
+
+
+def _data_ns(job: Job) -> int:
+    """Time from the beginning of a frame to the end of its ACK."""
+    return job.mode.duration_ns(job.frame_bytes) + _answer_ns(job)

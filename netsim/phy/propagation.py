@@ -1,23 +1,37 @@
-"""Where stations are and what a frame loses on its way: path loss, shadowing, fading and delay."""
+"""Where stations are and what a frame loses on its way to each other one: the link budget, and its delay.
 
-from math import hypot, log10, pi, sqrt
+The models are in `netsim.phy.path_gain` (path loss, antennas, shadowing), `netsim.phy.obstruction` and
+`netsim.phy.fading`; a budget is the product of those that are switched on.
+"""
+
+from collections.abc import Callable
+from math import hypot
 
 import numpy as np
 from msgspec import Struct
 
 from netsim.config import RadioConfig
-from netsim.streams import Model, Streams
+from netsim.kernel import NEVER_NS
+from netsim.phy.antenna import body_z_ned
+from netsim.phy.fading import RicianFading
+from netsim.phy.obstruction import Obstruction
+from netsim.phy.path_gain import ALL, PathGain
+from netsim.phy.path_loss import REFERENCE_DISTANCE_M, SPEED_OF_LIGHT_M_S, Doubles, friis_loss_db
+from netsim.streams import Streams
 
-SPEED_OF_LIGHT_M_S = 299_792_458.0
+__all__ = ["SPEED_OF_LIGHT_M_S", "LinkRow", "Links", "Trajectories", "friis_loss_db", "thermal_noise_mw"]
+
 BOLTZMANN_J_K = 1.380649e-23
 REFERENCE_TEMPERATURE_K = 290.0
-REFERENCE_DISTANCE_M = 1.0
 ROW_LIFETIME_NS = 4_000_000
 """A moving station's link budget is computed afresh after this: at 20 m/s it has moved 8 cm."""
+COMPUTED_TOGETHER = 16
+"""Up to so many stations the arrays of all links cost less than those of two stations' links, one by one."""
 AUDIBLE_BELOW_NOISE = 0.01
 """Signals more than 20 dB below the noise do not matter to anybody."""
 
 Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
 
 
 def thermal_noise_mw(bandwidth_mhz: float, noise_figure_db: float) -> float:
@@ -31,31 +45,65 @@ def thermal_noise_mw(bandwidth_mhz: float, noise_figure_db: float) -> float:
     )
 
 
-def friis_loss_db(distance_m: float, frequency_mhz: float) -> float:
-    """Free-space path loss between isotropic antennas."""
-    return 20.0 * log10(4.0 * pi * distance_m * frequency_mhz * 1e6 / SPEED_OF_LIGHT_M_S)
-
-
 class Trajectories:
-    """Positions of the stations, going on at the velocity of the last known instant. World NED, metres."""
+    """Positions of the stations, going on at the velocity of the last known instant. World NED, metres.
 
-    __slots__ = ("_at_ns", "_pos_ned_m", "_vel_ned_m_s", "moving", "version")
+    Attitudes stay as they are until the next instant.
+    """
+
+    __slots__ = (
+        "_at_ns",
+        "_axes_ned",
+        "_pos_ned_m",
+        "_q_ned_frd",
+        "_vel_ned_m_s",
+        "moving",
+        "on_set",
+        "pose_version",
+        "version",
+    )
 
     def __init__(self, stations: int) -> None:
         self._at_ns = 0
         self._pos_ned_m: list[Vector] = [(0.0, 0.0, 0.0)] * stations
         self._vel_ned_m_s: list[Vector] = [(0.0, 0.0, 0.0)] * stations
+        self._q_ned_frd: list[Quaternion] | None = None
+        self._axes_ned: Doubles | None = None
         self.moving = False
+        self.on_set: Callable[[int, list[Vector]], None] | None = None
+        """Called with the time and velocities of every `set`, before it holds."""
         self.version = 0
         """Rises whenever positions may have changed otherwise than by the motion announced before."""
+        self.pose_version = 0
+        """Rises with it, and when an attitude has changed."""
 
-    def set(self, at_ns: int, pos_ned_m: list[Vector], vel_ned_m_s: list[Vector]) -> None:
-        """State where the stations are at ``at_ns``, and how fast they go on from there."""
+    def set(
+        self,
+        at_ns: int,
+        pos_ned_m: list[Vector],
+        vel_ned_m_s: list[Vector],
+        q_ned_frd: list[Quaternion] | None = None,
+    ) -> None:
+        """State where the stations are at ``at_ns``, and how fast they go on from there.
+
+        ``q_ned_frd`` are Hamilton quaternions wxyz that map FRD to NED; None has all of them level.
+        """
+        if self.on_set is not None:
+            self.on_set(at_ns, vel_ned_m_s)
         moving = any(map(any, vel_ned_m_s))
         if moving or self.moving or pos_ned_m != self._pos_ned_m:
             self.version += 1
+            self.pose_version += 1
+        if q_ned_frd != self._q_ned_frd:
+            self._q_ned_frd, self._axes_ned = q_ned_frd, None
+            self.pose_version += 1
         self.moving = moving
         self._at_ns, self._pos_ned_m, self._vel_ned_m_s = at_ns, pos_ned_m, vel_ned_m_s
+
+    @property
+    def at_ns(self) -> int:
+        """Time of the last `set`."""
+        return self._at_ns
 
     def positions_ned_m(self, at_ns: int) -> list[Vector]:
         """Where all stations are, by station."""
@@ -78,9 +126,16 @@ class Trajectories:
         """Propagation time between two stations, in picoseconds."""
         return round(self.distance_m(a, b, at_ns) / SPEED_OF_LIGHT_M_S * 1e12)
 
+    def body_z_ned(self) -> Doubles:
+        """The bodies' z axes, (stations, 3)."""
+        if self._axes_ned is None:
+            level = [(1.0, 0.0, 0.0, 0.0)] * len(self._pos_ned_m)
+            self._axes_ned = body_z_ned(np.array(self._q_ned_frd or level))
+        return self._axes_ned
+
 
 class LinkRow(Struct, frozen=True):
-    """What one station's transmissions are at every other, by station; the station's own entry is zero."""
+    """What one transmitter's signals are at every station, by station; a station's own entry is zero."""
 
     powers_mw: list[float]
     """Mean received power, before fading."""
@@ -98,104 +153,163 @@ class Links:
         self._config = config
         self._trajectories = trajectories
         self._stations = stations
-        self._exponent = config.path_loss_exponent
         self._extra_db = config.extra_attenuation_db
+        self._dipoles = config.antenna == "dipole"
         self._audible_mw = AUDIBLE_BELOW_NOISE * thermal_noise_mw(
             config.bandwidth_mhz, config.noise_figure_db
         )
         self._rows: list[LinkRow | None] = [None] * stations
-        self._row_ns = [0] * stations
+        self._row_until_ns = [0] * stations
         self._row_version = [-1] * stations
-        shadowing_db = np.zeros((stations, stations))
-        if config.shadowing_std_db > 0.0:
-            for a in range(stations):
-                for b in range(a):
-                    draw = streams.generator(Model.SHADOWING, b, a).normal(0.0, config.shadowing_std_db)
-                    shadowing_db[a, b] = shadowing_db[b, a] = draw
-        self._shadowing_db = shadowing_db
-        self._gains: list[list[float]] = []
-        self._update_gains()
+        self._path_gain = PathGain(config, streams)
+        self._together = stations <= COMPUTED_TOGETHER
+        self._paths: tuple[Doubles, Doubles] | None = None
+        """Gains and distances of all links, and what they were computed for."""
+        self._paths_of: tuple[int, int] | None = None
+        self._poses: tuple[Doubles, Doubles | None] | None = None
+        """Places (n, 3) and the dipoles' axes, and what they hold for."""
+        self._poses_of: tuple[int, int] | None = None
+        self._interferer_rows: list[LinkRow] = []
+        self._interferer_rows_of: tuple[int, int] | None = None
+        self._obstruction: Obstruction | None = None
+        if config.nlos_fraction > 0.0:
+            self._obstruction = Obstruction(
+                fraction=config.nlos_fraction,
+                duration_s=config.nlos_duration_s,
+                stations=stations,
+                streams=streams,
+            )
+        self._blocked_gain = 10.0 ** (-config.nlos_loss_db / 10.0)
+        self._fading: RicianFading | None = None
+        if config.rician_k_db is not None:
+            self._fading = RicianFading(
+                k_db=config.rician_k_db,
+                doppler_hz=config.fading_doppler_hz,
+                frequency_mhz=config.frequency_mhz,
+                stations=stations,
+                streams=streams,
+            )
+            trajectories.on_set = self._fading.move
+        self._plain = not (
+            config.path_loss == "two_ray"
+            or self._dipoles
+            or config.shadowing_std_db > 0.0
+            or self._obstruction is not None
+        )
+        """Nothing but a power law of the distance, which is quicker without arrays."""
+        self._tx_power_dbm = [config.tx_power_dbm] * stations
+        for station in config.stations:
+            if station.tx_power_dbm is not None:
+                self._tx_power_dbm[station.station] = station.tx_power_dbm
+        self._at_reference_mw: list[float] = []
+        """By source: what isotropic antennas' ends would receive over `REFERENCE_DISTANCE_M`."""
+        self._update_powers()
 
     def set_extra_attenuation_db(self, value: float | None) -> None:
-        """Attenuation on every link from now on; None is the configured one."""
+        """Attenuation on every link from now on; None is the configured one. Interferers keep their power."""
         extra_db = self._config.extra_attenuation_db if value is None else value
         if extra_db != self._extra_db:
             self._extra_db = extra_db
-            self._update_gains()
+            self._update_powers()
 
-    def _update_gains(self) -> None:
-        at_reference_dbm = (
-            self._config.tx_power_dbm
-            + 2.0 * self._config.antenna_gain_dbi
-            - friis_loss_db(REFERENCE_DISTANCE_M, self._config.frequency_mhz)
-            - self._extra_db
-        )
-        self._gains = (10.0 ** ((at_reference_dbm - self._shadowing_db) / 10.0)).tolist()
+    def _update_powers(self) -> None:
+        loss_db = friis_loss_db(REFERENCE_DISTANCE_M, self._config.frequency_mhz) + self._extra_db
+        gain_db = 2.0 * self._config.antenna_gain_dbi - loss_db
+        self._at_reference_mw = [10.0 ** ((power_dbm + gain_db) / 10.0) for power_dbm in self._tx_power_dbm]
         self._rows = [None] * self._stations
 
+    def blocked(self, a: int, b: int, at_ns: int) -> bool:
+        """Whether something stands between two stations."""
+        return self._obstruction is not None and self._obstruction.blocked(a, b, at_ns)[0]
+
+    def fading_gains(self, source: int, at_ns: int) -> list[float]:
+        """What small-scale fading makes of each power of a row, by station; nothing without fading."""
+        return [] if self._fading is None else self._fading.gains(source, at_ns)
+
     def row(self, source: int, at_ns: int) -> LinkRow:
-        """Link budget from ``source``: P(d) = P(1 m) (d / 1 m)^-exponent; nearer than 1 m that of 1 m."""
+        """Link budget from a station to all others."""
         row = self._rows[source]
-        version = self._trajectories.version
-        if (
-            row is not None
-            and version == self._row_version[source]
-            and not (self._trajectories.moving and at_ns - self._row_ns[source] > ROW_LIFETIME_NS)
-        ):
+        trajectories = self._trajectories
+        version = trajectories.pose_version if self._dipoles else trajectories.version
+        if row is not None and version == self._row_version[source] and at_ns <= self._row_until_ns[source]:
             return row
-        places_ned_m = self._trajectories.positions_ned_m(at_ns)
-        x0, y0, z0 = places_ned_m[source]
-        distances_m = [hypot(x - x0, y - y0, z - z0) for x, y, z in places_ned_m]
-        slope = -self._exponent
-        powers_mw = [
-            gain_mw * max(distance_m, REFERENCE_DISTANCE_M) ** slope
-            for gain_mw, distance_m in zip(self._gains[source], distances_m, strict=True)
-        ]
+        until_ns = at_ns + ROW_LIFETIME_NS if trajectories.moving else NEVER_NS
+        if self._plain:
+            places_ned_m = trajectories.positions_ned_m(at_ns)
+            x0, y0, z0 = places_ned_m[source]
+            distances_m = [hypot(x - x0, y - y0, z - z0) for x, y, z in places_ned_m]
+            at_reference_mw, slope = self._at_reference_mw[source], -self._path_gain.exponent
+            powers_mw = [
+                at_reference_mw * max(distance_m, REFERENCE_DISTANCE_M) ** slope for distance_m in distances_m
+            ]
+        else:
+            since_ns = self._since_ns(at_ns)
+            if trajectories.moving:
+                until_ns = since_ns + ROW_LIFETIME_NS - 1
+            gains, distances = self._paths_from(source, since_ns)
+            powers = self._at_reference_mw[source] * gains
+            if self._obstruction is not None:
+                blocked, same_until_ns = self._obstruction.row(source, at_ns)
+                powers[blocked] *= self._blocked_gain
+                until_ns = min(until_ns, same_until_ns - 1)
+            powers_mw, distances_m = powers.tolist(), distances.tolist()
         powers_mw[source] = 0.0
+        row = self._finish(powers_mw, distances_m)
+        self._rows[source], self._row_until_ns[source], self._row_version[source] = row, until_ns, version
+        return row
+
+    def interferer_row(self, index: int, at_ns: int) -> LinkRow:
+        """Link budget from ``config.interferers[index]`` to all stations, without fading and blockage."""
+        trajectories = self._trajectories
+        key = trajectories.pose_version, self._since_ns(at_ns)
+        if key != self._interferer_rows_of:
+            self._interferer_rows_of = key
+            places = np.array([interferer.pos_ned_m for interferer in self._config.interferers])
+            gains, distances = self._path_gain.from_others(places, *self._poses_at(key[1]))
+            gain_db = self._config.antenna_gain_dbi - friis_loss_db(
+                REFERENCE_DISTANCE_M, self._config.frequency_mhz
+            )
+            self._interferer_rows = [
+                self._finish(
+                    (10.0 ** ((interferer.eirp_dbm + gain_db) / 10.0) * gains[i]).tolist(),
+                    distances[i].tolist(),
+                )
+                for i, interferer in enumerate(self._config.interferers)
+            ]
+        return self._interferer_rows[index]
+
+    def _since_ns(self, at_ns: int) -> int:
+        """When the stations were where rows of ``at_ns`` have them: whole lifetimes after the last set."""
+        trajectories = self._trajectories
+        if not trajectories.moving:
+            return 0
+        return at_ns - (at_ns - trajectories.at_ns) % ROW_LIFETIME_NS
+
+    def _poses_at(self, since_ns: int) -> tuple[Doubles, Doubles | None]:
+        trajectories = self._trajectories
+        key = trajectories.pose_version, since_ns
+        if self._poses is None or self._poses_of != key:
+            places = np.array(trajectories.positions_ned_m(since_ns))
+            self._poses_of = key
+            self._poses = places, trajectories.body_z_ned() if self._dipoles else None
+        return self._poses
+
+    def _paths_from(self, source: int, since_ns: int) -> tuple[Doubles, Doubles]:
+        """Gains and distances (n,) of one station's links, computed with all others' if they are few."""
+        if not self._together:
+            sources = slice(source, source + 1)
+            gains, distances = self._path_gain.between_stations(sources, *self._poses_at(since_ns))
+            return gains[0], distances[0]
+        key = self._trajectories.pose_version, since_ns
+        if self._paths is None or self._paths_of != key:
+            self._paths_of = key
+            self._paths = self._path_gain.between_stations(ALL, *self._poses_at(since_ns))
+        return self._paths[0][source], self._paths[1][source]
+
+    def _finish(self, powers_mw: list[float], distances_m: list[float]) -> LinkRow:
         delays_ns = [round(distance_m / SPEED_OF_LIGHT_M_S * 1e9) for distance_m in distances_m]
         audible_mw = self._audible_mw
         longest_ns = max(
             [delay for delay, mw in zip(delays_ns, powers_mw, strict=True) if mw > audible_mw], default=0
         )
-        row = LinkRow(powers_mw, delays_ns, longest_ns)
-        self._rows[source], self._row_ns[source], self._row_version[source] = row, at_ns, version
-        return row
-
-
-class RicianFading:
-    """Power gain |h|^2 of a frame on a link, mean 1.
-
-    h = sqrt(K / (K + 1)) plus a complex Gaussian of power 1 / (K + 1), independent from frame to frame.
-    """
-
-    BLOCK = 64
-
-    def __init__(self, k_db: float, stations: int, streams: Streams) -> None:
-        k = 10.0 ** (k_db / 10.0)
-        self._line_of_sight = sqrt(k / (k + 1.0))
-        self._scatter_std = sqrt(0.5 / (k + 1.0))
-        self._streams = streams
-        self._generators: list[list[np.random.Generator | None]] = [
-            [None] * stations for _ in range(stations)
-        ]
-        self._blocks: list[list[list[float]]] = [[] for _ in range(stations)]
-        """By source: gains of its next frames, last first, each by receiver."""
-
-    def gains(self, source: int) -> list[float]:
-        """Each link's next gain, by receiver; nothing for the source itself."""
-        block = self._blocks[source]
-        if not block:
-            self._refill(source, block)
-        return block.pop()
-
-    def _refill(self, source: int, block: list[list[float]]) -> None:
-        gains = np.zeros((self.BLOCK, len(self._generators)))
-        for receiver, generator in enumerate(self._generators[source]):
-            if receiver == source:
-                continue
-            if generator is None:
-                generator = self._streams.generator(Model.FADING, source, receiver)
-                self._generators[source][receiver] = generator
-            real, imaginary = generator.normal(0.0, self._scatter_std, (2, self.BLOCK))
-            gains[:, receiver] = (self._line_of_sight + real) ** 2 + imaginary**2
-        block.extend(gains[::-1].tolist())
+        return LinkRow(powers_mw, delays_ns, longest_ns)

@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-VERSION = 3
+VERSION = 4
 """First field of every message; a change of any message's fields raises it."""
 MAX_PAYLOAD_BYTES = 1472
 """Largest UDP payload that fits one 1500-byte IP packet."""
@@ -46,7 +46,16 @@ class FtmRequest(Struct, frozen=True, kw_only=True, array_like=True, tag="f"):
     peer: Station
 
 
-TxItem = Broadcast | FtmRequest
+class Unicast(Struct, frozen=True, kw_only=True, array_like=True, tag="u"):
+    """One UDP datagram to one station; exactly one `Sent` with this ``seq`` comes back."""
+
+    seq: Seq
+    at_us: TimeUs
+    destination: Station
+    payload: Annotated[bytes, Meta(max_length=MAX_PAYLOAD_BYTES)]
+
+
+TxItem = Broadcast | FtmRequest | Unicast
 
 
 class TxBatch(Struct, frozen=True, kw_only=True, array_like=True):
@@ -80,6 +89,8 @@ class FtmResult(Struct, frozen=True, kw_only=True, array_like=True, tag="r"):
     """``ok``, ``timeout``, ``no_response``, ``rejected`` or ``dropped`` (never left the queue)."""
     measured_ns: TimeNs
     """Mean time of the round trips that were used; when the session ended if there were none."""
+    ended_ns: TimeNs
+    """When the session ended and the driver reported."""
     distance_m: float
     """c/2 times the mean round trip; 0.0 unless ``status`` is ``ok``."""
     distance_std_m: float
@@ -87,9 +98,23 @@ class FtmResult(Struct, frozen=True, kw_only=True, array_like=True, tag="r"):
     rssi_dbm: float
     round_trips: int
     """Round trips that were averaged."""
+    measurements: int
+    """Measurement frames that arrived."""
 
 
-RxItem = Delivery | FtmResult
+class Sent(Struct, frozen=True, kw_only=True, array_like=True, tag="s"):
+    """What became of a `Unicast`, at its sender."""
+
+    destination: Station
+    seq: Seq
+    ended_ns: TimeNs
+    status: str
+    """``acknowledged``, ``retry_limit``, ``expired`` (in the queue) or ``overflow`` (of the queue)."""
+    attempts: int
+    """Transmissions of the frame, RTS not counted."""
+
+
+RxItem = Delivery | FtmResult | Sent
 
 
 class RxBatch(Struct, frozen=True, kw_only=True, array_like=True):
@@ -127,6 +152,8 @@ class Advance(Struct, frozen=True, kw_only=True, array_like=True):
     """(stations, 3)"""
     vel_ned_m_s: Rows
     """(stations, 3)"""
+    q_ned_frd: Rows
+    """(stations, 4), Hamilton wxyz: attitude, from which the antennas' directions follow."""
     silent: tuple[Station, ...] = ()
     """Stations that are gone: their radios send and answer nothing."""
     extra_attenuation_db: float | None = None
@@ -146,10 +173,30 @@ class Advanced(Struct, frozen=True, kw_only=True, array_like=True):
     """Stations that have not acknowledged their deliveries; whether to wait is the time master's choice."""
 
 
-Message = TxBatch | RxBatch | Ack | Advance | Advanced
-M = TypeVar("M", TxBatch, RxBatch, Ack, Advance, Advanced)
+class DirectoryRequest(Struct, frozen=True, kw_only=True, array_like=True):
+    """Which stations are there? Answered by `Directory`."""
+
+    version: int = VERSION
+
+
+class Directory(Struct, frozen=True, kw_only=True, array_like=True):
+    """A run and its stations."""
+
+    version: int = VERSION
+    run_id: str
+    vehicles: int
+    """Stations 0 to this less one are vehicles."""
+    guests: tuple[str, ...]
+    """Names of the stations that follow; other programs are their hosts."""
+
+
+Message = TxBatch | RxBatch | Ack | Advance | Advanced | DirectoryRequest | Directory
+M = TypeVar("M", TxBatch, RxBatch, Ack, Advance, Advanced, DirectoryRequest, Directory)
 _encoder = msgspec.msgpack.Encoder()
-_decoders = {kind: msgspec.msgpack.Decoder(kind) for kind in (TxBatch, RxBatch, Ack, Advance, Advanced)}
+_decoders = {
+    kind: msgspec.msgpack.Decoder(kind)
+    for kind in (TxBatch, RxBatch, Ack, Advance, Advanced, DirectoryRequest, Directory)
+}
 
 
 def encode(message: Message) -> bytes:

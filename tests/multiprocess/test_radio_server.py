@@ -37,6 +37,7 @@ from netsim.wire.messages import (
 pytestmark = pytest.mark.multiprocess
 
 RUN = "test"
+LEVEL = pack_rows(np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)))
 POSES_M = ((0.0, 0.0, -10.0), (0.0, 8.5, -10.0), (2.5, 0.0, -10.0))
 
 
@@ -75,6 +76,7 @@ class Radio:
             at_us=to_us - 4000,
             pos_ned_m=pack_rows(np.array(POSES_M)),
             vel_ned_m_s=pack_rows(np.zeros((3, 3))),
+            q_ned_frd=LEVEL,
             **changes,
         )
         return decode(Advanced, self.asker.ask(encode(request)).answer())
@@ -182,17 +184,31 @@ def test_hostile_bytes_change_nothing_and_are_counted(radio):
         asker = stranger.asker(advance_key(RUN), timeout_s=0.05)
         assert (
             asker.ask(
-                encode(Advance(to_us=1, release_us=2, at_us=0, pos_ned_m=b"", vel_ned_m_s=b""))
+                encode(
+                    Advance(to_us=1, release_us=2, at_us=0, pos_ned_m=b"", vel_ned_m_s=b"", q_ned_frd=b"")
+                )
             ).answer()
             is None
         )
         nowhere, still = pack_rows(np.full((3, 3), np.nan)), pack_rows(np.zeros((3, 3)))
-        for pos_ned_m, vel_ned_m_s in ((nowhere, still), (still, nowhere)):
-            request = Advance(to_us=1, release_us=2, at_us=0, pos_ned_m=pos_ned_m, vel_ned_m_s=vel_ned_m_s)
+        askew = pack_rows(np.full((3, 4), np.inf))
+        for pos_ned_m, vel_ned_m_s, q_ned_frd in (
+            (nowhere, still, LEVEL),
+            (still, nowhere, LEVEL),
+            (still, still, askew),
+        ):
+            request = Advance(
+                to_us=1,
+                release_us=2,
+                at_us=0,
+                pos_ned_m=pos_ned_m,
+                vel_ned_m_s=vel_ned_m_s,
+                q_ned_frd=q_ned_frd,
+            )
             assert asker.ask(encode(request)).answer() is None
         assert radio.advance(8000).to_us == 8000
         assert client.malformed == 4
-    assert radio.stop()["malformed"] == 11
+    assert radio.stop()["malformed"] == 12
 
 
 def test_a_station_that_is_gone_does_not_hold_up_the_others(radio):

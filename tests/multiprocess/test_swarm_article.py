@@ -1,6 +1,9 @@
 """The article's scenario, whole: eight vehicles, their radio, their antenna, and what is left on disk."""
 
 import json
+import shutil
+import subprocess
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +25,7 @@ HOLD_S = 8.0
 def flown(tmp_path_factory):
     """Fly it once, for all tests: the summary, the folder, and what was seen in flight."""
     folder = tmp_path_factory.mktemp("article") / "run"
-    with Swarm(ARTICLE, out=folder, wall_limit_s=280.0) as swarm:
+    with Swarm(ARTICLE, out=folder, overrides=["radio.capture=true"], wall_limit_s=280.0) as swarm:
         kernels = sorted(kernel_cache.folder().rglob("*.nb?"))
         swarm.run_until_formed(timeout_s=60.0)
         names = {name: psutil.Process(pid).cmdline() for name, pid in swarm.pids.items()}
@@ -123,3 +126,30 @@ def test_every_figure_is_drawn(flown):
 
 def test_nothing_was_compiled_in_flight(flown):
     assert flown["compiled"] == set()
+
+
+@pytest.mark.skipif(shutil.which("tshark") is None, reason="tshark is not installed")
+def test_wireshark_reads_what_was_on_the_air_and_names_every_kind_of_frame(flown):
+    command = ["tshark", "-n", "-r", str(flown["folder"] / "radio.pcapng"), "-d", "udp.port==50802,data"]
+    malformed = subprocess.run(
+        [*command, "-Y", "_ws.malformed || _ws.expert.severity >= 0x00600000"],
+        capture_output=True, text=True, check=True, timeout=120,
+    )  # fmt: skip
+    assert malformed.stdout == ""
+    listed = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    kinds = Counter(
+        next(
+            name
+            for name in ("Request-to-send", "Clear-to-send", "Acknowledgement", "FTM", "UDP")
+            if name in line
+        )
+        for line in listed.stdout.splitlines()
+    )
+    sent = Counter(pq.read_table(flown["folder"] / "radio.parquet", columns=["kind"])["kind"].to_pylist())
+    assert kinds == {
+        "Request-to-send": sent["rts"],
+        "Clear-to-send": sent["cts"],
+        "Acknowledgement": sent["ack"],
+        "FTM": sent["ftm"] + sent["ftm_request"],
+        "UDP": sent["data"],
+    }

@@ -9,6 +9,7 @@ from netsim.frames import GROUP, FrameKind
 from netsim.kernel import EventQueue
 from netsim.mac.access import DCF, AccessParameters
 from netsim.mac.jobs import Job, Outcome
+from netsim.mac.rates import RateControl
 from netsim.mac.station import Station
 from netsim.phy.medium import Medium, Transmission
 from netsim.phy.modes import phy_mode
@@ -106,6 +107,7 @@ class Air:
         category: str = "dcf",
         retry_limit: int = 7,
         lifetime_us: int = 1_000_000,
+        rates: RateControl | None = None,
     ) -> Job:
         job = Job(
             kind=FrameKind.DATA,
@@ -116,6 +118,7 @@ class Air:
             retry_limit=retry_limit,
             done=lambda _job, outcome: self.outcomes.append(outcome),
             rts=rts,
+            rates=rates,
         )
         self.queue.at(1_000 * at_us, lambda job: self.stations[source].enqueue(category, job), job)
         return job

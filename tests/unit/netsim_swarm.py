@@ -1,11 +1,12 @@
 """An emulator with stations in given places, stepped like the time master does."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from netsim.config import RadioConfig
 from netsim.emulator import Emulator
+from netsim.phy.medium import Transmission
 from netsim.wire.messages import Broadcast, FtmRequest, RxItem, TxBatch, TxItem
 
 STEP_US = 4_000
@@ -15,11 +16,23 @@ Place = tuple[float, float, float]
 class Swarm:
     """Stations that hand items over; ``run`` advances in steps and gathers the arrivals."""
 
-    def __init__(self, places_ned_m: Sequence[Place], *, seed: int = 1, **settings: object) -> None:
+    def __init__(
+        self,
+        places_ned_m: Sequence[Place],
+        *,
+        seed: int = 1,
+        on_transmission: Callable[[Transmission], None] | None = None,
+        **settings: object,
+    ) -> None:
         self.places = np.array(places_ned_m)
         count = len(places_ned_m)
         config = RadioConfig(**{"host_latency_us": 0, "host_jitter_us": 0, **settings})
-        self.emulator = Emulator(config=config, stations=count, seed=np.random.SeedSequence(seed))
+        self.emulator = Emulator(
+            config=config,
+            stations=count,
+            seed=np.random.SeedSequence(seed),
+            on_transmission=on_transmission,
+        )
         self.now_us = 0
         self.received: list[tuple[int, RxItem]] = []
         self._seqs = [0] * count

@@ -324,7 +324,8 @@ class SwarmWorld:
         if lost or item.peer in self.dead:
             result = FtmResult(
                 peer=item.peer, seq=item.seq, status="timeout", measured_ns=(item.at_us + 100_000) * 1_000,
-                distance_m=0.0, distance_std_m=0.0, rssi_dbm=0.0, round_trips=0,
+                ended_ns=(item.at_us + 100_000) * 1_000,
+                distance_m=0.0, distance_std_m=0.0, rssi_dbm=0.0, round_trips=0, measurements=0,
             )  # fmt: skip
             self.in_flight.append((item.at_us + 100_000, i, result))
             return
@@ -332,7 +333,8 @@ class SwarmWorld:
         noise_m += self.range_error_m[i] + self.range_error_m[item.peer]
         distance_m = float(np.linalg.norm(self.pos[i] - self.pos[item.peer])) + noise_m
         result = FtmResult(
-            peer=item.peer, seq=item.seq, status="ok", measured_ns=item.at_us * 1_000, distance_m=distance_m,
-            distance_std_m=0.15, rssi_dbm=-60.0, round_trips=7,
+            peer=item.peer, seq=item.seq, status="ok", measured_ns=item.at_us * 1_000,
+            ended_ns=item.at_us * 1_000, distance_m=distance_m,
+            distance_std_m=0.15, rssi_dbm=-60.0, round_trips=7, measurements=8,
         )  # fmt: skip
         self.in_flight.append((item.at_us + 12_000, i, result))

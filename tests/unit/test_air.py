@@ -1,5 +1,7 @@
 """When the emulator is asked to go on, what it is told, and what its answers mean."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,8 @@ from netsim.wire.messages import Advance, Advanced, decode, encode, unpack_rows
 STEP_US = 4_000
 POS_NED_M = np.arange(6.0).reshape(2, 3)
 VEL_NED_M_S = -0.5 * POS_NED_M
+Q_NED_FRD = np.array([[1.0, 0.0, 0.0, 0.0], [0.6, 0.0, 0.8, 0.0]])
+TRUTH = SimpleNamespace(pos_ned_m=POS_NED_M, vel_ned_m_s=VEL_NED_M_S, q_ned_frd=Q_NED_FRD)
 
 
 class Emulator:
@@ -48,7 +52,7 @@ def advanced(to_us, *, quiet_until_us=0, unresponsive=()):
 def step(air, emulator, time_us, **answer):
     """The step that begins at ``time_us``, if it is not skipped."""
     emulator.answers = [advanced(time_us + STEP_US, **answer)]
-    air.begin(time_us, STEP_US, POS_NED_M, VEL_NED_M_S, ())
+    air.begin(time_us, STEP_US, TRUTH, ())
     return air.end()
 
 
@@ -67,7 +71,16 @@ def test_a_quiet_air_is_left_alone_until_its_time_or_until_somebody_speaks(air, 
     (pos_ned_m,) = {request.pos_ned_m for request in emulator.asked}
     (vel_ned_m_s,) = {request.vel_ned_m_s for request in emulator.asked}
     assert np.array_equal(unpack_rows(pos_ned_m, stations=2, columns=3), POS_NED_M)
+    (q_ned_frd,) = {request.q_ned_frd for request in emulator.asked}
     assert np.array_equal(unpack_rows(vel_ned_m_s, stations=2, columns=3), VEL_NED_M_S)
+    assert np.array_equal(unpack_rows(q_ned_frd, stations=2, columns=4), Q_NED_FRD)
+
+
+def test_with_guests_no_step_is_left_out_for_they_may_speak_at_any_time(emulator):
+    air = Air(emulator, "test", guests=True)
+    for time_us in (0, 4_000, 8_000):
+        step(air, emulator, time_us, quiet_until_us=10**9)
+    assert [request.to_us for request in emulator.asked] == [4_000, 8_000, 12_000]
 
 
 def test_attenuation_acts_on_the_steps_that_begin_after_it(air, emulator):
@@ -90,6 +103,6 @@ def test_who_has_not_taken_a_delivery_is_asked_about_until_it_has_or_is_gone(air
 
 def test_an_emulator_that_does_not_answer_is_an_error(air, emulator):
     emulator.answers = [None]
-    air.begin(0, STEP_US, POS_NED_M, VEL_NED_M_S, ())
+    air.begin(0, STEP_US, TRUTH, ())
     with pytest.raises(RadioSilent, match=r"the 802\.11 emulator does not answer"):
         air.end()

@@ -1,7 +1,7 @@
-"""Channel access and frame exchange as timelines in microseconds.
+"""Channel access and frame exchange by DCF as timelines in microseconds. EDCA is in test_netsim_mac_edca.
 
 100 bytes at 6 Mbit/s last 160 us and their ACK 44 us; RTS and CTS at 24 Mbit/s last 28 us. Slot 9, SIFS 16,
-DIFS 34.
+DIFS 34. The file runs in under a second.
 """
 
 from itertools import pairwise
@@ -9,20 +9,9 @@ from itertools import pairwise
 import pytest
 from netsim_air import UNHEARD_DBM, A, Air, B, C, D
 
-from netsim.mac.access import DCF, EDCA
 from netsim.mac.jobs import Outcome
 
 SLOT_US, SIFS_US, DIFS_US, EIFS_US = 9, 16, 34, 94
-
-
-def test_interframe_spaces_are_those_of_5_ghz_ofdm():
-    assert DCF.aifs_ns == 34_000
-    assert {name: (p.aifs_ns // 1_000, p.cw_min, p.cw_max) for name, p in EDCA.items()} == {
-        "vo": (34, 3, 7),
-        "vi": (34, 7, 15),
-        "be": (43, 15, 1023),
-        "bk": (79, 15, 1023),
-    }
 
 
 def test_idle_medium_is_used_at_once():
@@ -89,6 +78,18 @@ def test_stations_that_start_in_the_same_instant_all_collide():
     assert [start for start, *_ in air.run()] == [1000] * stations
     assert not air.arrivals
     assert all(len(t.collided) == stations - 1 and not t.lost_to_noise for t in air.transmissions)
+
+
+@pytest.mark.parametrize(("after_us", "starts_us"), [(4, 1004), (5, 1160 + DIFS_US)])
+def test_energy_goes_unnoticed_for_the_time_of_cca(after_us, starts_us):
+    #  1000    1004           1160
+    #  A data  |              |           B finds the medium idle up to 4 us after A began, and sends;
+    #          | B data       |difs|      a microsecond later it waits
+    air = Air(2, backoffs={B: [(0, 15)]})
+    air.send(1000, A)
+    air.send(1000 + after_us, B)
+    assert air.run()[1][:3] == (starts_us, starts_us + 160, B)
+    assert len(air.arrivals) == (0 if after_us == 4 else 2)
 
 
 def test_equal_backoffs_collide_despite_propagation():
@@ -163,6 +164,44 @@ def test_hidden_terminal_collides_unless_it_hears_the_cts(rts):
         assert from_c.start_ns == 1_100_000
 
 
+def test_exposed_terminal_waits_though_it_would_disturb_nobody():
+    # A - B - C - D in a row, each hears its neighbours alone: B's frame to A holds back C's to D
+    #  1000   1160 1176     1220
+    #  B data |    | A ack  |difs| C data      C does not hear the ACK, but its time is in B's Duration field
+    deaf = [(i, j) for i in range(4) for j in range(4) if abs(i - j) > 1]
+    air = Air(4, powers_dbm=dict.fromkeys(deaf, UNHEARD_DBM), backoffs={C: [(0, 15)]})
+    air.send(1000, B, A)
+    air.send(1050, C, D)
+    assert air.run()[2] == (1220 + DIFS_US, 1414, C, "data")
+    assert air.outcomes == [Outcome.ACKNOWLEDGED] * 2
+
+
+@pytest.mark.parametrize(("later_us", "arrivals"), [(10, [(B, C, False)]), (30, [])])
+def test_stronger_frame_takes_over_a_receiver_that_is_still_in_the_preamble(later_us, arrivals):
+    #  1000    1016          1160
+    #  A data  |             |            preamble of A up to 1016: C's frame, 10 dB over A's at B, takes B
+    #      C data  |             |        over if it begins before; later it only breaks A's
+    powers_dbm = {(A, B): -60.0, (C, B): -50.0, (A, C): UNHEARD_DBM, (C, A): UNHEARD_DBM}
+    air = Air(3, powers_dbm=powers_dbm)
+    air.send(1000, A)
+    air.send(1000 + later_us, C)
+    air.run()
+    assert air.arrivals == arrivals
+
+
+def test_busy_medium_beyond_nav_is_waited_for():
+    #  1000  1028 1044  1072 1088   1248 1264 1308            C knows of the exchange by RTS; D hears C alone
+    #  A rts |    B cts |    A data |    B ack |              and is heard by it alone, breaks B's ACK at C,
+    #                                     1290 D data 1450    and holds it back beyond NAV and EIFS
+    hidden = [(A, D), (D, A), (B, D), (D, B)]
+    air = Air(4, powers_dbm=dict.fromkeys(hidden, UNHEARD_DBM), backoffs={C: [(0, 15)]})
+    air.send(1000, A, B, rts=True)
+    air.send(1035, C)
+    air.send(1290, D)
+    assert air.run()[-2:] == [(1290, 1450, D, "data"), (1450 + DIFS_US, 1644, C, "data")]
+    assert air.outcomes == [Outcome.ACKNOWLEDGED, Outcome.SENT, Outcome.SENT]
+
+
 def test_nav_falls_when_nothing_follows_an_rts():
     # 1028 + 2 SIFS + CTS 28 + preamble 20 + 2 slots = 1126
     air = Air(3, powers_dbm={(A, B): UNHEARD_DBM}, backoffs={C: [(0, 15)]})
@@ -180,6 +219,18 @@ def test_lost_frame_is_repeated_with_doubled_windows_and_given_up():
     gaps_us = [later - earlier for earlier, later in pairwise(starts_us)]
     assert gaps_us == [160 + SIFS_US + SLOT_US + 20 + DIFS_US + w * SLOT_US for w in windows]
     assert air.outcomes == [Outcome.RETRY_LIMIT]
+
+
+def test_window_is_the_smallest_again_after_the_retry_limit():
+    # two attempts: the second failure gives the frame up, and the next one backs off from 0..15, not 0..63
+    air = Air(2, powers_dbm={(A, B): UNHEARD_DBM}, backoffs={A: [(31, 31), (15, 15)]})
+    for _ in range(2):
+        air.send(1000, A, B, retry_limit=1)
+    starts_us = [start for start, *_ in air.run()]
+    gaps_us = [later - earlier for earlier, later in pairwise(starts_us)]
+    failed_us = 160 + SIFS_US + SLOT_US + 20
+    assert gaps_us[:2] == [failed_us + DIFS_US + slots * SLOT_US for slots in (31, 15)]
+    assert air.outcomes == [Outcome.RETRY_LIMIT] * 2
 
 
 def test_repeated_frame_is_marked_as_a_duplicate():
@@ -237,25 +288,16 @@ def test_next_rts_goes_to_the_next_loudest_neighbour():
     assert air.transmissions[-1].delivered == [C]
 
 
-def test_voice_goes_before_best_effort():
-    access = {"vo": EDCA["vo"], "be": EDCA["be"]}
-    air = Air(3, access=access, backoffs={B: [(1, 15)], C: [(1, 3)]})
-    air.send(1000, A, category="be")
-    air.send(1010, B, category="be")
-    air.send(1020, C, category="vo")
-    # C after 34 + 9; B has by then waited its 43 and no slot
-    assert [frame[:3] for frame in air.run()[1:]] == [(1203, 1363, C), (1363 + 43 + 9, 1575, B)]
-
-
-def test_two_queues_of_one_station_collide_inside_it():
-    # both would send at 1203: voice does, best effort draws from twice its window
-    access = {"vo": EDCA["vo"], "be": EDCA["be"]}
-    air = Air(2, access=access, backoffs={B: [(0, 15), (1, 3), (20, 31)]})
-    air.send(1000, A, category="be")
-    be = air.send(1010, B, category="be")
-    air.send(1020, B, category="vo")
-    assert [frame[:3] for frame in air.run()[1:]] == [(1203, 1363, B), (1363 + 43 + 20 * 9, 1746, B)]
-    assert be.failures == 1
+def test_expired_frames_make_room_in_a_full_queue():
+    # B's queue of ten fills at 1010 while A's 1000 bytes are on the air to 2376; at 1700 the ten have expired
+    air = Air(2)
+    air.send(1000, A, frame_bytes=1000)
+    for _ in range(10):
+        air.send(1010, B, lifetime_us=600)
+    air.send(1500, B)
+    air.send(1700, B)
+    air.run()
+    assert air.outcomes == [Outcome.OVERFLOW, *[Outcome.EXPIRED] * 10, Outcome.SENT, Outcome.SENT]
 
 
 def test_queue_is_bounded_in_length_and_time():

@@ -1,15 +1,12 @@
-"""Durations, rates, packet errors, link budget, capture and the reasons of losses."""
-
-from math import log
+"""Durations, rates, link budget, capture and the reasons of losses."""
 
 import numpy as np
 import pytest
 from netsim_air import A, Air, B, C
 
 from netsim.config import RadioConfig
-from netsim.phy.errors import coded_bit_error_rate, error_model, packet_error_rate
 from netsim.phy.modes import phy_mode, response_mode
-from netsim.phy.propagation import Links, RicianFading, Trajectories, friis_loss_db, thermal_noise_mw
+from netsim.phy.propagation import Links, Trajectories, friis_loss_db, thermal_noise_mw
 from netsim.streams import Streams
 
 ALL_MODES = [f"ofdm{rate}" for rate in (6, 9, 12, 18, 24, 36, 48, 54)] + [f"vht_mcs{i}" for i in range(10)]
@@ -59,60 +56,6 @@ def test_answers_go_at_the_highest_mandatory_rate_not_above_the_frames():
         "vht_mcs2",
     }
     assert answers["ofdm24"] == answers["ofdm54"] == answers["vht_mcs9"] == "ofdm24"
-
-
-def snr_db_at_a_tenth(mode, frame_bytes):
-    low_db, high_db = -5.0, 40.0
-    while high_db - low_db > 1e-3:
-        middle_db = (low_db + high_db) / 2
-        if packet_error_rate(mode, frame_bytes, 10 ** (middle_db / 10)) > 0.1:
-            low_db = middle_db
-        else:
-            high_db = middle_db
-    return low_db
-
-
-# two points of ns-3 3.37's NIST model around a packet error rate of 0.1, log-linear between them
-@pytest.mark.parametrize(
-    ("mode", "frame_bytes", "below", "above"),
-    [
-        ("ofdm6", 100, (3.0, 0.177535), (3.5, 0.0347475)),
-        ("ofdm12", 300, (6.5, 0.1041), (7.0, 0.0188018)),
-        ("ofdm18", 1458, (9.5, 0.291396), (10.0, 0.062516)),
-        ("ofdm24", 1458, (13.0, 0.401471), (13.5, 0.0991888)),
-        ("ofdm48", 1458, (21.0, 0.270054), (21.5, 0.0624013)),
-        ("ofdm54", 100, (21.5, 0.173169), (22.0, 0.0435472)),
-    ],
-)
-def test_packet_errors_of_non_ht_are_the_nist_models(mode, frame_bytes, below, above):
-    expected_db = below[0] + (above[0] - below[0]) * log(below[1] / 0.1) / log(below[1] / above[1])
-    assert snr_db_at_a_tenth(phy_mode(mode, 20), frame_bytes) == pytest.approx(expected_db, abs=0.03)
-
-
-@pytest.mark.parametrize("i", range(10))
-def test_soft_decisions_of_vht_gain_two_to_four_db_over_hard_ones(i):
-    # the same constellation and code rate decided hard: non-HT where it exists, else the bound itself
-    vht = phy_mode(f"vht_mcs{i}", 80)
-    twin = {0: "ofdm6", 1: "ofdm12", 2: "ofdm18", 3: "ofdm24", 4: "ofdm36", 5: "ofdm48", 6: "ofdm54"}.get(i)
-    if twin is None:
-        assert snr_db_at_a_tenth(vht, 300) > snr_db_at_a_tenth(phy_mode(f"vht_mcs{i - 1}", 80), 300)
-    else:
-        gain_db = snr_db_at_a_tenth(phy_mode(twin, 20), 300) - snr_db_at_a_tenth(vht, 300)
-        assert 2.0 < gain_db < 4.0
-
-
-@pytest.mark.parametrize("name", ALL_MODES)
-def test_errors_fall_with_the_ratio_and_the_table_follows_the_formula(name):
-    mode = phy_mode(name, 80)
-    ratios = [10 ** (db / 10) for db in np.arange(-12.0, 47.0, 0.33)]
-    rates = [packet_error_rate(mode, 500, ratio) for ratio in ratios]
-    assert rates == sorted(rates, reverse=True)
-    assert rates[0] == pytest.approx(1.0)
-    assert rates[-1] == 0.0
-    for ratio in ratios:
-        exact = coded_bit_error_rate(mode, ratio)
-        if 1e-12 < exact < 1e-2:
-            assert error_model(mode).hazard_per_bit(ratio) == pytest.approx(exact, rel=0.02)
 
 
 def test_noise_and_friis_are_the_facts_sheets():
@@ -173,35 +116,6 @@ def test_a_budget_from_the_way_does_not_outlive_the_motion():
     row = budget.row(0, 4_000_000)
     trajectories.set(8_000_000, [(0.0, 0.0, 0.0), (20.0, 0.0, 0.0)], REST)
     assert budget.row(0, 60_000_000) is row
-
-
-def test_each_links_gains_are_its_own_streams_whatever_the_other_links():
-    streams = Streams(np.random.SeedSequence(5))
-    few, many = RicianFading(3.0, 2, streams), RicianFading(3.0, 9, streams)
-    for _ in range(2 * RicianFading.BLOCK):
-        assert few.gains(0)[1] == many.gains(0)[1]
-
-
-def test_shadowing_is_reciprocal_and_has_its_deviation():
-    stations = 60
-    budget, trajectories = links(stations, shadowing_std_db=4.0)
-    trajectories.set(0, [(0.0, 0.0, 0.0)] * stations, [(0.0, 0.0, 0.0)] * stations)
-    power_dbm = 10 * np.log10(
-        np.array([budget.row(i, 0).powers_mw for i in range(stations)]) + np.eye(stations)
-    )
-    assert np.array_equal(power_dbm, power_dbm.T)
-    # 1770 draws: the deviation's own standard error is 1.7 %
-    assert np.std(power_dbm[np.triu_indices(stations, 1)]) == pytest.approx(4.0, rel=0.06)
-
-
-def test_rician_gain_has_mean_one_and_the_variance_of_its_k():
-    fading = RicianFading(3.0, 2, Streams(np.random.SeedSequence(5)))
-    gains = np.array([fading.gains(0)[1] for _ in range(20_000)])
-    k = 10**0.3
-    variance = (2 * k + 1) / (k + 1) ** 2
-    assert gains.mean() == pytest.approx(1.0, abs=4 * (variance / gains.size) ** 0.5)
-    assert gains.var() == pytest.approx(variance, rel=0.05)
-    assert fading.gains(1)[0] != gains[0]
 
 
 @pytest.mark.parametrize(("later_us", "captured"), [(8, True), (30, False)])

@@ -21,8 +21,9 @@ def test_a_beacon_of_a_large_swarm_carries_the_newest_distances():
     )
     for peer in range(1, STATIONS):
         result = FtmResult(
-            peer=peer, seq=peer, status="ok", measured_ns=(1_000 + peer) * 1_000_000, distance_m=10.0,
-            distance_std_m=0.1, rssi_dbm=-60.0, round_trips=7,
+            peer=peer, seq=peer, status="ok", measured_ns=(1_000 + peer) * 1_000_000,
+            ended_ns=(1_000 + peer) * 1_000_000, distance_m=10.0,
+            distance_std_m=0.1, rssi_dbm=-60.0, round_trips=7, measurements=8,
         )  # fmt: skip
         assert traffic.measured(result) is not None
     own = OwnState(site=Site(), gps_delay_s=0.12)

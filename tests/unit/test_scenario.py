@@ -82,6 +82,24 @@ def test_overrides_take_numbers_strings_words_and_new_tables():
         ("run.seed=-1", "run.seed: expected `int` >= 0"),
         ("radio.bandwidth_mhz=60", "radio.bandwidth_mhz: invalid enum value 60"),
         ("radio.ftm.ftms_per_burst=1", "radio.ftm.ftms_per_burst: expected `int` >= 2"),
+        ("radio.control_mode=vht_mcs0", "radio.control_mode: RTS is a non-HT frame, vht_mcs0 is none"),
+        (
+            'radio={bandwidth_mhz=20, ftm={mode="vht_mcs9"}}',
+            "radio.ftm.mode: VHT MCS 9 does not exist on a 20 MHz channel",
+        ),
+        (
+            "radio.stations=[{station=8}]",
+            "radio.stations[0].station: 8 is not on a channel of 8 stations",
+        ),
+        ("radio.stations=[{station=1},{station=1}]", "radio.stations[1].station: 1 has a table already"),
+        (
+            'radio.guests=[{name="a", pos_ned_m=[0,0,0]}, {name="a", pos_ned_m=[0,9,0]}]',
+            "radio.guests[1].name: 'a' is there already",
+        ),
+        (
+            "radio.interferers=[{pos_ned_m=[0,0,0], duty_cycle=1.5}]",
+            "radio.interferers[0].duty_cycle: expected",
+        ),
         ("antenna.wavelength_m=0.5", "formation: places 0.12 m apart"),
         ("agents=0", "agents: expected `int` >= 1"),
         ("ports.simulator_tcp=65530", "ports.simulator_tcp: 65530 + 7 vehicles is over 65535"),

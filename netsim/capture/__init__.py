@@ -1,0 +1,1 @@
+"""The emulated channel as Wireshark sees it: frames as bytes, radiotap headers, pcapng files."""

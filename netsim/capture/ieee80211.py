@@ -1,0 +1,134 @@
+"""A frame of the emulated channel as the bytes that a real one would have, FCS included.
+
+All stations belong to one ad-hoc network (IBSS). A datagram is an 802.11 data frame without QoS control that
+carries LLC/SNAP, IPv4 and UDP; Fine Time Measurement goes in action frames, whose body encodes itself.
+
+Sources: IEEE 802.11-2016 clause 9 (formats), 9.2.4.8 (FCS); RFC 1042, RFC 791, RFC 768, RFC 1071
+(checksums). Integers of 802.11 are little-endian, those of the Internet big-endian.
+"""
+
+from struct import Struct as Layout
+from typing import Protocol, runtime_checkable
+from zlib import crc32
+
+from netsim.frames import DATA_OVERHEAD_BYTES, GROUP, UDP_OVERHEAD_BYTES, Frame, FrameKind
+
+GROUP_ADDRESS = bytes.fromhex("ffffffffffff")
+NETWORK_ADDRESS = bytes.fromhex("020000010000")
+"""BSSID, locally administered; no station has it."""
+UDP_PORT = 50_802
+"""Of both ends; dynamic, and no protocol's that Wireshark knows, so it guesses by the payload and takes one
+beacon in 10,000 for Thrift. ``tshark -d udp.port==50802,data`` ("Decode As") leaves the bytes alone."""
+
+_FRAME_CONTROL = {
+    FrameKind.DATA: 0x08,
+    FrameKind.RTS: 0xB4,
+    FrameKind.CTS: 0xC4,
+    FrameKind.ACK: 0xD4,
+    FrameKind.FTM_REQUEST: 0xD0,
+    FrameKind.FTM: 0xD0,
+}
+"""Subtype, type and protocol version (9.2.4.1); both FTM frames are action frames."""
+_RETRY = 0x0800
+_DURATION_MAX_US = 32_767
+_SEQUENCE_NUMBERS = 4096
+_FCS_BYTES = 4
+_CONTROL = Layout("<HH6s")
+_RTS = Layout("<HH6s6s")
+_HEADER = Layout("<HH6s6s6sH")
+_SNAP_IPV4 = bytes.fromhex("aaaa030000000800")
+_IPV4 = Layout(">BBHHHBBH4s4s")
+_UDP = Layout(">HHHH")
+_IPV4_BYTES, _UDP_BYTES = 20, 8
+_DO_NOT_FRAGMENT = 0x4000
+_TIME_TO_LIVE = 64
+_PROTOCOL_UDP = 17
+
+
+@runtime_checkable
+class ActionBody(Protocol):
+    """Body of an action frame."""
+
+    def encode(self) -> bytes:
+        """From the category field on."""
+
+
+def address(station: int) -> bytes:
+    """MAC address 02:00:00:00:hi:lo of a station, locally administered; `GROUP` is the broadcast address."""
+    return GROUP_ADDRESS if station == GROUP else b"\x02\x00\x00\x00" + station.to_bytes(2, "big")
+
+
+def ipv4_address(station: int) -> bytes:
+    """IPv4 address 10.1.hi.lo of a station in 10.0.0.0/8; `GROUP` is the broadcast address."""
+    return b"\x0a\xff\xff\xff" if station == GROUP else b"\x0a\x01" + station.to_bytes(2, "big")
+
+
+def mpdu(frame: Frame, *, retry: bool = False) -> bytes:
+    """All ``frame.bytes`` bytes of a frame, from frame control to FCS.
+
+    ``retry`` says that this data or action frame was sent before. A data frame without a body carries zeros.
+    Raises ValueError for a body whose length is not that of the frame, and TypeError for the body of an
+    action frame that does not encode itself.
+    """
+    kind = frame.kind
+    control = _FRAME_CONTROL[kind]
+    duration_us = min(-(-frame.nav_ns // 1_000), _DURATION_MAX_US)
+    to = address(frame.destination)
+    if kind is FrameKind.CTS or kind is FrameKind.ACK:
+        content = _CONTROL.pack(control, duration_us, to)
+    elif kind is FrameKind.RTS:
+        content = _RTS.pack(control, duration_us, to, address(frame.source))
+    else:
+        content = _HEADER.pack(
+            control | _RETRY if retry else control,
+            duration_us,
+            to,
+            address(frame.source),
+            NETWORK_ADDRESS,
+            frame.sequence % _SEQUENCE_NUMBERS << 4,
+        )
+        content += _datagram(frame) if kind is FrameKind.DATA else _action(frame)
+    if len(content) + _FCS_BYTES != frame.bytes:
+        raise ValueError(f"a {kind} frame of {frame.bytes} bytes has {len(content) + _FCS_BYTES}")
+    return content + crc32(content).to_bytes(_FCS_BYTES, "little")
+
+
+def _action(frame: Frame) -> bytes:
+    if not isinstance(frame.body, ActionBody):
+        raise TypeError(f"the body of a {frame.kind} frame does not encode itself")
+    return frame.body.encode()
+
+
+def _datagram(frame: Frame) -> bytes:
+    """LLC/SNAP, IPv4 and UDP headers and the payload; the IPv4 identification is the host's number of it."""
+    payload = frame.body
+    if not isinstance(payload, bytes):
+        payload = bytes(max(0, frame.bytes - DATA_OVERHEAD_BYTES - UDP_OVERHEAD_BYTES))
+    source, destination = ipv4_address(frame.source), ipv4_address(frame.destination)
+    udp_bytes = _UDP_BYTES + len(payload)
+    header = (
+        0x45, 0, _IPV4_BYTES + udp_bytes, frame.seq & 0xFFFF, _DO_NOT_FRAGMENT, _TIME_TO_LIVE, _PROTOCOL_UDP,
+    )  # fmt: skip
+    checksum = _checksum(_IPV4.pack(*header, 0, source, destination))
+    pseudo_header = source + destination + _PROTOCOL_UDP.to_bytes(2, "big") + udp_bytes.to_bytes(2, "big")
+    udp = _UDP.pack(UDP_PORT, UDP_PORT, udp_bytes, 0) + payload
+    udp_checksum = _checksum(pseudo_header + udp) or 0xFFFF  # 0 would say that there is none
+    return b"".join(
+        (
+            _SNAP_IPV4,
+            _IPV4.pack(*header, checksum, source, destination),
+            udp[:6],
+            udp_checksum.to_bytes(2, "big"),
+            payload,
+        )
+    )
+
+
+def _checksum(data: bytes) -> int:
+    """Complement of the ones' complement sum of 16-bit words, the last one filled up with zeros (RFC 1071).
+
+    That sum is the whole number modulo 65535, as 65536 is 1 to this modulus.
+    """
+    if len(data) % 2:
+        data += b"\x00"
+    return -int.from_bytes(data, "big") % 0xFFFF

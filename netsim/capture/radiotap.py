@@ -1,0 +1,83 @@
+"""Radiotap headers: what a monitor knows about a frame besides its bytes.
+
+The monitor hears every transmission without error, wherever it comes from; it stands nowhere, so there is no
+signal strength, and the power is that of the transmitter. The channel's frequency is its centre (a driver
+would give the primary 20 MHz channel's, which the emulator does not distinguish). A non-HT frame on a wider
+channel, a duplicate in every 20 MHz, has the rate alone.
+
+Two times: TSFT, when the first bit of the MPDU is on the air, in whole microseconds; and the timestamp field,
+when the preamble begins, in nanoseconds. Wireshark takes TSFT for the end of a frame unless its preference
+wlan_radio.tsf_at_end is off. Source: radiotap.org, "defined fields"; a field is aligned to its own size,
+counted from the header's first byte.
+"""
+
+from struct import Struct as Layout
+
+from netsim.phy.modes import PhyMode
+
+_TSFT, _FLAGS, _RATE, _CHANNEL, _TX_POWER, _VHT, _TIMESTAMP = (1 << bit for bit in (0, 1, 2, 3, 10, 21, 22))
+_FLAGS_FCS_AT_END = 0x10
+_CHANNEL_OFDM, _CHANNEL_2_GHZ, _CHANNEL_5_GHZ = 0x0040, 0x0080, 0x0100
+_BAND_5_GHZ_FROM_MHZ = 4_900.0
+_BAND_2_GHZ_MHZ = (2_400.0, 2_500.0)
+_FREQUENCY_MAX_MHZ = 65_535
+_POWER_MAX_DBM = 127
+_VHT_KNOWN = 0x0001 | 0x0004 | 0x0020 | 0x0040
+"""STBC, guard interval, beam-forming (none; long; none: flags 0) and bandwidth."""
+_VHT_BANDWIDTH: dict[int, int] = {20: 0, 40: 1, 80: 4}
+_VHT_STREAMS = 1
+_NANOSECONDS, _START_OF_PREAMBLE = 2, 1 << 4
+_ACCURACY_NS, _ACCURACY_KNOWN = 1, 0x02
+
+_HEAD = Layout("<BBHI")
+_PROPERTIES = Layout("<BBHHbx")
+"""Flags; rate, or a gap before the channel; frequency and flags of the channel; power, and a gap."""
+_VHT_FIELD = Layout("<HBB4sBBH4x")
+_TIME = Layout("<Q")
+_TIMESTAMP_TAIL = Layout("<HBB").pack(_ACCURACY_NS, _NANOSECONDS | _START_OF_PREAMBLE, _ACCURACY_KNOWN)
+
+
+class Radiotap:
+    """Headers of the frames that one transmitter sends in one mode: they differ in their times alone."""
+
+    __slots__ = ("_head", "_preamble_ns", "_properties")
+
+    def __init__(self, mode: PhyMode, *, frequency_mhz: float, power_dbm: float) -> None:
+        present = _TSFT | _FLAGS | _CHANNEL | _TX_POWER | _TIMESTAMP | (_VHT if mode.vht else _RATE)
+        self._preamble_ns = mode.preamble_ns
+        channel_flags = _CHANNEL_OFDM
+        if frequency_mhz >= _BAND_5_GHZ_FROM_MHZ:
+            channel_flags |= _CHANNEL_5_GHZ
+        elif _BAND_2_GHZ_MHZ[0] <= frequency_mhz <= _BAND_2_GHZ_MHZ[1]:
+            channel_flags |= _CHANNEL_2_GHZ
+        self._properties = _PROPERTIES.pack(
+            _FLAGS_FCS_AT_END,
+            0 if mode.vht else _rate_500_kbps(mode),
+            min(round(frequency_mhz), _FREQUENCY_MAX_MHZ),
+            channel_flags,
+            max(-_POWER_MAX_DBM, min(round(power_dbm), _POWER_MAX_DBM)),
+        )
+        if mode.vht:
+            mcs = int(mode.name.removeprefix("vht_mcs"))
+            users = bytes((mcs << 4 | _VHT_STREAMS, 0, 0, 0))
+            bandwidth = _VHT_BANDWIDTH[mode.bandwidth_mhz]
+            self._properties += _VHT_FIELD.pack(_VHT_KNOWN, 0, bandwidth, users, 0, 0, 0)
+        length = _HEAD.size + 2 * _TIME.size + len(self._properties) + len(_TIMESTAMP_TAIL)
+        self._head = _HEAD.pack(0, 0, length, present)
+
+    def header(self, start_ns: int) -> bytes:
+        """Header of a frame whose preamble begins at ``start_ns``."""
+        return b"".join(
+            (
+                self._head,
+                _TIME.pack((start_ns + self._preamble_ns) // 1_000),
+                self._properties,
+                _TIME.pack(start_ns),
+                _TIMESTAMP_TAIL,
+            )
+        )
+
+
+def _rate_500_kbps(mode: PhyMode) -> int:
+    """Rate in radiotap's unit: data bits of a 4 us symbol are twice as many as there are units."""
+    return mode.bits_per_symbol // 2

@@ -1,0 +1,115 @@
+"""Writes every transmission of a channel into a pcapng file, in order of start."""
+
+from heapq import heappop, heappush
+from pathlib import Path
+
+from netsim.capture.ieee80211 import mpdu
+from netsim.capture.pcapng import (
+    LINKTYPE_IEEE802_11_RADIOTAP,
+    enhanced_packet,
+    interface_description,
+    section_header,
+)
+from netsim.capture.radiotap import Radiotap
+from netsim.config import RadioConfig
+from netsim.frames import Frame, FrameKind
+from netsim.phy.medium import Transmission
+
+HOLD_NS = 7_000_000
+"""How long a frame waits for others that began before it and end later: the longest there is takes 5.484 ms
+(aPPDUMaxTime), and is reported when it has ended at the last of its receivers."""
+CHUNK_BYTES = 1 << 16
+"""What is written at a time: whole blocks, so that a process that is killed leaves a readable file."""
+_SEQUENCE_NUMBERS = 4096
+_NUMBERED = frozenset({FrameKind.DATA, FrameKind.FTM_REQUEST, FrameKind.FTM})
+
+
+class Capture:
+    """A capture file of the whole channel, as a monitor writes it that hears every frame without error.
+
+    A packet's time is the simulated time at which its preamble leaves the transmitter's antenna. A frame
+    that did not reach all it was meant for has a comment that says whom. Equal transmissions give equal
+    bytes. Raises OSError, with the path, if the file cannot be made or written.
+    """
+
+    def __init__(self, path: str | Path, *, config: RadioConfig, comment: str = "") -> None:
+        self._path = str(path)
+        self._file = Path(path).open("wb", buffering=0)  # noqa: SIM115 - closed by close()
+        self._frequency_mhz = config.frequency_mhz
+        self._power_dbm = config.tx_power_dbm
+        self._power_of_dbm = {
+            each.station: each.tx_power_dbm for each in config.stations if each.tx_power_dbm is not None
+        }
+        self._radiotap: dict[tuple[str, int, int], Radiotap] = {}
+        self._newest_sequence: dict[int, int] = {}
+        self._held: list[tuple[int, int, bytes]] = []
+        """Heap of (start, source, block); no station sends two frames at a time."""
+        self._chunk = bytearray(section_header(application="coflight", comment=comment))
+        self._chunk += interface_description(
+            link_type=LINKTYPE_IEEE802_11_RADIOTAP,
+            name="radio",
+            description=f"emulated channel, {config.bandwidth_mhz} MHz wide at {config.frequency_mhz:g} MHz",
+        )
+
+    def append(self, transmission: Transmission) -> None:
+        """Take a transmission that has ended; they come in order of their end."""
+        frame = transmission.frame
+        start_ns = transmission.start_ns
+        packet = self._header(frame, start_ns) + mpdu(frame, retry=self._is_retry(frame))
+        comment = _losses(transmission) if transmission.collided or transmission.lost_to_noise else ""
+        held = self._held
+        heappush(held, (start_ns, frame.source, enhanced_packet(start_ns, packet, comment=comment)))
+        settled_ns = transmission.end_ns - HOLD_NS
+        while held and held[0][0] < settled_ns:
+            self._chunk += heappop(held)[2]
+        if len(self._chunk) >= CHUNK_BYTES:
+            self._write()
+
+    def close(self) -> None:
+        """Write what is left. Harmless when repeated."""
+        if self._file.closed:
+            return
+        try:
+            while self._held:
+                self._chunk += heappop(self._held)[2]
+            self._write()
+        finally:
+            self._file.close()
+
+    def _header(self, frame: Frame, start_ns: int) -> bytes:
+        mode = frame.mode
+        key = (mode.name, mode.bandwidth_mhz, frame.source)
+        radiotap = self._radiotap.get(key)
+        if radiotap is None:
+            power_dbm = self._power_of_dbm.get(frame.source, self._power_dbm)
+            radiotap = Radiotap(mode, frequency_mhz=self._frequency_mhz, power_dbm=power_dbm)
+            self._radiotap[key] = radiotap
+        return radiotap.header(start_ns)
+
+    def _is_retry(self, frame: Frame) -> bool:
+        """Whether a data or action frame goes out again.
+
+        A station numbers its frames as each goes out first, and one that goes out again keeps its number:
+        then it is not ahead of all before, modulo 4096.
+        """
+        if frame.kind not in _NUMBERED:
+            return False
+        newest = self._newest_sequence.get(frame.source)
+        if newest is not None and (newest - frame.sequence) % _SEQUENCE_NUMBERS < _SEQUENCE_NUMBERS // 2:
+            return True
+        self._newest_sequence[frame.source] = frame.sequence
+        return False
+
+    def _write(self) -> None:
+        chunk, self._chunk = self._chunk, bytearray()
+        rest = memoryview(chunk)
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) :]
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, self._path) from error
+
+
+def _losses(transmission: Transmission) -> str:
+    parts = (("collided at", transmission.collided), ("lost to noise at", transmission.lost_to_noise))
+    return "; ".join(f"{what} {', '.join(map(str, where))}" for what, where in parts if where)

@@ -1,0 +1,237 @@
+"""The action frames of Fine Time Measurement as bytes, from the category on: no MAC header, no FCS.
+
+Source: IEEE 802.11-2016, 9.6.8.32 (request), 9.6.8.33 (measurement), 9.4.2.168 (parameters element). Bytes
+that are no such frame decode to None; elements of other kinds are skipped. Left out: location reports, vendor
+elements, and the synchronisation element, for the stations of an ad-hoc network keep one TSF.
+"""
+
+from enum import IntEnum
+from struct import Struct as Layout
+
+from msgspec import Struct
+
+from netsim.phy.modes import PhyMode
+
+PUBLIC_ACTION = 4
+REQUEST_ACTION = 32
+MEASUREMENT_ACTION = 33
+PARAMETERS_ELEMENT = 206
+PARAMETERS_BYTES = 9
+STAMP_BITS = 48
+NO_PREFERENCE = 15
+"""Number of bursts exponent and burst duration; in the other fields it is 0."""
+MIN_DELTA_UNIT_US = 100
+BURST_PERIOD_UNIT_MS = 100
+SHORTEST_BURST_US = 250
+"""Code 2; each code up to 11 doubles it."""
+BURST_DURATION_CODES = range(2, 12)
+NON_HT_FORMAT = 8
+"""Non-HT 20 MHz; there is no code for its duplicate on a wider channel."""
+VHT_FORMATS = {20: 10, 40: 12, 80: 13}
+"""By channel width in MHz."""
+_HEAD = Layout("<BBB")
+_STAMPS = Layout("<BBBBIHIHHH")
+"""Category, action, two dialog tokens; times of departure and arrival in two parts each; their errors."""
+_LOW_32 = 2**32 - 1
+_EXPONENT_MASK = 0x1F
+
+
+class Status(IntEnum):
+    """Status indication of the responder."""
+
+    RESERVED = 0
+    """In a request."""
+    SUCCESSFUL = 1
+    INCAPABLE = 2
+    """Do not send the same request again."""
+    FAILED = 3
+    """Do not send a new request for as many seconds as the value field says."""
+
+
+class Parameters(Struct, frozen=True, kw_only=True):
+    """Fine Timing Measurement Parameters element: a wish in a request, a grant or refusal in the answer.
+
+    None is no preference; a field that does not apply is None, too.
+    """
+
+    status: Status = Status.RESERVED
+    value: int = 0
+    """0..31: seconds, with ``FAILED``."""
+    bursts_exponent: int | None = None
+    """0..14: 2^this bursts."""
+    burst_duration_us: int | None = None
+    """250 us times a power of two, up to 128 ms."""
+    min_delta_us: int | None = None
+    """100..25500, a multiple of 100."""
+    partial_tsf: int | None = None
+    """Beginning of the first burst: bits 10 to 25 of the TSF, time units of 1024 us modulo 2^16."""
+    asap_capable: bool = False
+    asap: bool = False
+    ftms_per_burst: int | None = None
+    """1..31"""
+    format_and_bandwidth: int | None = None
+    """1..63"""
+    burst_period_ms: int | None = None
+    """100..6553500, a multiple of 100."""
+
+    def encode(self) -> bytes:
+        """Bytes of the element with its header."""
+        partial_tsf, free = (0, 1) if self.partial_tsf is None else (self.partial_tsf, 0)
+        exponent = NO_PREFERENCE if self.bursts_exponent is None else self.bursts_exponent
+        bits = (
+            self.status
+            | self.value << 2
+            | exponent << 8
+            | _duration_code(self.burst_duration_us) << 12
+            | (self.min_delta_us or 0) // MIN_DELTA_UNIT_US << 16
+            | partial_tsf << 24
+            | free << 40
+            | self.asap_capable << 41
+            | self.asap << 42
+            | (self.ftms_per_burst or 0) << 43
+            | (self.format_and_bandwidth or 0) << 50
+            | (self.burst_period_ms or 0) // BURST_PERIOD_UNIT_MS << 56
+        )
+        return bytes((PARAMETERS_ELEMENT, PARAMETERS_BYTES)) + bits.to_bytes(PARAMETERS_BYTES, "little")
+
+
+class Request(Struct, frozen=True, kw_only=True):
+    """Body of a request frame: with parameters it asks for a session, without it is a burst's trigger."""
+
+    trigger: bool = True
+    """Start or continue sending measurement frames; False: stop."""
+    parameters: Parameters | None = None
+
+    def encode(self) -> bytes:
+        """Bytes of the body."""
+        head = _HEAD.pack(PUBLIC_ACTION, REQUEST_ACTION, self.trigger)
+        return head if self.parameters is None else head + self.parameters.encode()
+
+
+class Measurement(Struct, frozen=True, kw_only=True):
+    """Body of a measurement frame."""
+
+    token: int
+    """Dialog token, 1..255; 0 ends the session."""
+    followed: int = 0
+    """Dialog token that the time stamps belong to; 0 if there are none."""
+    t1_ps: int = 0
+    """Departure of the followed frame, 48 bits."""
+    t4_ps: int = 0
+    """Arrival of its acknowledgement, 48 bits."""
+    t1_error_exponent: int = 0
+    """0..31: the error is at most 2^(this - 1) ps; 0 is unknown."""
+    t4_error_exponent: int = 0
+    parameters: Parameters | None = None
+    """In the first frame of a session."""
+
+    def encode(self) -> bytes:
+        """Bytes of the body."""
+        body = _STAMPS.pack(
+            PUBLIC_ACTION,
+            MEASUREMENT_ACTION,
+            self.token,
+            self.followed,
+            self.t1_ps & _LOW_32,
+            self.t1_ps >> 32,
+            self.t4_ps & _LOW_32,
+            self.t4_ps >> 32,
+            self.t1_error_exponent,
+            self.t4_error_exponent,
+        )
+        return body if self.parameters is None else body + self.parameters.encode()
+
+
+def decode(body: bytes) -> Request | Measurement | None:
+    """Frame of these bytes, or None."""
+    if len(body) < _HEAD.size or body[0] != PUBLIC_ACTION:
+        return None
+    if body[1] == REQUEST_ACTION:
+        return _decode_request(body)
+    if body[1] == MEASUREMENT_ACTION:
+        return _decode_measurement(body)
+    return None
+
+
+def format_and_bandwidth(mode: PhyMode) -> int:
+    """Code of a mode's format and bandwidth."""
+    return VHT_FORMATS[mode.bandwidth_mhz] if mode.vht else NON_HT_FORMAT
+
+
+def error_exponent(bound_ps: float) -> int:
+    """Least exponent that says of an error that it is at most ``bound_ps``."""
+    if bound_ps <= 1.0:
+        return 1
+    return min((int(bound_ps - 1e-9)).bit_length() + 1, _EXPONENT_MASK)
+
+
+def _duration_code(burst_duration_us: int | None) -> int:
+    if burst_duration_us is None:
+        return NO_PREFERENCE
+    return BURST_DURATION_CODES.start + (burst_duration_us // SHORTEST_BURST_US).bit_length() - 1
+
+
+def _decode_request(body: bytes) -> Request | None:
+    trigger = body[2]
+    found, parameters = _find_parameters(body[_HEAD.size :])
+    if not found or trigger > 1:
+        return None
+    return Request(trigger=trigger == 1, parameters=parameters)
+
+
+def _decode_measurement(body: bytes) -> Measurement | None:
+    if len(body) < _STAMPS.size:
+        return None
+    _, _, token, followed, t1_low, t1_high, t4_low, t4_high, t1_error, t4_error = _STAMPS.unpack_from(body)
+    found, parameters = _find_parameters(body[_STAMPS.size :])
+    if not found:
+        return None
+    return Measurement(
+        token=token,
+        followed=followed,
+        t1_ps=t1_high << 32 | t1_low,
+        t4_ps=t4_high << 32 | t4_low,
+        t1_error_exponent=t1_error & _EXPONENT_MASK,
+        t4_error_exponent=t4_error & _EXPONENT_MASK,
+        parameters=parameters,
+    )
+
+
+def _find_parameters(elements: bytes) -> tuple[bool, Parameters | None]:
+    """Whether these are whole elements, and the parameters if they are among them."""
+    parameters = None
+    while elements:
+        if len(elements) < 2 or len(elements) < 2 + elements[1]:
+            return False, None
+        element, rest = elements[2 : 2 + elements[1]], elements[2 + elements[1] :]
+        if elements[0] == PARAMETERS_ELEMENT:
+            parameters = _decode_parameters(element)
+            if parameters is None:
+                return False, None
+        elements = rest
+    return True, parameters
+
+
+def _decode_parameters(element: bytes) -> Parameters | None:
+    if len(element) != PARAMETERS_BYTES:
+        return None
+    bits = int.from_bytes(element, "little")
+    exponent = bits >> 8 & 15
+    duration_code = bits >> 12 & 15
+    if duration_code != NO_PREFERENCE and duration_code not in BURST_DURATION_CODES:
+        return None
+    return Parameters(
+        status=Status(bits & 3),
+        value=bits >> 2 & 31,
+        bursts_exponent=None if exponent == NO_PREFERENCE else exponent,
+        burst_duration_us=None
+        if duration_code == NO_PREFERENCE
+        else SHORTEST_BURST_US << duration_code - BURST_DURATION_CODES.start,
+        min_delta_us=MIN_DELTA_UNIT_US * (bits >> 16 & 255) or None,
+        partial_tsf=None if bits >> 40 & 1 else bits >> 24 & 0xFFFF,
+        asap_capable=bool(bits >> 41 & 1),
+        asap=bool(bits >> 42 & 1),
+        ftms_per_burst=bits >> 43 & 31 or None,
+        format_and_bandwidth=bits >> 50 & 63 or None,
+        burst_period_ms=BURST_PERIOD_UNIT_MS * (bits >> 56) or None,
+    )

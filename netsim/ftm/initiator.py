@@ -1,0 +1,268 @@
+"""The initiator's side of ranging sessions: asks, stamps what arrives, triggers further bursts, sums up."""
+
+from collections.abc import Callable
+from math import log10, sqrt
+
+import numpy as np
+from msgspec import Struct
+
+from netsim.ftm.elements import Measurement, Parameters, Request, Status
+from netsim.ftm.negotiation import TIME_UNIT_NS, Schedule, wish
+from netsim.ftm.port import ObservedRequest, Port
+from netsim.ftm.stamps import difference_ps, distance_m
+from netsim.kernel import Event
+from netsim.mac.access import SIFS_NS
+from netsim.mac.jobs import Job, Outcome
+from netsim.phy.medium import Transmission
+
+GRACE_NS = TIME_UNIT_NS + 1_000_000
+"""From a session's last moment by its schedule to its end here: the schedule may be early by a time unit, and
+a frame that went out in time has to arrive."""
+
+
+class Ranging(Struct, frozen=True, kw_only=True):
+    """How a request ended, in the terms of `netsim.wire.messages.FtmResult`."""
+
+    initiator: int
+    peer: int
+    seq: int
+    status: str
+    ended_ns: int
+    measured_ns: int
+    true_distance_m: float
+    """Mean true distance over the round trips that were used; at the end if there were none."""
+    distance_m: float = 0.0
+    distance_std_m: float = 0.0
+    rssi_dbm: float = 0.0
+    round_trips: int = 0
+    measurements: int = 0
+    """Measurement frames that arrived, repetitions not counted."""
+    retry_after_s: int = 0
+    """With ``rejected`` by a responder: for how long it does not want to be asked again."""
+
+
+class _Arrival(Struct):
+    token: int
+    t2_ps: int
+    t3_ps: int
+    rate_ratio: float
+    at_ns: int
+    true_distance_m: float
+    power_mw: float
+
+
+class _Session:
+    __slots__ = (
+        "arrival", "asked_until_ns", "burst", "burst_begin", "end", "excess_m", "job", "measurements", "peer",
+        "round_trips", "schedule", "seq", "time_out",
+    )  # fmt: skip
+
+    def __init__(self, peer: int, seq: int, asked_until_ns: int) -> None:
+        self.peer = peer
+        self.seq = seq
+        self.asked_until_ns = asked_until_ns
+        self.excess_m = 0.0
+        self.job: Job | None = None
+        """The request, later the last trigger."""
+        self.schedule: Schedule | None = None
+        """None until the responder has granted the session."""
+        self.burst = 0
+        """The next that has to be triggered."""
+        self.time_out: Event | None = None
+        self.burst_begin: Event | None = None
+        self.end: Event | None = None
+        self.arrival: _Arrival | None = None
+        """The last measurement frame."""
+        self.measurements = 0
+        self.round_trips: list[tuple[float, _Arrival]] = []
+
+
+class Initiator:
+    """Sessions that one station began."""
+
+    def __init__(
+        self,
+        port: Port,
+        *,
+        nlos: tuple[np.random.Generator, float] | None,
+        on_result: Callable[[Ranging], None],
+    ) -> None:
+        self._port = port
+        self._queue = port.queue
+        self._nlos = nlos
+        """Generator and mean in metres of what a blocked line of sight adds; None if it never is."""
+        self._on_result = on_result
+        self._wish = wish(port.config, port.format_and_bandwidth)
+        self._sessions: dict[int, _Session] = {}
+
+    def request(self, peer: int, seq: int, timeout_ns: int) -> None:
+        """Range to a peer.
+
+        Without an answer it ends by the absolute time ``timeout_ns``; a grant moves that by the time to the
+        beginning of the last burst.
+        """
+        session = _Session(peer, seq, timeout_ns)
+        if peer == self._port.station or not 0 <= peer < self._port.stations or peer in self._sessions:
+            self._report(session, "rejected")
+            return
+        self._sessions[peer] = session
+        if self._nlos is not None:
+            generator, mean_m = self._nlos
+            session.excess_m = float(generator.exponential(mean_m))
+        session.time_out = self._queue.at(max(timeout_ns, self._queue.now_ns), self._on_time_out, session)
+        body = ObservedRequest(parameters=self._wish, excess_m=session.excess_m)
+        session.job = self._port.job(body, peer, self._on_request_done, seq=seq)
+        self._port.send(session.job)
+
+    def silence(self) -> None:
+        """End every session."""
+        for session in list(self._sessions.values()):
+            self._finish(session, "dropped")
+
+    def _on_request_done(self, job: Job, outcome: Outcome) -> None:
+        session = self._sessions.get(job.destination)
+        if session is None or session.job is not job or session.schedule is not None:
+            return
+        if outcome is Outcome.RETRY_LIMIT:
+            self._finish(session, "no_response")
+        elif outcome is not Outcome.ACKNOWLEDGED:
+            self._finish(session, "dropped")
+
+    def _on_time_out(self, session: _Session) -> None:
+        never_sent = session.schedule is None and session.job is not None and session.job.attempts == 0
+        self._finish(session, "dropped" if never_sent else "timeout")
+
+    def _on_end(self, session: _Session) -> None:
+        self._finish(session, "timeout")
+
+    # --- bursts
+
+    def _on_granted(self, session: _Session, granted: Parameters) -> None:
+        now = self._queue.now_ns
+        session.schedule = schedule = Schedule.of(granted, now)
+        for event in (session.burst_begin, session.end):
+            if event is not None:
+                self._queue.cancel(event)
+        session.end = self._queue.at(
+            max(now, schedule.end_ns(schedule.last) + GRACE_NS), self._on_end, session
+        )
+        wait_ns = schedule.begin_ns(schedule.last) - now
+        if wait_ns > 0 and session.time_out is not None:
+            self._queue.cancel(session.time_out)
+            session.time_out = self._queue.at(
+                max(now, session.asked_until_ns + wait_ns), self._on_time_out, session
+            )
+        # as soon as possible means that the first burst has begun with this frame
+        session.burst = 1 if granted.asap else 0
+        self._await_burst(session, schedule)
+
+    def _await_burst(self, session: _Session, schedule: Schedule) -> None:
+        session.burst_begin = None
+        if session.burst < schedule.bursts:
+            begin_ns = max(self._queue.now_ns, schedule.begin_ns(session.burst))
+            session.burst_begin = self._queue.at(begin_ns, self._on_burst, session)
+
+    def _on_burst(self, session: _Session) -> None:
+        schedule = session.schedule
+        if schedule is None:
+            return
+        ends_ns = schedule.end_ns(session.burst)
+        session.burst += 1
+        self._await_burst(session, schedule)
+        session.job = self._port.job(
+            Request(), session.peer, self._on_request_done, seq=session.seq, expires_ns=ends_ns
+        )
+        self._port.send(session.job)
+
+    # --- measurements
+
+    def on_measurement(
+        self, transmission: Transmission, body: Measurement, power_mw: float, end_ns: int, *, duplicate: bool
+    ) -> None:
+        """Take a measurement frame; one that comes again brings new time stamps."""
+        peer = transmission.source
+        session = self._sessions.get(peer)
+        if session is None:
+            return
+        granted = body.parameters
+        if granted is not None:
+            if granted.status is not Status.SUCCESSFUL:
+                status = "incapable" if granted.status is Status.INCAPABLE else "rejected"
+                self._finish(session, status, retry_after_s=granted.value)
+                return
+            self._on_granted(session, granted)
+            if not granted.asap:
+                return  # it announces the first burst and is not part of it
+        elif session.schedule is None:
+            return  # of a session that has ended here
+        arrival = session.arrival
+        if arrival is not None and arrival.token == body.followed:
+            there_ps = difference_ps(body.t4_ps, body.t1_ps)
+            here_ps = difference_ps(arrival.t3_ps, arrival.t2_ps)
+            session.round_trips.append((there_ps - here_ps * arrival.rate_ratio, arrival))
+        if not duplicate:
+            session.measurements += 1
+        if body.token == 0:
+            self._finish(session, "timeout")
+            return
+        # a frame comes again if its ACK was lost: t1 and t4 will be those of its last transmission
+        session.arrival = _Arrival(
+            token=body.token,
+            t2_ps=self._port.arrival_ps(transmission, power_mw, session.excess_m)[0],
+            t3_ps=self._port.clock.stamp_ps(1_000 * (end_ns + SIFS_NS)),
+            rate_ratio=self._port.rate_ratio(peer, power_mw),
+            at_ns=end_ns,
+            true_distance_m=self._port.distance_m(peer),
+            power_mw=power_mw,
+        )
+
+    # --- results
+
+    def _finish(self, session: _Session, failure: str, *, retry_after_s: int = 0) -> None:
+        """End a session: ``ok`` if there is a round trip, else with the failure."""
+        del self._sessions[session.peer]
+        for event in (session.time_out, session.burst_begin, session.end):
+            if event is not None:
+                self._queue.cancel(event)
+        if session.job is not None:
+            session.job.cancelled = True
+        self._report(session, failure, retry_after_s)
+
+    def _report(self, session: _Session, failure: str, retry_after_s: int = 0) -> None:
+        now = self._queue.now_ns
+        round_trips = session.round_trips
+        if not round_trips:
+            self._on_result(
+                Ranging(
+                    initiator=self._port.station,
+                    peer=session.peer,
+                    seq=session.seq,
+                    status=failure,
+                    ended_ns=now,
+                    measured_ns=now,
+                    true_distance_m=self._port.distance_m(session.peer),
+                    measurements=session.measurements,
+                    retry_after_s=retry_after_s,
+                )
+            )
+            return
+        count = len(round_trips)
+        distances_m = [distance_m(round_trip_ps) for round_trip_ps, _ in round_trips]
+        mean_m = sum(distances_m) / count
+        squares_m2 = sum((d - mean_m) ** 2 for d in distances_m)
+        self._on_result(
+            Ranging(
+                initiator=self._port.station,
+                peer=session.peer,
+                seq=session.seq,
+                status="ok",
+                ended_ns=now,
+                measured_ns=sum(arrival.at_ns for _, arrival in round_trips) // count,
+                true_distance_m=sum(arrival.true_distance_m for _, arrival in round_trips) / count,
+                distance_m=mean_m,
+                distance_std_m=sqrt(squares_m2 / (count - 1)) if count > 1 else 0.0,
+                rssi_dbm=10.0 * log10(sum(arrival.power_mw for _, arrival in round_trips) / count),
+                round_trips=count,
+                measurements=session.measurements,
+            )
+        )

@@ -1,0 +1,148 @@
+"""What an initiator asks for, what a responder grants, and when the bursts of a session are.
+
+Source: IEEE 802.11-2016, 11.24.6.3 and 9.4.2.168. The TSF is that of the ad-hoc network, which its stations
+keep in step: simulated time in microseconds.
+"""
+
+from msgspec import Struct
+
+from netsim.config import BandwidthMhz, FtmConfig
+from netsim.ftm.elements import (
+    BURST_DURATION_CODES,
+    BURST_PERIOD_UNIT_MS,
+    MIN_DELTA_UNIT_US,
+    NON_HT_FORMAT,
+    SHORTEST_BURST_US,
+    VHT_FORMATS,
+    Parameters,
+    Status,
+)
+
+TIME_UNIT_NS = 1_024_000
+LEAST_WAIT_NS = 10_000_000
+"""To a first burst that is not as soon as possible: the frame that announces it has to get through."""
+LONGEST_BURST_US = SHORTEST_BURST_US << len(BURST_DURATION_CODES) - 1
+LONGEST_RETRY_S = 31
+_PARTIAL_TSF = 2**16
+
+
+def wish(config: FtmConfig, format_and_bandwidth: int) -> Parameters:
+    """Return what the initiator's request asks for; the time of a first burst is the responder's choice.
+
+    The protocol counts in units of 100 us: the time between frames is rounded up.
+    """
+    return Parameters(
+        bursts_exponent=config.bursts_exponent,
+        burst_duration_us=config.burst_duration_us,
+        min_delta_us=_whole_units_us(config.min_delta_us),
+        asap=config.asap,
+        ftms_per_burst=config.ftms_per_burst,
+        format_and_bandwidth=format_and_bandwidth,
+        burst_period_ms=config.burst_period_ms if config.bursts_exponent else None,
+    )
+
+
+def can_measure(wanted: Parameters, bandwidth_mhz: BandwidthMhz) -> bool:
+    """Whether frames of the wanted format fit into the responder's channel."""
+    formats = {NON_HT_FORMAT, *(code for width, code in VHT_FORMATS.items() if width <= bandwidth_mhz)}
+    return wanted.format_and_bandwidth is None or wanted.format_and_bandwidth in formats
+
+
+def grant(wanted: Parameters, config: FtmConfig, format_and_bandwidth: int, now_ns: int) -> Parameters:
+    """Return what the responder agrees to: what is wanted, within its own limits.
+
+    No preference leaves the choice to what the responder's own requests ask for. If it needs more time
+    between frames than is wanted, bursts become as long as all their frames take, up to the longest there is,
+    and their period no shorter than they are.
+    """
+    exponent = _wanted(wanted.bursts_exponent, config.bursts_exponent)
+    frames = min(_wanted(wanted.ftms_per_burst, config.ftms_per_burst), config.responder_ftms_per_burst)
+    wanted_delta_us = _wanted(wanted.min_delta_us, _whole_units_us(config.min_delta_us))
+    delta_us = max(wanted_delta_us, _whole_units_us(config.responder_min_delta_us))
+    duration_us = _wanted(wanted.burst_duration_us, config.burst_duration_us)
+    if delta_us > wanted_delta_us:
+        while duration_us < min(frames * delta_us, LONGEST_BURST_US):
+            duration_us *= 2
+    period_ms = None
+    if exponent:
+        least_ms = -(-duration_us // (1_000 * BURST_PERIOD_UNIT_MS)) * BURST_PERIOD_UNIT_MS
+        period_ms = max(_wanted(wanted.burst_period_ms, config.burst_period_ms), least_ms)
+    asap = wanted.asap and config.responder_asap_capable
+    first_ns = now_ns
+    if not asap:
+        first_ns += LEAST_WAIT_NS + TIME_UNIT_NS - 1
+        if wanted.partial_tsf is not None and not wanted.asap:
+            first_ns = max(first_ns, from_partial_tsf_ns(wanted.partial_tsf, now_ns))
+    return Parameters(
+        status=Status.SUCCESSFUL,
+        bursts_exponent=exponent,
+        burst_duration_us=duration_us,
+        min_delta_us=delta_us,
+        partial_tsf=first_ns // TIME_UNIT_NS % _PARTIAL_TSF,
+        asap_capable=config.responder_asap_capable,
+        asap=asap,
+        ftms_per_burst=frames,
+        format_and_bandwidth=format_and_bandwidth,
+        burst_period_ms=period_ms,
+    )
+
+
+def refusal(status: Status, retry_after_ns: int = 0) -> Parameters:
+    """Return a refusal; the time after which to ask again is rounded up to seconds, of which 31 is most."""
+    retry_s = min(-(-retry_after_ns // 1_000_000_000), LONGEST_RETRY_S) if status is Status.FAILED else 0
+    return Parameters(status=status, value=retry_s, partial_tsf=0)
+
+
+class Schedule(Struct, frozen=True, kw_only=True):
+    """When the bursts of a session are; a first one as soon as possible began up to a time unit later."""
+
+    first_ns: int
+    period_ns: int
+    duration_ns: int
+    bursts: int
+
+    @classmethod
+    def of(cls, granted: Parameters, now_ns: int) -> "Schedule":
+        """Return that of a grant which is read at ``now_ns``."""
+        return cls(
+            first_ns=from_partial_tsf_ns(granted.partial_tsf or 0, now_ns),
+            period_ns=1_000_000 * (granted.burst_period_ms or 0),
+            duration_ns=1_000 * (granted.burst_duration_us or LONGEST_BURST_US),
+            bursts=1 << (granted.bursts_exponent or 0),
+        )
+
+    def begin_ns(self, burst: int) -> int:
+        """Beginning of a burst; the first is number 0."""
+        return self.first_ns + burst * self.period_ns
+
+    def end_ns(self, burst: int) -> int:
+        """When the time of a burst is over."""
+        return self.begin_ns(burst) + self.duration_ns
+
+    @property
+    def last(self) -> int:
+        """Number of the last burst."""
+        return self.bursts - 1
+
+    def burst_at(self, at_ns: int) -> int | None:
+        """Number of the burst that a time is in, or None between them."""
+        since_ns = at_ns - self.first_ns
+        if since_ns < 0:
+            return None
+        burst = min(since_ns // self.period_ns, self.last) if self.period_ns else 0
+        return burst if since_ns - burst * self.period_ns <= self.duration_ns else None
+
+
+def from_partial_tsf_ns(partial_tsf: int, now_ns: int) -> int:
+    """Time that bits 10 to 25 of a TSF stand for: of those 67 s apart, the nearest to now."""
+    now_units = now_ns // TIME_UNIT_NS
+    ahead = (partial_tsf - now_units + _PARTIAL_TSF // 2) % _PARTIAL_TSF - _PARTIAL_TSF // 2
+    return (now_units + ahead) * TIME_UNIT_NS
+
+
+def _whole_units_us(delta_us: int) -> int:
+    return -(-delta_us // MIN_DELTA_UNIT_US) * MIN_DELTA_UNIT_US
+
+
+def _wanted(wanted: int | None, own: int) -> int:
+    return own if wanted is None else wanted

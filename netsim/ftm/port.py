@@ -1,0 +1,133 @@
+"""What both roles of a station in Fine Time Measurement share: its clock, its receiver's noise, its MAC.
+
+Time stamps are of the start of a frame at the antenna. A departure is stamped without error; the noise of
+both arrivals stands for all that a round trip has.
+"""
+
+from collections.abc import Callable
+from math import sqrt
+from typing import Protocol
+
+import numpy as np
+
+from netsim.config import BandwidthMhz, FtmConfig, RadioConfig
+from netsim.frames import DATA_OVERHEAD_BYTES, FrameKind
+from netsim.ftm.elements import Measurement, Request, format_and_bandwidth
+from netsim.ftm.stamps import Clock, arrival_std_ps, frequency_ratio_std, round_trip_std_ps
+from netsim.kernel import EventQueue
+from netsim.mac.jobs import Job, Outcome
+from netsim.mac.station import Station
+from netsim.phy.medium import Transmission
+from netsim.phy.modes import PhyMode, phy_mode
+from netsim.phy.propagation import SPEED_OF_LIGHT_M_S, Trajectories, thermal_noise_mw
+from netsim.streams import Normals
+
+PS_PER_M = 1e12 / SPEED_OF_LIGHT_M_S
+
+
+class Environment(Protocol):
+    """What all radios share."""
+
+    trajectories: Trajectories
+    queue: EventQueue
+
+    def calibration_bias_m(self, a: int, b: int) -> float:
+        """Constant range offset of a pair of devices."""
+
+    def blocked(self, a: int, b: int, at_ns: int) -> bool:
+        """Whether the line of sight between two stations is blocked."""
+
+
+class ObservedRequest(Request, frozen=True, kw_only=True):
+    """A request with what is true of the session and in none of its bytes."""
+
+    excess_m: float = 0.0
+    """What a blocked line of sight adds to the range."""
+
+
+class Port:
+    """Clock, noise and MAC of one station. ``mac`` is set before anything is sent."""
+
+    def __init__(
+        self,
+        *,
+        station: int,
+        stations: int,
+        config: RadioConfig,
+        environment: Environment,
+        clocks: list[Clock],
+        generator: np.random.Generator,
+    ) -> None:
+        self.station = station
+        self.stations = stations
+        self.config: FtmConfig = config.ftm
+        self.bandwidth_mhz: BandwidthMhz = config.bandwidth_mhz
+        self.mode: PhyMode = phy_mode(config.ftm.mode, config.bandwidth_mhz)
+        self.format_and_bandwidth = format_and_bandwidth(self.mode)
+        self.environment = environment
+        self.queue = environment.queue
+        self.clock = clocks[station]
+        self.mac: Station
+        self._clocks = clocks
+        self._carrier_hz = config.frequency_mhz * 1e6
+        self._lifetime_ns = 1_000 * config.queue_lifetime_us
+        self._retry_limit = config.retry_limit
+        self._noise_mw = thermal_noise_mw(config.bandwidth_mhz, config.noise_figure_db)
+        self._floor_ps = round_trip_std_ps(config.ftm, config.bandwidth_mhz) / sqrt(2.0)
+        self._errors = Normals(generator)
+
+    def distance_m(self, peer: int) -> float:
+        """True distance to another station now; 0.0 to one that does not exist."""
+        if not 0 <= peer < self.stations:
+            return 0.0
+        return self.environment.trajectories.distance_m(self.station, peer, self.queue.now_ns)
+
+    def arrival_ps(self, transmission: Transmission, power_mw: float, excess_m: float) -> tuple[int, float]:
+        """Stamp of a frame's arrival here, and the standard deviation of its noise in picoseconds.
+
+        What calibration left belongs to the pair, and while the line of sight is blocked the session's excess
+        is added: each way takes its share, so that a round trip grows by twice the range's.
+        """
+        source = transmission.source
+        start_ns = transmission.start_ns
+        environment = self.environment
+        true_ps = 1_000 * start_ns + environment.trajectories.delay_ps(source, self.station, start_ns)
+        bias_m = environment.calibration_bias_m(source, self.station)
+        if excess_m and environment.blocked(source, self.station, start_ns):
+            bias_m += excess_m
+        std_ps = arrival_std_ps(self._floor_ps, self.bandwidth_mhz, power_mw / self._noise_mw)
+        error_ps = std_ps * self._errors.draw() + bias_m * PS_PER_M
+        return self.clock.stamp_ps(true_ps + round(error_ps)), std_ps
+
+    def rate_ratio(self, peer: int, power_mw: float) -> float:
+        """Rate of a peer's clock in terms of the own one, as a frame's carrier offset tells it."""
+        snr_linear = power_mw / self._noise_mw
+        std = frequency_ratio_std(self._carrier_hz, self.bandwidth_mhz, snr_linear)
+        return self._clocks[peer].rate / self.clock.rate + std * self._errors.draw()
+
+    def job(
+        self,
+        body: Request | Measurement,
+        to: int,
+        done: Callable[[Job, Outcome], None],
+        *,
+        seq: int,
+        expires_ns: int | None = None,
+    ) -> Job:
+        """A frame to one station, for `send`; what has not gone out by ``expires_ns`` is dropped."""
+        lives_until_ns = self.queue.now_ns + self._lifetime_ns
+        return Job(
+            kind=FrameKind.FTM if isinstance(body, Measurement) else FrameKind.FTM_REQUEST,
+            destination=to,
+            mode=self.mode,
+            frame_bytes=DATA_OVERHEAD_BYTES + len(body.encode()),
+            expires_ns=lives_until_ns if expires_ns is None else min(lives_until_ns, expires_ns),
+            retry_limit=self._retry_limit,
+            done=done,
+            seq=seq,
+            body=body,
+        )
+
+    def send(self, job: Job) -> None:
+        """Queue a frame; a full queue ends its job at once."""
+        self.mac.enqueue(self.config.access_category, job)

@@ -1,0 +1,184 @@
+"""The responder's side of ranging sessions: grants or refuses them and sends the measurement frames."""
+
+from netsim.ftm.elements import Measurement, Parameters, Request, Status, error_exponent
+from netsim.ftm.negotiation import Schedule, can_measure, grant, refusal
+from netsim.ftm.port import ObservedRequest, Port
+from netsim.kernel import Event
+from netsim.mac.jobs import Job, Outcome
+from netsim.phy.medium import Transmission
+
+HIGHEST_TOKEN = 255
+DEPARTURE_ERROR_EXPONENT = error_exponent(1.0)
+"""Departures are exact but for their unit."""
+ARRIVAL_ERROR_STD = 3.0
+"""Standard deviations of an arrival's noise that its stated error bound covers."""
+
+
+class _Session:
+    __slots__ = (
+        "burst", "burst_end_ns", "closing", "closing_ns", "excess_m", "followed", "granted", "initiator",
+        "job", "known", "number", "number_in_burst", "schedule", "token",
+    )  # fmt: skip
+
+    def __init__(self, initiator: int, granted: Parameters, schedule: Schedule, excess_m: float) -> None:
+        self.initiator = initiator
+        self.granted = granted
+        self.schedule = schedule
+        self.excess_m = excess_m
+        self.known = False
+        """The initiator has acknowledged a frame with what was granted."""
+        self.burst = -1
+        """The one that is or was last; -1 before the first."""
+        self.burst_end_ns = 0
+        self.closing: Event | None = None
+        self.closing_ns = 0
+        self.job: Job | None = None
+        self.number = 0
+        """Measurement frames so far."""
+        self.number_in_burst = 0
+        self.token = 0
+        self.followed = Measurement(token=0)
+        """What the next frame says of the one before it, which it rides in whatever burst."""
+
+
+class Responder:
+    """Sessions that one station answers."""
+
+    def __init__(self, port: Port) -> None:
+        self._port = port
+        self._queue = port.queue
+        self._sessions: dict[int, _Session] = {}
+
+    def on_request(self, initiator: int, body: Request) -> None:
+        """Take a request or a trigger."""
+        if not body.trigger:
+            session = self._sessions.get(initiator)
+            if session is not None:
+                self._end(session)
+        elif body.parameters is None:
+            self._on_trigger(initiator)
+        else:
+            excess_m = body.excess_m if isinstance(body, ObservedRequest) else 0.0
+            self._negotiate(initiator, body.parameters, excess_m)
+
+    def silence(self) -> None:
+        """End every session."""
+        for session in list(self._sessions.values()):
+            self._end(session)
+
+    def _negotiate(self, initiator: int, wanted: Parameters, excess_m: float) -> None:
+        now = self._queue.now_ns
+        port = self._port
+        before = self._sessions.get(initiator)
+        if before is not None:
+            self._end(before)  # a new request of the same initiator ends the session before
+        if not can_measure(wanted, port.bandwidth_mhz):
+            self._refuse(initiator, refusal(Status.INCAPABLE))
+            return
+        if len(self._sessions) >= port.config.responder_sessions:
+            free_ns = min(session.closing_ns for session in self._sessions.values())
+            self._refuse(initiator, refusal(Status.FAILED, max(1, free_ns - now)))
+            return
+        granted = grant(wanted, port.config, port.format_and_bandwidth, now)
+        schedule = Schedule.of(granted, now)
+        session = _Session(initiator, granted, schedule, excess_m)
+        if granted.asap:
+            session.burst = 0
+            session.burst_end_ns = now + schedule.duration_ns
+        else:
+            session.burst_end_ns = schedule.begin_ns(0)
+        session.closing_ns = max(session.burst_end_ns, schedule.end_ns(schedule.last))
+        session.closing = self._queue.at(session.closing_ns, self._end, session)
+        self._sessions[initiator] = session
+        self._send_next(session)
+
+    def _refuse(self, initiator: int, parameters: Parameters) -> None:
+        body = Measurement(token=0, parameters=parameters)
+        self._port.send(self._port.job(body, initiator, lambda _job, _outcome: None, seq=0))
+
+    def _on_trigger(self, initiator: int) -> None:
+        """Begin the burst that is due; a trigger at another time is none, nor is a second in one burst."""
+        session = self._sessions.get(initiator)
+        if session is None:
+            return
+        burst = session.schedule.burst_at(self._queue.now_ns)
+        if burst is None or burst <= session.burst:
+            return
+        session.known = True  # or the initiator would not know that it is time
+        session.burst = burst
+        session.burst_end_ns = session.schedule.end_ns(burst)
+        session.number_in_burst = 0
+        self._send_next(session)
+
+    def _send_next(self, session: _Session) -> None:
+        if self._sessions.get(session.initiator) is not session:
+            return
+        session.number += 1
+        if session.burst >= 0:
+            session.number_in_burst += 1
+        session.token = 0 if self._is_last(session) else session.token % HIGHEST_TOKEN + 1
+        followed = session.followed
+        body = Measurement(
+            token=session.token,
+            followed=followed.followed,
+            t1_ps=followed.t1_ps,
+            t4_ps=followed.t4_ps,
+            t1_error_exponent=followed.t1_error_exponent,
+            t4_error_exponent=followed.t4_error_exponent,
+            parameters=None if session.known else session.granted,
+        )
+        session.job = self._port.job(
+            body,
+            session.initiator,
+            lambda job, outcome: self._on_sent(session, job, outcome),
+            seq=session.number,
+            expires_ns=session.burst_end_ns,  # what has not gone out by then is of no use
+        )
+        self._port.send(session.job)
+
+    def _is_last(self, session: _Session) -> bool:
+        return (
+            session.burst == session.schedule.last
+            and session.number_in_burst == session.granted.ftms_per_burst
+        )
+
+    def _on_sent(self, session: _Session, job: Job, outcome: Outcome) -> None:
+        if self._sessions.get(session.initiator) is not session or session.job is not job:
+            return
+        acknowledged = outcome is Outcome.ACKNOWLEDGED
+        session.known = session.known or acknowledged
+        if session.burst < 0:
+            if not acknowledged:
+                self._end(session)  # the initiator will not trigger what it does not know of
+            return
+        sent = job.transmission
+        session.followed = Measurement(token=0)
+        if acknowledged and sent is not None and job.ack is not None:
+            session.followed = self._follow_up(session, sent, job.ack)
+        over = sent is None or session.number_in_burst == session.granted.ftms_per_burst
+        next_ns = self._queue.now_ns
+        if sent is not None:
+            next_ns = max(next_ns, sent.start_ns + 1_000 * (session.granted.min_delta_us or 0))
+        if not over and next_ns <= session.burst_end_ns:
+            self._queue.at(next_ns, self._send_next, session)
+        elif session.burst == session.schedule.last:
+            self._end(session)
+
+    def _follow_up(self, session: _Session, sent: Transmission, ack: Transmission) -> Measurement:
+        port = self._port
+        t4_ps, std_ps = port.arrival_ps(ack, ack.powers_mw[port.station], session.excess_m)
+        return Measurement(
+            token=0,
+            followed=session.token,
+            t1_ps=port.clock.stamp_ps(1_000 * sent.start_ns),
+            t4_ps=t4_ps,
+            t1_error_exponent=DEPARTURE_ERROR_EXPONENT,
+            t4_error_exponent=error_exponent(ARRIVAL_ERROR_STD * std_ps),
+        )
+
+    def _end(self, session: _Session) -> None:
+        del self._sessions[session.initiator]
+        if session.closing is not None:
+            self._queue.cancel(session.closing)
+        if session.job is not None:
+            session.job.cancelled = True

@@ -1,0 +1,103 @@
+"""Makes `netsim.phy.vht_tables`: which rows a mode has, and the command line."""
+
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from itertools import count
+from pathlib import Path
+from typing import Annotated, get_args
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import Progress
+
+from netsim.config import Mode
+from netsim.lab.link_level import Link
+from netsim.phy.modes import PhyMode, phy_mode
+
+Row = tuple[float, int, int, int]
+"""Signal-to-noise ratio in dB, bytes of a frame, frames sent, frames lost."""
+
+FIRST_DB = -8.0
+STEP_DB = 0.25
+SHORT_BYTES = 32
+LONG_BYTES = 1458
+CERTAIN = 0.99
+"""Share of short frames lost, of which the first row has less."""
+FEW = 0.1
+"""Share of short frames lost; after the first row with less, frames are long."""
+HARDLY_ANY = 1e-3
+"""Share of long frames lost that ends the table."""
+ENOUGH = 200
+"""Lost frames, and frames that were not, that end a row: its hazard is known to 7 %."""
+MOST_FRAMES = 20_000
+PROBE_FRAMES = 1_000
+
+_HEAD = '''"""What a link simulation counted: frames lost over AWGN, by VHT mode and signal-to-noise ratio.
+
+Made by ``python scripts/link_tables.py --seed {seed}`` from `netsim.lab.link_level`: one spatial stream, BCC,
+80 MHz, ratio per occupied subcarrier. A row ends when {enough} frames were lost and as many were not, or
+after {frames} frames.
+"""
+
+from netsim.config import Mode
+
+VHT_COUNTS: dict[Mode, tuple[tuple[float, int, int, int], ...]] = {{
+    # signal-to-noise ratio in dB, bytes of a frame, frames sent, frames lost
+'''
+
+tables_app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+def rows(mode: PhyMode, *, seed: int, enough: int = ENOUGH, most_frames: int = MOST_FRAMES) -> Iterator[Row]:
+    """Simulate one mode from where short frames begin to survive to where long ones are hardly ever lost.
+
+    The random numbers of a row depend on the seed, the mode and the ratio alone.
+    """
+    index = get_args(Mode).index(mode.name)
+    frame_bytes, begun = SHORT_BYTES, False
+    for k in count():
+        snr_db = FIRST_DB + k * STEP_DB
+        snr_linear = 10.0 ** (snr_db / 10.0)
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index, k)))
+        link = Link(mode, frame_bytes)
+        if not begun:
+            begun = link.count(snr_linear, rng, frames=PROBE_FRAMES, enough=PROBE_FRAMES).rate < CERTAIN
+            if not begun:
+                continue
+        counted = link.count(snr_linear, rng, frames=most_frames, enough=enough)
+        yield snr_db, frame_bytes, counted.frames, counted.lost
+        if frame_bytes == SHORT_BYTES and counted.rate < FEW:
+            frame_bytes = LONG_BYTES
+        elif frame_bytes == LONG_BYTES and counted.rate <= HARDLY_ANY:
+            return
+
+
+def _module_part(name: Mode, seed: int) -> str:
+    lines = "".join(f"        {row},\n" for row in rows(phy_mode(name, 80), seed=seed))
+    return f'    "{name}": (\n{lines}    ),\n'
+
+
+@tables_app.command()
+def link_tables(
+    seed: Annotated[int, typer.Option(help="Of all random numbers.", min=0)] = 1,
+    jobs: Annotated[
+        int, typer.Option(help="Modes simulated side by side; the result is the same.", min=1)
+    ] = 1,
+    out: Annotated[Path | None, typer.Option(help="The module to write; stdout without it.")] = None,
+) -> None:
+    """Simulate links bit by bit and write the module with the frames that VHT loses. About 15 minutes."""
+    names = [name for name in get_args(Mode) if name.startswith("vht")]
+    parts: dict[str, str] = {}
+    with ProcessPoolExecutor(jobs) as pool, Progress(console=Console(stderr=True)) as progress:
+        task = progress.add_task("simulating", total=len(names))
+        futures = {pool.submit(_module_part, name, seed): name for name in names}
+        for future in as_completed(futures):
+            parts[futures[future]] = future.result()
+            progress.update(task, advance=1, description=f"simulated {futures[future]}")
+    text = _HEAD.format(seed=seed, enough=ENOUGH, frames=MOST_FRAMES)
+    text += "".join(parts[name] for name in names) + "}\n"
+    if out is None:
+        Console(highlight=False).out(text, end="")
+    else:
+        out.write_text(text)

@@ -1,0 +1,51 @@
+"""An emulator whose time follows the wall clock, for programs that join as its guests."""
+
+import contextlib
+import queue
+import sys
+import threading
+import time
+
+import msgspec
+import numpy as np
+
+from netsim.config import GuestConfig, RadioConfig, ServerConfig
+from netsim.lab.bench import ring_ned_m
+from netsim.server import Motion, Server
+from netsim.wire.messages import Advance
+
+STEP_US = 4_000
+NOBODY = Motion(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 4)))
+
+
+def with_guests(radio: RadioConfig, stations: int, radius_m: float) -> RadioConfig:
+    """Settings with that many guests, s0, s1, ..., on a circle."""
+    guests = tuple(
+        GuestConfig(name=f"s{i}", pos_ned_m=place) for i, place in enumerate(ring_ned_m(stations, radius_m))
+    )
+    return msgspec.structs.replace(radio, guests=guests)
+
+
+def serve_in_real_time(config: ServerConfig, *, speed: float) -> None:
+    """Serve until Ctrl-C; one line says when guests may join. Raises TransportError, OSError, ValueError."""
+    pause = threading.Event()
+    with contextlib.closing(Server(config, queue.SimpleQueue())) as server:
+        names = ", ".join(guest.name for guest in config.radio.guests)
+        sys.stdout.write(f"{server.endpoint} stations {names}\n")
+        sys.stdout.flush()
+        wall_start_s = time.monotonic()
+        to_us = 0
+        while True:
+            to_us += STEP_US
+            request = Advance(
+                to_us=to_us,
+                release_us=to_us,
+                at_us=to_us - STEP_US,
+                pos_ned_m=b"",
+                vel_ned_m_s=b"",
+                q_ned_frd=b"",
+            )
+            server.advance(request, NOBODY)
+            ahead_s = to_us * 1e-6 / speed - (time.monotonic() - wall_start_s)
+            if ahead_s > 0.0:
+                pause.wait(ahead_s)

@@ -1,0 +1,274 @@
+"""When a station may send: its queues' contention for a medium that it senses, physically and by NAV.
+
+Every queue contends through its `Contender`. The medium counts as busy from `CCA_NS` after energy arrives,
+while the station sends, while NAV stands, and after a broken frame for EIFS. A frame that finds it idle for
+AIFS, with no backoff left, goes at once (10.3.4.2; EDCA's alignment of that to slots since the last busy
+period is left out: after a long silence no two stations would agree on them).
+
+What is said at access, and what follows from it, is `netsim.mac.station`'s.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+
+from netsim.frames import CTS_BYTES, Frame, FrameKind
+from netsim.kernel import NEVER_NS, EventQueue
+from netsim.mac.access import CCA_NS, EIFS_EXTRA_NS, SIFS_NS, SLOT_NS, AccessParameters, Contender
+from netsim.mac.jobs import Job, Outcome
+from netsim.phy.medium import Receiver
+from netsim.phy.modes import NON_HT_PREAMBLE_NS, response_mode
+from netsim.streams import Uniforms
+
+
+class ChannelAccess(ABC):
+    """Queues of one station and their access; the exchange that has got it excludes all others."""
+
+    def __init__(
+        self,
+        *,
+        queue: EventQueue,
+        receiver: Receiver,
+        access: Mapping[str, AccessParameters],
+        queue_frames: int,
+        backoff: Uniforms,
+    ) -> None:
+        self._queue = queue
+        self._receiver = receiver
+        self._access = access
+        self._queue_frames = queue_frames
+        self._backoff = backoff
+        self._held = 0
+        self._contenders: list[Contender] = []
+        """Of the categories used so far, in order of falling priority."""
+        self._by_category: dict[str, Contender] = {}
+        self._current: Contender | None = None
+        """Whose exchange it is."""
+        self._silent = False
+        self._nav_until_ns = 0
+        self._nav_holder = -1
+        """Who reserved the medium for that long."""
+        self._eifs_until_ns = 0
+        self._wait_until_ns = 0
+        self._planned = False
+        """The planned accesses follow from what is known of the medium."""
+
+    @abstractmethod
+    def _begin(self, contender: Contender) -> None:
+        """Start the exchange of a queue that has got access."""
+
+    # --- queues
+
+    def _contender(self, category: str) -> Contender:
+        """Queue of a category, made when it is first used; those with the same parameters share one (DCF)."""
+        contender = self._by_category.get(category)
+        if contender is None:
+            parameters = self._access[category]
+            same = [each for each in self._contenders if each.parameters is parameters]
+            if same:
+                (contender,) = same
+            else:
+                contender = Contender(parameters, list(self._access).index(category), self._backoff)
+                self._contenders.append(contender)
+                self._contenders.sort(key=lambda each: each.priority)
+            self._by_category[category] = contender
+        return contender
+
+    def _drop_expired(self, contender: Contender) -> None:
+        now = self._queue.now_ns
+        while contender.jobs and (contender.jobs[0].expires_ns <= now or contender.jobs[0].cancelled):
+            self._give_up(contender, Outcome.EXPIRED)
+
+    def _give_up(self, contender: Contender, outcome: Outcome) -> None:
+        job = contender.jobs.popleft()
+        self._held -= 1
+        job.done(job, outcome)
+
+    def _full(self) -> bool:
+        """Whether no frame can be taken, those gone whose lifetime is over."""
+        if self._held >= self._queue_frames:
+            for contender in self._contenders:
+                if contender is not self._current:
+                    self._drop_expired(contender)
+        return self._held >= self._queue_frames
+
+    def _contend(self, category: str, job: Job) -> None:
+        """Queue a frame, and plan its access if it is the first."""
+        self._receiver.attentive = True
+        contender = self._contender(category)
+        first = not contender.jobs
+        contender.jobs.append(job)
+        self._held += 1
+        if not first or self._current is contender:
+            return
+        busy = self._medium_busy()
+        remaining_ns = contender.backoff_slots * SLOT_NS
+        if not remaining_ns or (not busy and self._queue.now_ns >= contender.base_ns + remaining_ns):
+            contender.backoff_slots = 0
+            contender.fresh = not busy
+            if busy:
+                contender.draw_backoff()
+        self._resume()
+
+    def _fail(self, contender: Contender) -> None:
+        """Back off after an exchange in vain, and give its frame up at the retry limit."""
+        job = contender.jobs[0]
+        job.failures += 1
+        if job.failures > job.retry_limit:
+            contender.succeeded()
+            self._give_up(contender, Outcome.RETRY_LIMIT)
+        else:
+            contender.collided()
+
+    # --- the medium
+
+    def on_busy(self, from_ns: int) -> None:
+        """See `netsim.phy.medium.Listener`."""
+        # what NAV covers, like the ACK of somebody else's exchange, changes no plan
+        if self._planned and self._receiver.busy_until_ns > self._nav_until_ns:
+            self._freeze(from_ns + CCA_NS)
+
+    def on_air_changed(self) -> None:
+        """See `netsim.phy.medium.Listener`."""
+        if not self._planned:
+            self._resume()
+
+    def _medium_busy(self) -> bool:
+        now = self._queue.now_ns
+        receiver = self._receiver
+        return (
+            self._current is not None
+            or receiver.busy_from_ns + CCA_NS < now < receiver.busy_until_ns
+            or now < self._nav_until_ns
+            or now < receiver.sending_until_ns
+        )
+
+    def _after_error(self, end_ns: int) -> None:
+        """Wait EIFS from the end of a broken frame on."""
+        self._eifs_until_ns = end_ns + EIFS_EXTRA_NS
+        self._revise()
+
+    def _end_eifs(self) -> None:
+        """End EIFS, for a frame has come through."""
+        self._eifs_until_ns = 0
+        self._revise()
+
+    def _reserve(self, frame: Frame, end_ns: int) -> None:
+        """Set NAV by a frame for somebody else (10.3.2.4)."""
+        nav_until_ns = end_ns + frame.nav_ns
+        if nav_until_ns > self._nav_until_ns:
+            self._nav_until_ns = nav_until_ns
+            self._nav_holder = frame.destination if frame.is_answer else frame.source
+            self._revise()
+            if frame.kind is FrameKind.RTS:
+                cts_ns = response_mode(frame.mode).duration_ns(CTS_BYTES)
+                wait_ns = 2 * SIFS_NS + cts_ns + NON_HT_PREAMBLE_NS + 2 * SLOT_NS
+                self._queue.at(end_ns + wait_ns, self._on_rts_unused, (end_ns, nav_until_ns))
+
+    def _on_rts_unused(self, reservation: tuple[int, int]) -> None:
+        """NAV falls if no frame has followed the RTS that set it (10.3.2.4)."""
+        rts_end_ns, nav_until_ns = reservation
+        if self._receiver.locked_ns <= rts_end_ns and self._nav_until_ns == nav_until_ns:
+            self._nav_until_ns = self._queue.now_ns
+            self._revise()
+            self._resume()
+
+    # --- accesses
+
+    def _freeze(self, sensed_ns: int) -> None:
+        """Stop all backoffs, as the medium is sensed busy from then on."""
+        self._planned = False
+        attentive = self._held > 0
+        for contender in self._contenders:
+            contender.freeze(sensed_ns)
+            if contender.backoff_slots:
+                attentive = True
+        # with nothing to send and no backoff to count, the station stays frozen until that changes
+        self._receiver.attentive = attentive
+
+    def _revise(self) -> None:
+        """Withdraw the plan, for what it rests on has changed; the medium is still busy, or by NAV."""
+        if self._planned:
+            self._freeze(self._queue.now_ns)
+
+    def _resume(self) -> None:
+        """Plan each queue's next access from what is known of the medium; what changes that calls again."""
+        now = self._queue.now_ns
+        receiver = self._receiver
+        if (
+            self._current is not None
+            or receiver.sending_until_ns > now
+            or self._silent
+            or not receiver.attentive
+        ):
+            return
+        idle_ns = receiver.busy_until_ns
+        unsensed = False
+        if idle_ns > now:
+            # a busy period that the station cannot have sensed yet does not hold it back
+            unsensed = now <= receiver.busy_from_ns + CCA_NS
+            if not unsensed:
+                return
+            idle_ns = receiver.idle_before_ns
+        # not by max(), which takes longer: this runs for every receiver of every frame
+        if receiver.sending_until_ns > idle_ns:
+            idle_ns = receiver.sending_until_ns
+        if self._nav_until_ns > idle_ns:
+            idle_ns = self._nav_until_ns
+        if self._eifs_until_ns > idle_ns:
+            idle_ns = self._eifs_until_ns
+        if self._wait_until_ns > idle_ns:
+            idle_ns = self._wait_until_ns
+        self._planned = True
+        for contender in self._contenders:
+            base_ns = contender.base_ns = idle_ns + contender.aifs_ns
+            if not contender.jobs:
+                continue
+            access_ns = base_ns + contender.backoff_slots * SLOT_NS
+            if access_ns < now:
+                access_ns = now
+            if contender.access is not None:
+                if contender.access_ns == access_ns:
+                    continue
+                self._queue.cancel(contender.access)
+            contender.access_ns = access_ns
+            contender.access = self._queue.at(access_ns, self._on_access, contender)
+        if unsensed:
+            self._freeze(receiver.busy_from_ns + CCA_NS)
+
+    def _on_access(self, contender: Contender) -> None:
+        contender.access = None
+        now = self._queue.now_ns
+        if self._current is not None or self._receiver.sending_until_ns > now:
+            contender.base_ns = NEVER_NS
+            return
+        self._drop_expired(contender)
+        if not contender.jobs:
+            self._resume()
+            return
+        winner = contender
+        if len(self._contenders) > 1:
+            winner = self._collide_inside(contender, now)
+        self._current = winner
+        winner.backoff_slots = 0
+        winner.fresh = False
+        self._begin(winner)
+
+    def _collide_inside(self, contender: Contender, now: int) -> Contender:
+        """Of queues that would send at one time the first in priority does; the others have collided."""
+        rivals = [
+            each
+            for each in self._contenders
+            if each is contender or (each.access is not None and each.access_ns <= now)
+        ]
+        for rival in rivals:
+            self._drop_expired(rival)
+        rivals = [rival for rival in rivals if rival.jobs]
+        winner = self._current = rivals[0]
+        for rival in rivals:
+            if rival.access is not None:
+                self._queue.cancel(rival.access)
+                rival.access = None
+            if rival is not winner:
+                rival.base_ns = NEVER_NS
+                self._fail(rival)
+        return winner

@@ -1,0 +1,105 @@
+"""What is on the air, and what a station's receiver knows of it."""
+
+from typing import Protocol
+
+from netsim.frames import Frame
+from netsim.phy.propagation import LinkRow
+from netsim.streams import Uniforms
+
+
+class Listener(Protocol):
+    """What a receiver tells its MAC."""
+
+    def on_busy(self, from_ns: int) -> None:
+        """Note that the medium is busy from then on; that may lie ahead by the propagation delay."""
+
+    def on_received(self, transmission: "Transmission", power_mw: float, end_ns: int) -> None:
+        """Take a frame that was received whole, for whomever it is."""
+
+    def on_error(self, end_ns: int) -> None:
+        """Note that a frame which the receiver was locked on to ended in errors."""
+
+    def on_sent(self, transmission: "Transmission") -> None:
+        """Note that the own transmission has ended."""
+
+    def on_air_changed(self) -> None:
+        """Note that a transmission has ended at all receivers."""
+
+
+class Signal:
+    """Energy on the air: an interferer's burst, whose ``source`` is negative, or a frame."""
+
+    __slots__ = (
+        "delays_ns", "end_ns", "longest_delay_ns", "overlaps", "powers_mw", "source", "start_ns",
+    )  # fmt: skip
+
+    def __init__(self, source: int, start_ns: int, end_ns: int, row: LinkRow, powers_mw: list[float]) -> None:
+        self.source = source
+        self.start_ns = start_ns
+        self.end_ns = end_ns
+        self.powers_mw = powers_mw
+        self.delays_ns = row.delays_ns
+        self.longest_delay_ns = row.longest_delay_ns
+        self.overlaps: list[Signal] = []
+        """Those that were on the air at some time with it; of a burst, those that began before."""
+
+
+class Transmission(Signal):
+    """A frame on the air, and what became of it."""
+
+    __slots__ = ("collided", "delivered", "frame", "lost_to_noise")
+
+    def __init__(self, frame: Frame, start_ns: int, row: LinkRow, powers_mw: list[float]) -> None:
+        super().__init__(frame.source, start_ns, start_ns + frame.duration_ns, row, powers_mw)
+        self.frame = frame
+        self.delivered: list[int] = []
+        self.collided: list[int] = []
+        self.lost_to_noise: list[int] = []
+
+
+class Receiver:
+    """One station's receiver: what it is locked on to and how long it senses the medium busy."""
+
+    __slots__ = (
+        "attentive",
+        "busy_from_ns",
+        "busy_until_ns",
+        "idle_before_ns",
+        "index",
+        "listener",
+        "lock",
+        "locked_ns",
+        "sending_until_ns",
+        "uniforms",
+    )
+
+    def __init__(self, index: int, uniforms: Uniforms) -> None:
+        self.index = index
+        self.uniforms = uniforms
+        self.listener: Listener
+        self.attentive = True
+        """Whether the listener wants `Listener.on_busy` and `Listener.on_air_changed`: most of the time most
+        stations have nothing to send, and it does not matter to them."""
+        self.lock: Transmission | None = None
+        self.locked_ns = -1
+        """When it last found a preamble."""
+        self.sending_until_ns = -1
+        self.busy_from_ns = 0
+        self.busy_until_ns = 0
+        """The last busy period; it may begin later than now by the propagation delay."""
+        self.idle_before_ns = 0
+        """End of the busy period before that one."""
+
+    def occupy(self, from_ns: int, until_ns: int) -> None:
+        """Sense the medium busy over an interval that begins now, or later by the propagation delay."""
+        if from_ns > self.busy_until_ns:
+            self.idle_before_ns = self.busy_until_ns
+            self.busy_from_ns = from_ns
+        elif from_ns < self.busy_from_ns:
+            self.busy_from_ns = from_ns
+        elif until_ns <= self.busy_until_ns:
+            return
+        if until_ns > self.busy_until_ns:
+            self.busy_until_ns = until_ns
+        if self.attentive:
+            self.listener.on_busy(from_ns)

@@ -1,0 +1,12 @@
+"""Simulate VHT links bit by bit: ``python scripts/link_tables.py --out netsim/phy/vht_tables.py``."""
+
+import os
+
+from harness import kernel_cache
+
+os.environ.update(kernel_cache.environment())  # read when numba is imported, which is next
+
+from netsim.lab.link_tables import tables_app
+
+if __name__ == "__main__":
+    tables_app()

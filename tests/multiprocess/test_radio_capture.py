@@ -1,0 +1,207 @@
+"""What Wireshark makes of a capture. It takes 4 s, most of it starts of tshark.
+
+Without tshark these tests are skipped; what they rest on is read back in tests/unit/test_netsim_capture*.py.
+"""
+
+import contextlib
+import shutil
+import subprocess
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from netsim.capture.writer import Capture
+from netsim.config import RadioConfig
+from netsim.emulator import Emulator
+from netsim.ftm.elements import Request, Status
+from netsim.wire.messages import Broadcast, FtmRequest, TxBatch
+
+pytestmark = [
+    pytest.mark.multiprocess,
+    pytest.mark.skipif(shutil.which("tshark") is None, reason="tshark is not installed (apt: tshark)"),
+]
+
+STATIONS = 5
+PLACES_NED_M = np.array([(0.0, 12.0 * i, -10.0) for i in range(STATIONS)])
+STEP_US = 4_000
+END_US = 600_000
+PAYLOAD = b"coflight beacon "
+SUBTYPES = {"rts": 0x1B, "cts": 0x1C, "ack": 0x1D, "data": 0x20, "ftm_request": 0x0D, "ftm": 0x0D}
+"""Type and subtype of every kind as Wireshark joins them."""
+COMMENT, NOTE = str(0x00100000), str(0x00400000)
+"""Severities of Wireshark's expert information, below warnings and errors."""
+CHECK = ("wlan.check_checksum:TRUE", "ip.check_checksum:TRUE", "udp.check_checksum:TRUE")
+
+
+class Run:
+    """Five stations broadcast at nearly the same times, with RTS and CTS, and range to each other."""
+
+    def __init__(self, path):
+        self.path = path
+        self.transmissions = []
+        config = RadioConfig(queue_lifetime_us=50_000)
+        with contextlib.closing(Capture(path, config=config, comment="seed 5")) as capture:
+
+            def take(transmission):
+                self.transmissions.append(transmission)
+                capture.append(transmission)
+
+            self.emulator = Emulator(
+                config=config, stations=STATIONS, seed=np.random.SeedSequence(5), on_transmission=take
+            )
+            self._fly()
+        self.transmissions.sort(key=lambda t: (t.start_ns, t.source))
+
+    def _fly(self):
+        for station in range(STATIONS):
+            items = []
+            for number in range(30):
+                at_us = 20_000 * number
+                items.append(Broadcast(seq=2 * number, at_us=at_us, payload=PAYLOAD * (1 + number % 8)))
+                peer = (station + 1 + number % (STATIONS - 1)) % STATIONS
+                items.append(FtmRequest(seq=2 * number + 1, at_us=at_us + 2_500 * station, peer=peer))
+            self.emulator.submit(TxBatch(station=station, now_us=0, items=tuple(items)))
+        for at_us in range(0, END_US, STEP_US):
+            self.emulator.advance(
+                to_us=at_us + STEP_US,
+                at_us=at_us,
+                pos_ned_m=PLACES_NED_M,
+                vel_ned_m_s=np.zeros_like(PLACES_NED_M),
+            )
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return Run(tmp_path_factory.mktemp("capture") / "radio.pcapng")
+
+
+def tshark(path, *fields, condition="", preferences=CHECK):
+    """Rows of fields of the packets for which a condition holds; a field that is absent is empty."""
+    command = ["tshark", "-n", "-r", str(path), "-T", "fields"]
+    for preference in preferences:
+        command += ["-o", preference]
+    if condition:
+        command += ["-Y", condition]
+    for field in fields:
+        command += ["-e", field]
+    result = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    return [line.split("\t") for line in result.stdout.splitlines()]
+
+
+def test_nothing_is_malformed_or_doubtful(run):
+    """Wireshark remarks on comments and retries and has no warning or error."""
+    assert tshark(run.path, "frame.number", "_ws.expert.message", condition="_ws.malformed") == []
+    remarks = tshark(
+        run.path, "frame.comment", "wlan.fc.retry", "_ws.expert.severity", condition="_ws.expert"
+    )
+    assert len(remarks) > 20
+    for comment, retry, severities in remarks:
+        expected = {COMMENT} if comment else set()
+        assert set(severities.split(",")) == (expected | {NOTE} if retry == "1" else expected)
+
+
+def test_every_transmission_is_there_with_its_kind_time_and_valid_checksums(run):
+    rows = tshark(
+        run.path, "frame.time_epoch", "radiotap.timestamp.ts", "wlan.fc.type_subtype", "frame.len",
+        "radiotap.length", "wlan.fcs.status", "ip.checksum.status", "udp.checksum.status",
+    )  # fmt: skip
+    counted = Counter()
+    for kind, count in run.emulator.counters.frames_sent.items():
+        counted[SUBTYPES[kind]] += count
+        assert count > 20
+    assert Counter(int(row[2], 0) for row in rows) == counted
+    times_ns = [int(row[0].replace(".", "")) for row in rows]
+    assert times_ns == [t.start_ns for t in run.transmissions]
+    assert times_ns == [int(row[1]) for row in rows]
+    assert [int(row[3]) - int(row[4]) for row in rows] == [t.frame.bytes for t in run.transmissions]
+    good = [["1", "1", "1"] if t.frame.kind == "data" else ["1", "", ""] for t in run.transmissions]
+    assert [row[5:] for row in rows] == good
+
+
+def test_payloads_addresses_and_retries_are_those_of_the_frames(run):
+    rows = tshark(
+        run.path, "udp.payload", "ip.id", "ip.src", "ip.dst", "wlan.sa", "wlan.da", "wlan.fc.retry",
+        condition="wlan.fc.type_subtype == 32",
+    )  # fmt: skip
+    sent = [t.frame for t in run.transmissions if t.frame.kind == "data"]
+    assert len(rows) == len(sent)
+    for row, frame in zip(rows, sent, strict=True):
+        assert row == [
+            frame.body.hex(),
+            f"0x{frame.seq:04x}",
+            f"10.1.0.{frame.source}",
+            "10.255.255.255",
+            f"02:00:00:00:00:{frame.source:02x}",
+            "ff:ff:ff:ff:ff:ff",
+            "0",
+        ]
+    rows = tshark(run.path, "wlan.ta", "wlan.seq", "wlan.fc.retry", condition="wlan.fc.type_subtype == 13")
+    first = set()
+    for sender, sequence, retry in rows:
+        assert retry == str(int((sender, sequence) in first))
+        first.add((sender, sequence))
+    assert 0 < sum(retry == "1" for _, _, retry in rows) < len(rows) / 2
+
+
+def test_wireshark_computes_the_same_durations_and_gaps(run):
+    """Its own durations of non-HT frames, from rate and length; those of VHT are a rough estimate, it says.
+
+    With TSFT where the MPDU begins, every CTS follows its RTS after SIFS, 16 us, and the propagation delay
+    of up to 48 m, 0.16 us; Wireshark counts whole microseconds, which may make one more of it.
+    """
+    rows = tshark(
+        run.path, "wlan_radio.phy", "wlan_radio.duration", "wlan_radio.start_tsf", "wlan_radio.ifs",
+        preferences=("wlan_radio.tsf_at_end:FALSE",),
+    )  # fmt: skip
+    durations = gaps = 0
+    before = None
+    for (phy, duration_us, start_us, gap_us), sent in zip(rows, run.transmissions, strict=True):
+        assert phy == ("8" if sent.frame.mode.vht else "5")
+        if phy == "5":
+            assert int(duration_us) * 1_000 == sent.frame.duration_ns
+            assert int(start_us) == sent.start_ns // 1_000
+            durations += 1
+        if before is not None and (before.frame.kind, sent.frame.kind) == ("rts", "cts"):
+            assert 16 <= int(gap_us) <= 17
+            gaps += 1
+        before = sent
+    assert durations > 500
+    assert gaps > 50
+
+
+def test_ranging_is_dissected_to_what_the_stations_said(run):
+    """Every field of every request and measurement, those of the parameters element where it is there."""
+    rows = tshark(
+        run.path, "wlan.fixed.publicact", "wlan.fixed.trigger", "wlan.fixed.dialog_token",
+        "wlan.fixed.followup_dialog_token", "wlan.fixed.ftm_tod", "wlan.fixed.ftm_toa",
+        *(f"wlan.fixed.ftm.param.{name}" for name in (
+            "status_indication", "min_delta_ftm", "asap", "ftm_per_burst", "format_and_bw", "burst_period",
+        )),
+        condition="wlan.fc.type_subtype == 13",
+    )  # fmt: skip
+    bodies = [t.frame.body for t in run.transmissions if t.frame.kind in {"ftm", "ftm_request"}]
+    assert len(rows) == len(bodies)
+    granted = measured = 0
+    for row, body in zip(rows, bodies, strict=True):
+        numbers = [int(field, 0) if field else None for field in row]
+        if isinstance(body, Request):
+            assert numbers[:6] == [32, int(body.trigger), None, None, None, None]
+        else:
+            assert numbers[:6] == [33, None, body.token, body.followed, body.t1_ps, body.t4_ps]
+            measured += body.followed > 0
+        parameters = body.parameters
+        if parameters is None:
+            assert numbers[6:] == 6 * [None]
+            continue
+        assert numbers[6:] == [
+            int(parameters.status),
+            (parameters.min_delta_us or 0) // 100,
+            int(parameters.asap),
+            parameters.ftms_per_burst or 0,
+            parameters.format_and_bandwidth or 0,
+            (parameters.burst_period_ms or 0) // 100,
+        ]
+        granted += parameters.status == Status.SUCCESSFUL
+    assert granted > 20
+    assert measured > 100

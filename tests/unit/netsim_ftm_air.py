@@ -1,0 +1,164 @@
+"""Radios that range to each other over a channel with given powers and losses, and a log of who sent what."""
+
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+from netsim_air import UNHEARD_DBM, GivenBackoffs, GivenLinks
+
+from netsim.config import FtmConfig, RadioConfig
+from netsim.frames import DATA_OVERHEAD_BYTES, FrameKind
+from netsim.ftm.elements import Measurement, Request
+from netsim.ftm.initiator import Ranging
+from netsim.ftm.session import FtmRadio
+from netsim.ftm.stamps import Clock
+from netsim.kernel import EventQueue
+from netsim.mac.access import EDCA
+from netsim.mac.jobs import Job
+from netsim.mac.station import Station
+from netsim.phy.medium import Medium, Transmission
+from netsim.phy.modes import phy_mode
+from netsim.phy.propagation import LinkRow, Trajectories
+from netsim.streams import Model, Streams, Uniforms
+
+A, B, C = range(3)
+Interval = tuple[int, int]
+Way = tuple[int, int]
+"""From a station to another."""
+
+
+class LossyLinks:
+    """As given, but what a station begins to send within its intervals in microseconds is heard by nobody."""
+
+    def __init__(self, stations: int, unheard_us: Mapping[int, Sequence[Interval]], delay_ns: int) -> None:
+        pairs = [(a, b) for a in range(stations) for b in range(stations) if a != b]
+        delays_ns = dict.fromkeys(pairs, delay_ns)
+        self._heard = GivenLinks(stations, {}, delays_ns)
+        self._lost = GivenLinks(stations, dict.fromkeys(pairs, UNHEARD_DBM), delays_ns)
+        self._unheard_us = unheard_us
+
+    def row(self, source: int, at_ns: int) -> LinkRow:
+        lost = any(begin <= at_ns / 1_000 <= end for begin, end in self._unheard_us.get(source, ()))
+        return (self._lost if lost else self._heard).row(source, at_ns)
+
+
+class FtmAir:
+    """Stations at 24 Mbit/s in 20 MHz, on a line ``distance_m`` apart; at 0 m times are whole microseconds.
+
+    Without noise unless the settings say otherwise; clocks are 20 ppm off.
+    """
+
+    def __init__(
+        self,
+        stations: int = 2,
+        *,
+        distance_m: float = 0.0,
+        backoffs: Mapping[int, Sequence[Interval]] | None = None,
+        unheard_us: Mapping[int, Sequence[Interval]] | None = None,
+        bias_m: float = 0.0,
+        blocked_ways: Collection[Way] = (),
+        blocked_from_ns: int = 0,
+        seed: int = 1,
+        ftm: FtmConfig | None = None,
+        **settings: object,
+    ) -> None:
+        ftm = FtmConfig(mode="ofdm24", round_trip_std_ps=0.0) if ftm is None else ftm
+        config = RadioConfig(
+            **{"bandwidth_mhz": 20, "rician_k_db": None, "nlos_fraction": 0.5, "ftm": ftm, **settings}
+        )
+        self.config = config
+        self.queue = EventQueue()
+        self.trajectories = Trajectories(stations)
+        self.trajectories.set(
+            0, [(0.0, distance_m * i, 0.0) for i in range(stations)], [(0.0, 0.0, 0.0)] * stations
+        )
+        self.transmissions: list[Transmission] = []
+        self.results: list[Ranging] = []
+        self._bias_m = bias_m
+        self._blocked_ways = blocked_ways
+        self._blocked_from_ns = blocked_from_ns
+        streams = Streams(np.random.SeedSequence(seed))
+        medium = Medium(
+            config=config,
+            queue=self.queue,
+            links=LossyLinks(stations, unheard_us or {}, round(distance_m / 0.299792458)),
+            stations=stations,
+            streams=streams,
+            on_ended=self.transmissions.append,
+        )
+        clocks = [Clock(ftm.clock_ppm, streams.generator(Model.CLOCK, i)) for i in range(stations)]
+        self.radios = [
+            FtmRadio(
+                station=i,
+                stations=stations,
+                config=config,
+                environment=self,
+                clocks=clocks,
+                generator=streams.generator(Model.TIME_STAMP, i),
+                nlos_generator=streams.generator(Model.NLOS_BIAS, i) if blocked_ways else None,
+                on_result=self.results.append,
+            )
+            for i in range(stations)
+        ]
+        self.macs = [
+            Station(
+                index=i,
+                queue=self.queue,
+                medium=medium,
+                access=EDCA,
+                control_mode=phy_mode("ofdm24", config.bandwidth_mhz),
+                queue_frames=64,
+                backoff=GivenBackoffs(backoffs[i])
+                if backoffs and i in backoffs
+                else Uniforms(streams.generator(Model.BACKOFF, i)),
+                upper=radio,
+            )
+            for i, radio in enumerate(self.radios)
+        ]
+        for radio, mac in zip(self.radios, self.macs, strict=True):
+            radio.attach(mac)
+
+    def calibration_bias_m(self, a: int, b: int) -> float:
+        assert a != b
+        return self._bias_m
+
+    def blocked(self, a: int, b: int, at_ns: int) -> bool:
+        return at_ns >= self._blocked_from_ns and (a, b) in self._blocked_ways
+
+    def request(self, at_us: int, source: int = A, peer: int = B, *, seq: int = 1) -> None:
+        timeout_ns = 1_000 * (at_us + self.config.ftm.request_timeout_us)
+        self.queue.at(1_000 * at_us, lambda _: self.radios[source].request(peer, seq, timeout_ns), None)
+
+    def send(self, at_us: int, source: int, to: int, body: Request) -> None:
+        """A request frame that is none of the radio's own sessions."""
+        job = Job(
+            kind=FrameKind.FTM_REQUEST,
+            destination=to,
+            mode=phy_mode("ofdm24", self.config.bandwidth_mhz),
+            frame_bytes=DATA_OVERHEAD_BYTES + len(body.encode()),
+            expires_ns=1_000 * at_us + 10**9,
+            retry_limit=7,
+            done=lambda _job, _outcome: None,
+            body=body,
+        )
+        self.queue.at(1_000 * at_us, lambda job: self.macs[source].enqueue("vo", job), job)
+
+    def run(self, until_us: int) -> list[tuple[int, int, int, str]]:
+        """(start, end, source, what) of every transmission so far, in whole microseconds.
+
+        "request" has parameters and "trigger" has none; "2<1" is a measurement frame of dialog token 2 with
+        the time stamps of token 1, "1!" one with parameters.
+        """
+        self.queue.run_until(1_000 * until_us)
+        order = sorted(self.transmissions, key=lambda t: (t.start_ns, t.source))
+        assert all(t.start_ns % 1_000 == 0 for t in order)
+        return [(t.start_ns // 1_000, t.end_ns // 1_000, t.source, self.what(t)) for t in order]
+
+    @staticmethod
+    def what(transmission: Transmission) -> str:
+        body = transmission.frame.body
+        if isinstance(body, Request):
+            return "trigger" if body.parameters is None else "request"
+        if not isinstance(body, Measurement):
+            return transmission.frame.kind.value
+        followed = f"<{body.followed}" if body.followed else ""
+        return f"{body.token}{followed}" + ("!" if body.parameters is not None else "")

@@ -1,0 +1,88 @@
+"""Datagrams to capture, and captures read back by rules of their own: blocks, options, radiotap fields."""
+
+import struct
+
+from netsim.frames import GROUP, Frame, FrameKind
+from netsim.phy.medium import Transmission
+from netsim.phy.modes import phy_mode
+from netsim.phy.propagation import LinkRow
+
+OFDM24 = phy_mode("ofdm24", 20)
+NO_NEIGHBOURS = LinkRow([0.0], [0], 0)
+RADIOTAP_FIELDS = {
+    0: ("tsft", 8, "<Q"), 1: ("flags", 1, "<B"), 2: ("rate", 1, "<B"), 3: ("channel", 2, "<HH"),
+    4: ("fhss", 1, "<BB"), 5: ("signal", 1, "<b"), 6: ("noise", 1, "<b"), 10: ("tx_power", 1, "<b"),
+    19: ("mcs", 1, "<BBB"), 20: ("ampdu", 4, "<IHBB"), 21: ("vht", 2, "<HBB4sBBH"),
+    22: ("timestamp", 8, "<QHBB"),
+}  # fmt: skip
+"""By bit of the presence word: name, alignment, layout (radiotap.org)."""
+
+
+def transmission(frame, start_ns=0):
+    return Transmission(frame, start_ns, NO_NEIGHBOURS, [0.0])
+
+
+def datagram(payload=b"hello", *, source=0, sequence=1, seq=0, destination=GROUP, mode=OFDM24):
+    return Frame(
+        kind=FrameKind.DATA,
+        source=source,
+        destination=destination,
+        mode=mode,
+        frame_bytes=len(payload) + 64,
+        seq=seq,
+        sequence=sequence,
+        body=payload,
+    )
+
+
+def blocks(content):
+    """Every block of a pcapng file as (type, body): both lengths agree, and all is on a 32-bit boundary."""
+    found, at = [], 0
+    while at < len(content):
+        kind, length = struct.unpack_from("<II", content, at)
+        assert length % 4 == 0
+        assert struct.unpack_from("<I", content, at + length - 4) == (length,)
+        found.append((kind, content[at + 8 : at + length - 4]))
+        at += length
+    assert at == len(content)
+    return found
+
+
+def options(content):
+    """Options as {code: value}; a list that is there ends with its end."""
+    found, at = {}, 0
+    while at < len(content):
+        code, length = struct.unpack_from("<HH", content, at)
+        found[code] = content[at + 4 : at + 4 + length]
+        at += 4 + length + -length % 4
+    if found:
+        assert found.pop(0) == b""
+    return found
+
+
+def packets(content):
+    """(time_ns, bytes, comment or None) of every packet."""
+    found = []
+    for kind, body in blocks(content)[2:]:
+        assert kind == 6
+        interface, high, low, size, original = struct.unpack_from("<5I", body)
+        assert (interface, size) == (0, original)
+        rest = options(body[20 + size + -size % 4 :])
+        found.append((high << 32 | low, body[20 : 20 + size], rest.get(1)))
+    return found
+
+
+def radiotap(packet):
+    """Fields of a radiotap header by name, and what follows it."""
+    version, _, length, present = struct.unpack_from("<BBHI", packet)
+    assert version == 0
+    assert not present >> 23
+    fields, at = {}, 8
+    for bit in range(23):
+        if present >> bit & 1:
+            name, alignment, layout = RADIOTAP_FIELDS[bit]
+            at += -at % alignment
+            fields[name] = struct.unpack_from(layout, packet, at)
+            at += struct.calcsize(layout)
+    assert at == length
+    return fields, packet[length:]

@@ -1,0 +1,242 @@
+"""Capture files, read back block by block; what Wireshark makes of them is in test_radio_capture.py.
+
+The whole file takes 2 s.
+"""
+
+import errno
+import resource
+import struct
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from netsim_air import A, Air, B, C
+from netsim_pcapng import OFDM24, blocks, datagram, options, packets, radiotap, transmission
+from netsim_swarm import Swarm
+
+from netsim.capture.ieee80211 import mpdu
+from netsim.capture.writer import CHUNK_BYTES, HOLD_NS, Capture
+from netsim.config import RadioConfig, StationConfig
+from netsim.frames import Frame, FrameKind
+from netsim.mac.access import EDCA
+from netsim.phy.modes import phy_mode
+
+CONFIG = RadioConfig(bandwidth_mhz=20)
+NON_HT = ("ofdm6", "ofdm9", "ofdm12", "ofdm18", "ofdm24", "ofdm36", "ofdm48", "ofdm54")
+
+
+# --- the file
+
+
+def test_a_file_begins_with_its_section_and_one_interface(tmp_path):
+    """Section header 0x0A0D0D0A, version 1.0; interface of link type 127, nanoseconds, no limit of length."""
+    path = tmp_path / "radio.pcapng"
+    Capture(path, config=CONFIG, comment="seed 7").close()
+    (section, interface) = blocks(path.read_bytes())
+    assert section[0] == 0x0A0D0D0A
+    assert struct.unpack_from("<IHHq", section[1]) == (0x1A2B3C4D, 1, 0, -1)
+    assert options(section[1][16:]) == {1: b"seed 7", 4: b"coflight"}
+    assert interface[0] == 1
+    assert struct.unpack_from("<HHI", interface[1]) == (127, 0, 0)
+    assert options(interface[1][8:])[9] == b"\x09"
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 9), st.integers(0, 1472), st.integers(0, 40_000)), max_size=60),
+    st.integers(0, 2**62),
+)
+def test_packets_are_in_order_of_start_however_they_end(tmp_path_factory, plan, origin_ns):
+    """At any time any number overlap; the emulator reports them as they end. None is lost or doubled."""
+    path = tmp_path_factory.mktemp("capture") / "radio.pcapng"
+    start_ns, sent = origin_ns, []
+    for number, (rate, size, gap_ns) in enumerate(plan):
+        mode = phy_mode(NON_HT[rate % len(NON_HT)], 20)
+        frame = datagram(bytes(size), source=number, seq=number, mode=mode)
+        sent.append(transmission(frame, start_ns))
+        start_ns += gap_ns
+    capture = Capture(path, config=CONFIG)
+    for each in sorted(sent, key=lambda t: (t.end_ns, t.source)):
+        capture.append(each)
+    capture.close()
+    found = packets(path.read_bytes())
+    assert [time_ns for time_ns, _, _ in found] == [t.start_ns for t in sent]
+    assert [radiotap(packet)[1] for _, packet, _ in found] == [
+        mpdu(t.frame) for t in sorted(sent, key=lambda t: (t.start_ns, t.source))
+    ]
+
+
+def test_what_is_not_yet_written_is_bounded_and_a_kill_leaves_whole_blocks(tmp_path):
+    """Back to back on 20 MHz at 24 Mbit/s: a frame of 1064 B takes 380 us, so 7 ms hold 19 of them.
+
+    Of any number of frames all but those and one chunk are in the file, which ends with a whole block.
+    """
+    path = tmp_path / "radio.pcapng"
+    capture = Capture(path, config=CONFIG)
+    start_ns = 0
+    for number in range(1_000):
+        each = transmission(datagram(bytes(1_000), sequence=number + 1), start_ns)
+        capture.append(each)
+        start_ns = each.end_ns
+        written = path.stat().st_size
+        packet_bytes = 32 + 36 + 1_064
+        held = 1 + HOLD_NS // (each.end_ns - each.start_ns)
+        assert (number + 1) * packet_bytes - written < CHUNK_BYTES + (held + 1) * packet_bytes
+    found = packets(path.read_bytes())
+    assert len(found) > 900
+    assert all(a[0] < b[0] for a, b in pairwise(found))
+    capture.close()
+    capture.close()
+    assert len(packets(path.read_bytes())) == 1_000
+
+
+def test_a_missing_folder_and_a_full_disk_are_one_line_with_the_path(tmp_path):
+    missing = tmp_path / "missing" / "radio.pcapng"
+    with pytest.raises(FileNotFoundError, match=r"missing/radio\.pcapng"):
+        Capture(missing, config=CONFIG)
+    full = Path("/dev/full")
+    if not full.exists():
+        pytest.skip("this system has no /dev/full")
+    capture = Capture(full, config=CONFIG)
+    for number in range(60):  # of 1132 bytes each: more than a chunk, held back until 7 ms have passed
+        capture.append(transmission(datagram(bytes(1_000), source=number)))
+    with pytest.raises(OSError, match="/dev/full") as failure:
+        capture.append(transmission(datagram(), 10**9))
+    assert failure.value.errno == errno.ENOSPC
+    with pytest.raises(OSError, match="/dev/full"):
+        capture.close()
+    capture.close()
+
+
+def test_a_disk_that_takes_a_part_only_is_full(tmp_path):
+    """The system writes as much of a chunk as fits, and refuses the rest."""
+    path = tmp_path / "radio.pcapng"
+    capture = Capture(path, config=CONFIG)
+    for number in range(60):
+        capture.append(transmission(datagram(bytes(1_000), source=number)))
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, limits[1]))
+    try:
+        with pytest.raises(OSError, match=r"radio\.pcapng") as failure:
+            capture.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert failure.value.errno == errno.EFBIG
+    assert path.stat().st_size == 10_000
+
+
+def test_power_is_the_transmitters(tmp_path):
+    path = tmp_path / "radio.pcapng"
+    config = RadioConfig(
+        bandwidth_mhz=20, tx_power_dbm=15.0, stations=(StationConfig(station=2, tx_power_dbm=3.0),)
+    )
+    capture = Capture(path, config=config)
+    for source in range(3):
+        capture.append(transmission(datagram(source=source), 10**6 * source))
+    capture.close()
+    powers = [radiotap(packet)[0]["tx_power"] for _, packet, _ in packets(path.read_bytes())]
+    assert powers == [(15,), (15,), (3,)]
+
+
+# --- what stations do
+
+
+def captured(air, path):
+    capture = Capture(path, config=CONFIG)
+    for each in air.transmissions:
+        capture.append(each)
+    capture.close()
+    return packets(path.read_bytes())
+
+
+def retries(found):
+    """(sequence number, retry bit) of every data frame."""
+    frames = [radiotap(packet)[1] for _, packet, _ in found]
+    return [
+        (int.from_bytes(frame[22:24], "little") >> 4, frame[1] >> 3 & 1)
+        for frame in frames
+        if frame[0] == 0x08
+    ]
+
+
+def test_every_transmission_but_the_first_of_a_frame_is_a_retry(tmp_path):
+    """B hears nobody, so A's frame to it goes out 1 + 7 times; the next frame's first is none again."""
+    air = Air(2, powers_dbm={(A, B): -200.0})
+    air.send(0, A, B)
+    air.send(1, A)
+    air.run()
+    assert retries(captured(air, tmp_path / "radio.pcapng")) == [(1, 0)] + 7 * [(1, 1)] + [(2, 0)]
+
+
+def test_a_retry_is_one_although_another_queue_has_sent_meanwhile(tmp_path):
+    """A's best-effort frame 1 to B fails; its voice frame 2 goes out in between, before 1 comes again."""
+    air = Air(3, powers_dbm={(A, B): -200.0}, access=EDCA)
+    air.send(0, A, B, category="be", retry_limit=3)
+    air.send(100, A, C, category="vo")
+    air.run()
+    found = retries(captured(air, tmp_path / "radio.pcapng"))
+    assert sorted(found) == [(1, 0), (1, 1), (1, 1), (1, 1), (2, 0)]
+    assert found.index((2, 0)) < len(found) - 1
+
+
+@given(st.integers(1, 2**40), st.booleans())
+def test_sequence_numbers_that_wrap_are_no_retries(tmp_path_factory, first, wrapped):
+    """Whether the MAC counts on or modulo 4096, a new number is ahead and an equal one is not."""
+    path = tmp_path_factory.mktemp("capture") / "radio.pcapng"
+    capture = Capture(path, config=CONFIG)
+    numbers = [first, first, first + 1, first + 3, first + 1, first + 2_000, first + 4_000, first + 4_096]
+    for at, number in enumerate(numbers):
+        sequence = number % 4096 if wrapped else number
+        capture.append(transmission(datagram(sequence=sequence), 10**6 * at))
+    capture.close()
+    assert [retry for _, retry in retries(packets(path.read_bytes()))] == [0, 1, 0, 0, 1, 0, 0, 0]
+
+
+def test_answers_have_no_sequence_number_that_could_disturb_the_others(tmp_path):
+    """3000, an ACK, 3001: were the ACK's 0 a number, 3001 would lie behind it."""
+    path = tmp_path / "radio.pcapng"
+    capture = Capture(path, config=CONFIG)
+    answer = Frame(kind=FrameKind.ACK, source=0, destination=1, mode=OFDM24, frame_bytes=14)
+    for at, frame in enumerate((datagram(sequence=3_000), answer, datagram(sequence=3_001))):
+        capture.append(transmission(frame, 10**6 * at))
+    capture.close()
+    assert retries(packets(path.read_bytes())) == [(3_000, 0), (3_001, 0)]
+
+
+def test_a_comment_says_who_did_not_get_a_frame(tmp_path):
+    """A and B broadcast at the same time: C, whom both reach alike, gets neither; D is out of reach of B.
+
+    A and B, which are sending, do not get each other's either: alone on the air both would have got it.
+    """
+    air = Air(4, powers_dbm={(B, 3): -100.0})
+    air.send(0, A)
+    air.send(0, B)
+    air.send(5_000, A)
+    air.run()
+    found = captured(air, tmp_path / "radio.pcapng")
+    assert [comment for _, _, comment in found] == [
+        b"collided at 1, 2",
+        b"collided at 0, 2; lost to noise at 3",
+        None,
+    ]
+
+
+def broadcasts(path, seed):
+    """Five stations that broadcast 40 times each, with RTS and CTS, at times that make some collide."""
+    capture = Capture(path, config=RadioConfig(), comment=f"seed {seed}")
+    places_ned_m = [(0.0, 20.0 * i, -10.0) for i in range(5)]
+    swarm = Swarm(places_ned_m, seed=seed, on_transmission=capture.append)
+    for round_ in range(40):
+        for station in range(5):
+            swarm.broadcast(station, 10_000 * round_ + 20 * station)
+    swarm.run(500_000)
+    capture.close()
+    return path.read_bytes()
+
+
+def test_equal_runs_give_equal_bytes(tmp_path):
+    one = broadcasts(tmp_path / "1", 1)
+    assert one == broadcasts(tmp_path / "again", 1)
+    assert one != broadcasts(tmp_path / "2", 2)
+    assert len(packets(one)) > 400

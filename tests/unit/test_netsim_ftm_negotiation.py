@@ -1,0 +1,128 @@
+"""What responders grant, and the times of bursts that both sides read out of it."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from netsim.config import FtmConfig
+from netsim.ftm.elements import Parameters, Request, Status, decode
+from netsim.ftm.negotiation import (
+    LEAST_WAIT_NS,
+    LONGEST_BURST_US,
+    TIME_UNIT_NS,
+    Schedule,
+    can_measure,
+    from_partial_tsf_ns,
+    grant,
+    refusal,
+    wish,
+)
+
+DURATIONS_US = [250 << k for k in range(10)]
+CONFIGS = st.builds(
+    FtmConfig,
+    ftms_per_burst=st.integers(2, 31),
+    min_delta_us=st.integers(100, 25_500),
+    burst_duration_us=st.sampled_from(DURATIONS_US),
+    bursts_exponent=st.integers(0, 6),
+    burst_period_ms=st.integers(1, 65_535).map(lambda units: 100 * units),
+    asap=st.booleans(),
+    responder_asap_capable=st.booleans(),
+    responder_ftms_per_burst=st.integers(2, 31),
+    responder_min_delta_us=st.integers(100, 25_500),
+)
+TIMES_NS = st.integers(0, 10**13)
+
+
+@given(CONFIGS, CONFIGS, TIMES_NS)
+def test_grant_keeps_to_the_responders_limits_and_else_to_the_wish(initiator, responder, now_ns):
+    wanted = wish(initiator, 13)
+    granted = grant(wanted, responder, 13, now_ns)
+    assert granted.status is Status.SUCCESSFUL
+    assert granted.bursts_exponent == initiator.bursts_exponent
+    assert granted.ftms_per_burst == min(initiator.ftms_per_burst, responder.responder_ftms_per_burst)
+    # the protocol counts in 100 us
+    assert 0 <= granted.min_delta_us - max(initiator.min_delta_us, responder.responder_min_delta_us) < 100
+    assert granted.asap == (initiator.asap and responder.responder_asap_capable)
+    # a burst is longer than wanted only where the responder's pace makes it so, and then holds all frames
+    if granted.min_delta_us > wanted.min_delta_us:
+        needed_us = granted.ftms_per_burst * granted.min_delta_us
+        assert granted.burst_duration_us >= min(needed_us, LONGEST_BURST_US)
+        shorter_us = granted.burst_duration_us // 2
+        assert granted.burst_duration_us == initiator.burst_duration_us or shorter_us < needed_us
+    else:
+        assert granted.burst_duration_us == initiator.burst_duration_us
+    if initiator.bursts_exponent:
+        assert granted.burst_period_ms >= initiator.burst_period_ms
+        assert 1_000 * granted.burst_period_ms >= granted.burst_duration_us
+    # it says the same as bytes
+    assert decode(Request(parameters=granted).encode()) == Request(parameters=granted)
+    assert decode(Request(parameters=wanted).encode()) == Request(parameters=wanted)
+
+
+@given(CONFIGS, TIMES_NS)
+def test_no_preference_gets_what_the_responder_would_ask_for(responder, now_ns):
+    granted = grant(Parameters(asap=True), responder, 8, now_ns)
+    assert granted.bursts_exponent == responder.bursts_exponent
+    assert granted.ftms_per_burst == min(responder.ftms_per_burst, responder.responder_ftms_per_burst)
+    assert granted.min_delta_us >= responder.min_delta_us
+    assert granted.burst_duration_us >= responder.burst_duration_us
+
+
+@given(CONFIGS, TIMES_NS, st.integers(0, 30_000_000))
+def test_both_sides_read_the_same_times_out_of_a_grant(config, now_ns, later_us):
+    granted = grant(wish(config, 13), config, 13, now_ns)
+    schedule = Schedule.of(granted, now_ns)
+    # the initiator reads it later: up to half of the 67 s after which a partial TSF repeats
+    assert Schedule.of(granted, now_ns + 1_000 * later_us) == schedule
+    first_ns = schedule.begin_ns(0)
+    assert first_ns % TIME_UNIT_NS == 0
+    if granted.asap:
+        assert 0 <= now_ns - first_ns < TIME_UNIT_NS
+    else:
+        assert LEAST_WAIT_NS <= first_ns - now_ns < LEAST_WAIT_NS + TIME_UNIT_NS
+    assert schedule.bursts == 2**config.bursts_exponent
+    for burst in {0, schedule.last // 2, schedule.last}:
+        begin_ns, end_ns = schedule.begin_ns(burst), schedule.end_ns(burst)
+        assert begin_ns == first_ns + burst * 1_000_000 * (granted.burst_period_ms or 0)
+        assert end_ns - begin_ns == 1_000 * granted.burst_duration_us
+        assert schedule.burst_at(begin_ns) == schedule.burst_at(end_ns) == burst
+    assert schedule.burst_at(first_ns - 1) is None
+    assert schedule.burst_at(schedule.end_ns(schedule.last) + 1) is None
+
+
+def test_between_bursts_there_is_none():
+    schedule = Schedule(first_ns=0, period_ns=100_000_000, duration_ns=4_000_000, bursts=2)
+    assert schedule.burst_at(4_000_001) is None
+    assert schedule.burst_at(99_999_999) is None
+    assert schedule.burst_at(100_000_000) == 1
+
+
+def test_a_preferred_first_burst_is_granted_if_there_is_time():
+    now_ns = 5_000 * TIME_UNIT_NS
+    for wanted_units, granted_units in ((5_100, 5_100), (5_001, 5_010)):
+        wanted = Parameters(partial_tsf=wanted_units)
+        assert grant(wanted, FtmConfig(), 13, now_ns).partial_tsf == granted_units
+
+
+@given(TIMES_NS, st.integers(-(2**15), 2**15 - 1))
+def test_partial_tsf_stands_for_the_nearest_time(now_ns, units):
+    then_ns = (now_ns // TIME_UNIT_NS + units) * TIME_UNIT_NS
+    assert from_partial_tsf_ns(then_ns // TIME_UNIT_NS % 2**16, now_ns) == then_ns
+
+
+def test_formats_wider_than_the_channel_are_out_of_reach():
+    fits = {
+        width: [
+            can_measure(Parameters(format_and_bandwidth=code), width) for code in (None, 8, 10, 12, 13, 14)
+        ]
+        for width in (20, 40, 80)
+    }
+    assert fits[20] == [True, True, True, False, False, False]
+    assert fits[40] == [True, True, True, True, False, False]
+    assert fits[80] == [True, True, True, True, True, False]
+
+
+def test_seconds_to_wait_are_rounded_up_and_end_at_31():
+    seconds = [refusal(Status.FAILED, ns).value for ns in (1, 10**9, 10**9 + 1, 10**12)]
+    assert seconds == [1, 1, 2, 31]
+    assert refusal(Status.INCAPABLE, 5).value == 0

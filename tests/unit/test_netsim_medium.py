@@ -1,0 +1,314 @@
+"""What receivers sense and receive, without a MAC: energy, preambles, capture, interferers. Under 2 s."""
+
+import numpy as np
+import pytest
+from netsim_swarm import Swarm
+
+from netsim.config import InterfererConfig, RadioConfig
+from netsim.frames import GROUP, Frame, FrameKind
+from netsim.kernel import NEVER_NS, EventQueue
+from netsim.phy.interferers import Interferer
+from netsim.phy.medium import Medium
+from netsim.phy.modes import phy_mode
+from netsim.phy.propagation import LinkRow, Links, Trajectories
+from netsim.streams import Model, Streams
+
+A, B, C = range(3)
+UNHEARD_DBM = -200.0
+MILLISECOND_NS = 1_000_000
+SECOND_NS = 1_000_000_000
+
+
+class Powers:
+    """Links of given powers in dBm by (from, to), -50 where nothing is said; "x" is the interferer."""
+
+    def __init__(self, stations, powers_dbm, delay_ns=0):
+        self._powers_dbm, self._stations, self._delay_ns = powers_dbm, stations, delay_ns
+
+    def row(self, source, _at_ns):
+        powers_mw = [10 ** (self._powers_dbm.get((source, r), -50.0) / 10) for r in range(self._stations)]
+        return LinkRow(powers_mw, [self._delay_ns] * self._stations, self._delay_ns)
+
+    def interferer_row(self, _index, at_ns):
+        return self.row("x", at_ns)
+
+
+class Listener:
+    """Logs what a receiver tells, in microseconds."""
+
+    def __init__(self, queue):
+        self._queue = queue
+        self.busy_us, self.received, self.errors, self.changes_us, self.sent = [], [], [], [], 0
+
+    def on_busy(self, from_ns):
+        self.busy_us.append(from_ns / 1_000)
+
+    def on_received(self, transmission, _power_mw, end_ns):
+        self.received.append((transmission.source, end_ns / 1_000))
+
+    def on_error(self, end_ns):
+        self.errors.append(end_ns / 1_000)
+
+    def on_sent(self, _transmission):
+        self.sent += 1
+
+    def on_air_changed(self):
+        self.changes_us.append(self._queue.now_ns / 1_000)
+
+
+class Channel:
+    """A medium with listeners alone: frames begin when they are told to."""
+
+    def __init__(self, powers_dbm=None, *, stations=3, links=None, seed=1, delay_ns=0, **settings):
+        self.queue = EventQueue()
+        self.ended = []
+        config = RadioConfig(bandwidth_mhz=20, **{"rician_k_db": None, **settings})
+        self.medium = Medium(
+            config=config,
+            queue=self.queue,
+            links=links or Powers(stations, powers_dbm or {}, delay_ns),
+            stations=stations,
+            streams=Streams(np.random.SeedSequence(seed)),
+            on_ended=self.ended.append,
+        )
+        self.listeners = []
+        for receiver in self.medium.receivers:
+            receiver.listener = Listener(self.queue)
+            self.listeners.append(receiver.listener)
+
+    def send(self, at_us, source, to=GROUP, *, frame_bytes=100, mode="ofdm6"):
+        """A frame of 100 bytes at 6 Mbit/s lasts 20 + 4 ceil(822 / 24) = 160 us."""
+        frame = Frame(
+            kind=FrameKind.DATA,
+            source=source,
+            destination=to,
+            mode=phy_mode(mode, 20),
+            frame_bytes=frame_bytes,
+        )
+        self.queue.at(1_000 * at_us, self.medium.start, frame)
+
+    def busy_us(self, station):
+        receiver = self.medium.receivers[station]
+        return receiver.busy_from_ns / 1_000, receiver.busy_until_ns / 1_000
+
+
+def interferer(duty_cycle, burst_us=1_000.0):
+    return (InterfererConfig(pos_ned_m=(0.0, 0.0, 0.0), duty_cycle=duty_cycle, burst_us=burst_us),)
+
+
+# --- clear channel assessment
+
+
+@pytest.mark.parametrize(("power_dbm", "from_us", "until_us"), [(-61.9, 1000, 1160), (-62.1, 1004, 1160)])
+def test_energy_is_sensed_at_once_and_a_weak_frame_by_its_preamble(power_dbm, from_us, until_us):
+    channel = Channel({(A, C): power_dbm})
+    channel.send(1000, A)
+    channel.queue.run_until(1_100_000)
+    assert channel.busy_us(C) == (from_us, until_us)
+
+
+def test_weak_frames_that_collide_leave_the_medium_idle():
+    # neither is 4 dB over the other, and -70 dBm twice is -67
+    channel = Channel({(A, C): -70.0, (B, C): -70.0, (A, B): UNHEARD_DBM, (B, A): UNHEARD_DBM})
+    channel.send(1000, A)
+    channel.send(1000, B)
+    channel.queue.run_until(MILLISECOND_NS * 2)
+    assert channel.listeners[C].busy_us == []
+    assert channel.listeners[C].errors == []
+
+
+#   A  weak  |====================|  1000..2376
+#   B strong     |====|              1008..1168     C takes B, and then senses A by its energy alone
+@pytest.mark.parametrize(("weak_dbm", "until_us"), [(-75.0, 1168), (-60.0, 2376)])
+def test_after_a_capture_what_was_given_up_counts_by_its_energy(weak_dbm, until_us):
+    channel = Channel({(A, C): weak_dbm, (B, C): -50.0, (A, B): UNHEARD_DBM, (B, A): UNHEARD_DBM})
+    channel.send(1000, A, frame_bytes=1014)  # 20 + 4 ceil(8134 / 24) = 1376 us
+    channel.send(1008, B)
+    channel.queue.run_until(1_200_000)
+    assert channel.busy_us(C)[1] == until_us
+    channel.queue.run_until(3_000_000)
+    assert channel.listeners[C].received == [(B, 1168.0)]
+
+
+#   A  |====================|  1000..2376
+#   C        |====|            1100..1260     C answers somebody else and does not receive A any more
+@pytest.mark.parametrize(("power_dbm", "until_us"), [(-75.0, 1100), (-60.0, 2376)])
+def test_who_sends_while_receiving_senses_the_rest_by_its_energy(power_dbm, until_us):
+    channel = Channel({(A, C): power_dbm})
+    channel.send(1000, A, frame_bytes=1014)
+    channel.send(1100, C)
+    channel.queue.run_until(1_300_000)
+    assert channel.busy_us(C)[1] == until_us
+    channel.queue.run_until(3_000_000)
+    assert (channel.listeners[C].received, channel.listeners[C].errors) == ([], [])
+
+
+@pytest.mark.parametrize(
+    ("margin_db", "later_us", "captured"), [(5.1, 16, True), (4.9, 16, False), (5.1, 17, False)]
+)
+def test_capture_takes_five_db_within_sixteen_microseconds(margin_db, later_us, captured):
+    hidden = {(A, C): -70.0, (B, C): -70.0 + margin_db, (A, B): UNHEARD_DBM, (B, A): UNHEARD_DBM}
+    channel = Channel(hidden)
+    channel.send(1000, A)
+    channel.send(1000 + later_us, B)
+    channel.queue.run_until(1_050_000)
+    assert channel.medium.receivers[C].lock.source == (B if captured else A)
+
+
+@pytest.mark.parametrize(("power_dbm", "found"), [(-81.9, True), (-82.1, False)])
+def test_preambles_are_found_down_to_the_threshold(power_dbm, found):
+    channel = Channel({(A, C): power_dbm})
+    channel.send(1000, A)
+    channel.queue.run_until(MILLISECOND_NS * 2)
+    assert bool(channel.listeners[C].received) is found
+
+
+# --- interferers
+
+
+@pytest.mark.parametrize("duty_cycle", [0.1, 0.5, 0.9])
+def test_an_interferer_occupies_the_medium_for_its_duty_cycle(duty_cycle):
+    """Some 10^4 bursts and pauses, exponential both: the share's standard error is 1.4 % (1 - duty cycle)."""
+    channel = Channel(stations=1, interferers=interferer(duty_cycle))
+    channel.queue.run_until(round(10 * SECOND_NS / duty_cycle))
+    assert channel.medium.busy_ns() / channel.queue.now_ns == pytest.approx(duty_cycle, rel=0.05)
+    assert channel.ended == []
+
+
+def test_duty_cycles_of_none_and_all():
+    assert Channel(interferers=interferer(0.0)).queue.next_ns() == NEVER_NS
+    channel = Channel(interferers=interferer(1.0), delay_ns=500)
+    # from the first burst on no receiver senses an idle nanosecond
+    for at_ns in range(1_000, SECOND_NS, 7_300_000):
+        channel.queue.run_until(at_ns)
+        for receiver in channel.medium.receivers:
+            assert (receiver.busy_from_ns, receiver.idle_before_ns) == (500, 0)
+            assert receiver.busy_until_ns > at_ns
+        assert channel.medium.busy_ns() == at_ns
+    assert len(channel.listeners[A].changes_us) > 500
+
+
+def test_a_long_burst_is_one_busy_period_in_parts_that_follow_the_receivers():
+    trajectories = Trajectories(1)
+    trajectories.set(0, [(100.0, 0.0, 0.0)], [(-90.0, 0.0, 0.0)])
+    config = RadioConfig(bandwidth_mhz=20, interferers=interferer(1.0, 1e7))
+    links = Links(config, trajectories, 1, Streams(np.random.SeedSequence(1)))
+    channel = Channel(stations=1, links=links, interferers=config.interferers)
+    # 20 dBm less 46.78 dB over 1 m are -62 dBm at 57.6 m, after 471 ms: from the part at 480 ms on it is busy
+    channel.queue.run_until(479 * MILLISECOND_NS)
+    assert channel.listeners[0].busy_us == []
+    channel.queue.run_until(990 * MILLISECOND_NS)
+    assert channel.listeners[0].busy_us[0] == pytest.approx(480_000, abs=1)
+    assert channel.medium.receivers[0].busy_from_ns == pytest.approx(480 * MILLISECOND_NS, abs=1_000)
+    assert channel.medium.busy_ns() == 990 * MILLISECOND_NS
+
+
+def burst_over(channel):
+    """(start, end) in ns of the first burst after 1 ms that lasts over 1 ms, from the energy at A."""
+    receiver = channel.medium.receivers[A]
+    while not (
+        receiver.busy_from_ns > MILLISECOND_NS
+        and receiver.busy_until_ns - receiver.busy_from_ns > MILLISECOND_NS
+    ):
+        channel.queue.run_until(channel.queue.next_ns())
+    return receiver.busy_from_ns, receiver.busy_until_ns
+
+
+# the frame of C's choice lies within the burst, overlaps its beginning by half, or has ended before it
+@pytest.mark.parametrize(("before_us", "lost"), [(-10, True), (80, True), (170, False)])
+@pytest.mark.parametrize("interference_dbm", [-50.0, -100.0])
+def test_frames_die_under_a_burst_that_is_strong_enough(before_us, lost, interference_dbm):
+    settings = {"interferers": interferer(0.2, 2_000.0), "seed": 3}
+    begin_ns, _ = burst_over(Channel(**settings))
+    channel = Channel({("x", B): interference_dbm}, **settings)
+    channel.send(begin_ns // 1_000 - before_us, A, B)
+    channel.queue.run_until(begin_ns + MILLISECOND_NS)
+    (frame,) = channel.ended
+    assert frame.source == A
+    if lost and interference_dbm == -50.0:
+        assert frame.collided == [B]
+        # under the burst there is no preamble to be found; before it there was
+        assert len(channel.listeners[B].errors) == (before_us > 0)
+    else:
+        assert frame.delivered == [B]
+
+
+def test_a_burst_is_sensed_by_its_energy_alone_and_with_that_of_others():
+    settings = {"interferers": interferer(0.2, 2_000.0), "seed": 3}
+    begin_ns, end_ns = burst_over(Channel(**settings))
+    powers = {("x", A): -60.0, ("x", B): -64.0, ("x", C): -64.0, (A, B): -64.0, (A, C): UNHEARD_DBM}
+    channel = Channel(powers, **settings)
+    channel.send(begin_ns // 1_000 + 100, A, C)
+    channel.queue.run_until(begin_ns + 200_000)
+    assert channel.medium.receivers[A].busy_until_ns == end_ns
+    assert channel.medium.receivers[C].busy_until_ns == 0
+    # -64 dBm twice are -61, as long as A sends; no preamble can be found at 0 dB
+    start_us = begin_ns // 1_000 + 100
+    assert channel.busy_us(B) == (start_us, start_us + 160)
+    channel.queue.run_until(end_ns)
+    assert [listener.received for listener in channel.listeners] == [[], [], []]
+    assert channel.listeners[C].changes_us[-1] == end_ns / 1_000
+
+
+# --- fading
+
+
+def test_frames_have_the_power_that_fading_leaves_them_at_their_beginning():
+    config = RadioConfig(bandwidth_mhz=20, rician_k_db=-10.0, fading_doppler_hz=20.0)
+    trajectories = Trajectories(2)
+    trajectories.set(0, [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)], [(0.0, 0.0, 0.0)] * 2)
+    links = Links(config, trajectories, 2, Streams(np.random.SeedSequence(4)))
+    channel = Channel(stations=2, links=links, rician_k_db=-10.0)
+    for k in range(30):
+        channel.send(10_000 * k, k % 2)
+    channel.queue.run_until(SECOND_NS)
+    mean_mw = links.row(A, 0).powers_mw[B]
+    powers = np.array([frame.powers_mw[1 - frame.source] for frame in channel.ended])
+    expected = [
+        mean_mw * links.fading_gains(frame.source, frame.start_ns)[1 - frame.source]
+        for frame in channel.ended
+    ]
+    assert powers.tolist() == expected
+    assert powers.max() > 10.0 * powers.min()
+
+
+# --- with stations
+
+
+def bursts_of(settings, seed, until_ns):
+    """When the only interferer of a run sends."""
+    source = Interferer(0, settings, Streams(np.random.SeedSequence(seed)).generator(Model.INTERFERENCE, 0))
+    bursts_ns, at_ns = [], source.first_ns()
+    while at_ns < until_ns:
+        bursts_ns.append((at_ns, at_ns + source.burst_ns()))
+        at_ns = bursts_ns[-1][1] + source.pause_ns()
+    return bursts_ns
+
+
+@pytest.mark.parametrize(("eirp_dbm", "sensed"), [(20.0, True), (-10.0, False)])
+def test_stations_defer_to_an_interferer_that_they_sense(eirp_dbm, sensed):
+    """At 10 m 20 dBm arrive with -46.8 dBm, -10 dBm with -76.8 under the threshold.
+
+    Half of the time the medium is busy: of 400 frames that wait for nobody some 200 would begin in a burst.
+    """
+    settings = InterfererConfig(
+        pos_ned_m=(0.0, 10.0, 0.0), duty_cycle=0.5, eirp_dbm=eirp_dbm, burst_us=3_000.0
+    )
+    swarm = Swarm(
+        [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)],
+        rician_k_db=None,
+        broadcast_rts=False,
+        interferers=(settings,),
+    )
+    for k in range(400):
+        swarm.broadcast(0, 5_000 * k)
+    swarm.run(2_100_000)
+    frames = swarm.emulator.take_frames()
+    assert len(frames) == 400
+    bursts_ns = bursts_of(settings, 1, 2_100_000_000)
+    # from the burst's arrival, 33 ns after its beginning, until DIFS after its end
+    within = sum(
+        any(begin + 40 < frame.start_ns < end + 34_000 for begin, end in bursts_ns) for frame in frames
+    )
+    assert within == 0 if sensed else within > 100
+    assert swarm.emulator.busy_ns > 0.9 * sum(end - begin for begin, end in bursts_ns)
