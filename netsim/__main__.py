@@ -4,8 +4,6 @@ import argparse
 import sys
 from pathlib import Path
 
-import msgspec
-
 from netsim.server import run
 from netsim.transport import TransportError
 
@@ -18,7 +16,7 @@ def main() -> int:
     arguments = parser.parse_args()
     try:
         run(arguments.config, supervised=arguments.supervised)
-    except (TransportError, OSError, msgspec.DecodeError) as error:
+    except (TransportError, OSError, ValueError) as error:  # the last of settings, each alone or together
         print(f"radio: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

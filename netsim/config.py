@@ -95,7 +95,7 @@ class GuestConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The 802.11 channel and the radios on it, all alike."""
 
-    frequency_mhz: Annotated[float, Meta(gt=0.0, le=100_000.0)] = 5210.0
+    frequency_mhz: Annotated[float, Meta(ge=100.0, le=100_000.0)] = 5210.0
     bandwidth_mhz: BandwidthMhz = 80
     tx_power_dbm: PowerDbm = 16.0
     antenna: Literal["isotropic", "dipole"] = "isotropic"
@@ -118,14 +118,17 @@ class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     the stations adds its own."""
     nlos_fraction: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     """Share of the time for which a link's line of sight is blocked."""
-    nlos_duration_s: Positive = 2.0
+    nlos_duration_s: Annotated[float, Meta(ge=0.01, le=1e6)] = 2.0
     """Mean time for which it is."""
     nlos_loss_db: NonNegative = 10.0
     """Extra loss while it is."""
     extra_attenuation_db: NonNegative = 0.0
     """Attenuation added to every link: degrades the channel (20 dB), or cuts it (200 dB)."""
-    cca_energy_dbm: Annotated[float, Meta(ge=-200.0, le=50.0)] = -62.0
-    cca_preamble_dbm: Annotated[float, Meta(ge=-200.0, le=50.0)] = -82.0
+    cca_energy_dbm: Annotated[float, Meta(ge=-100.0, le=0.0)] = -62.0
+    """Power from which on the medium is sensed busy, whatever sends: of all signals, in the whole channel."""
+    cca_preamble_dbm: Annotated[float, Meta(ge=-100.0, le=0.0)] = -82.0
+    """Power in the whole channel from which on a frame is sensed and its preamble can be found, if that is at
+    least 4 dB over the noise."""
     access: Literal["edca", "dcf"] = "edca"
     """``dcf`` is one queue that waits DIFS, as before 802.11e, whatever the category."""
     control_mode: Mode = "ofdm24"

@@ -111,6 +111,8 @@ class Emulator:
             self._add_station(i, clocks)
         self._silent: set[int] = set()
         self._submitted: list[tuple[int, int, int, TxItem]] = []
+        self._ready_ns = [0] * stations
+        """By station: when its last item reaches the radio."""
         self._received: list[tuple[int, int, int, int, RxItem]] = []
 
     def _set_modes(self, station: int, own: StationConfig) -> None:
@@ -162,10 +164,14 @@ class Emulator:
         """
         if batch.station >= self._stations:
             raise ValueError(f"there is no station {batch.station}: this channel has {self._stations}")
+        station = batch.station
         for item in sorted(batch.items, key=lambda item: (item.at_us, item.seq)):
-            jitter_ns = int(1_000 * self._config.host_jitter_us * self._host_jitter[batch.station].draw())
+            jitter_ns = int(1_000 * self._config.host_jitter_us * self._host_jitter[station].draw())
             ready_ns = 1_000 * (item.at_us + self._config.host_latency_us) + jitter_ns
-            self._submitted.append((max(ready_ns, self.queue.now_ns), batch.station, item.seq, item))
+            # a host's queue keeps its order
+            ready_ns = max(ready_ns, self.queue.now_ns, self._ready_ns[station])
+            self._ready_ns[station] = ready_ns
+            self._submitted.append((ready_ns, station, item.seq, item))
 
     def advance(
         self,
@@ -256,6 +262,9 @@ class Emulator:
 
     def _unicast(self, station: int, item: Unicast) -> None:
         config = self._config
+        if item.destination == station or item.destination >= self._stations:
+            self._report_sent(station, item.destination, item.seq, "rejected", 0, self.queue.now_ns)
+            return
         frame_bytes = len(item.payload) + UDP_OVERHEAD_BYTES + DATA_OVERHEAD_BYTES
         job = Job(
             kind=FrameKind.DATA,
@@ -273,18 +282,17 @@ class Emulator:
         self._macs[station].enqueue(config.data_access_category, job)
 
     def _on_unicast_done(self, station: int, job: Job, outcome: Outcome) -> None:
-        self._tally.unicasts[outcome.value] += 1
-        if station in self._silent:
-            return
-        now = self.queue.now_ns
-        sent = Sent(
-            destination=job.destination,
-            seq=job.seq,
-            ended_ns=now,
-            status=outcome.value,
-            attempts=job.attempts,
-        )
-        self._received.append((now, job.destination, job.seq, station, sent))
+        ack = job.ack
+        ended_ns = self.queue.now_ns if ack is None else ack.end_ns + ack.delays_ns[station]
+        self._report_sent(station, job.destination, job.seq, outcome.value, job.attempts, ended_ns)
+
+    def _report_sent(
+        self, station: int, destination: int, seq: int, status: str, attempts: int, ended_ns: int
+    ) -> None:
+        self._tally.unicasts[status] += 1
+        if station not in self._silent:
+            sent = Sent(destination=destination, seq=seq, ended_ns=ended_ns, status=status, attempts=attempts)
+            self._received.append((ended_ns, destination, seq, station, sent))
 
     def deliver(
         self, station: int, transmission: Transmission, payload: bytes, power_mw: float, end_ns: int
@@ -312,6 +320,7 @@ class Emulator:
             rssi_dbm=ranging.rssi_dbm,
             round_trips=ranging.round_trips,
             measurements=ranging.measurements,
+            retry_after_s=ranging.retry_after_s,
         )
         self._received.append((ranging.ended_ns, ranging.peer, ranging.seq, ranging.initiator, result))
 

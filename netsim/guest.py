@@ -16,6 +16,8 @@ from typing import Self
 from netsim.radio import ANSWER_LIMIT_S, Inbox, RadioLost, directory_key, receive_key, transmit_key
 from netsim.transport import Transport
 from netsim.wire.messages import (
+    MAX_PAYLOAD_BYTES,
+    MAX_STATION,
     Ack,
     Broadcast,
     Directory,
@@ -37,7 +39,8 @@ class Guest:
     """One guest's radio; for one thread. Close it, or use it as a context.
 
     Raises TransportError if nobody listens at the endpoint, RadioLost if that is no run's radio or there is
-    no guest of that name.
+    no guest of that name. Of two programs under one name the first gets the deliveries. What is sent raises
+    RadioLost if the emulator is gone and ValueError for what no radio can send.
     """
 
     def __init__(self, endpoint: str, *, name: str) -> None:
@@ -45,7 +48,7 @@ class Guest:
         try:
             self.directory = self._ask_directory(endpoint)
             """The run and its stations."""
-            self.station = _station(self.directory, name)
+            self.station = _number(self.directory, name)
             """Its number on the channel."""
             self.now_us = 0
             """Simulated time up to which `receive` has told what arrived."""
@@ -69,25 +72,25 @@ class Guest:
         return directory
 
     def broadcast(self, payload: bytes) -> int:
-        """Send a datagram to every station in range; returns its sequence number. Raises RadioLost."""
-        self._seq += 1
-        self._hand_over(Broadcast(seq=self._seq, at_us=0, payload=payload))
-        return self._seq
+        """Send a datagram to every station in range; returns its sequence number."""
+        return self._send(Broadcast(seq=self._seq + 1, at_us=0, payload=_checked(payload)))
 
     def unicast(self, destination: int, payload: bytes) -> int:
-        """Send a datagram to one station; a `Sent` with the returned number will come. Raises RadioLost."""
-        self._seq += 1
-        self._hand_over(Unicast(seq=self._seq, at_us=0, destination=destination, payload=payload))
-        return self._seq
+        """Send a datagram to one station; a `Sent` with the returned number will come."""
+        item = Unicast(
+            seq=self._seq + 1, at_us=0, destination=_station(destination), payload=_checked(payload)
+        )
+        return self._send(item)
 
     def request_ftm(self, peer: int) -> int:
-        """Range to a station; an `FtmResult` with the returned number will come. Raises RadioLost."""
-        self._seq += 1
-        self._hand_over(FtmRequest(seq=self._seq, at_us=0, peer=peer))
-        return self._seq
+        """Range to a station; an `FtmResult` with the returned number will come."""
+        return self._send(FtmRequest(seq=self._seq + 1, at_us=0, peer=_station(peer)))
 
     def receive(self, *, timeout_s: float) -> list[RxItem]:
-        """Take what has arrived; wait for something until the time-out of wall time, then nothing comes."""
+        """Take what has arrived; wait for something until the time-out of wall time, then give an empty list.
+
+        Raises RadioLost if nothing has come and the emulator is gone.
+        """
         items: list[RxItem] = []
         try:
             batch = self._batches.get(timeout=timeout_s)
@@ -96,11 +99,18 @@ class Guest:
                 items.extend(batch.items)
                 batch = self._batches.get_nowait()
         except queue.Empty:
+            if not items and not self._transport.connected:
+                raise RadioLost(f"station {self.station}: the 802.11 emulator is gone") from None
             return items
 
     def close(self) -> None:
         """Leave the channel; harmless when repeated."""
         self._transport.close()
+
+    def _send(self, item: TxItem) -> int:
+        self._hand_over(item)
+        self._seq = item.seq
+        return item.seq
 
     def _hand_over(self, *items: TxItem) -> None:
         batch = TxBatch(station=self.station, now_us=0, items=items)
@@ -117,7 +127,19 @@ class Guest:
         self.close()
 
 
-def _station(directory: Directory, name: str) -> int:
+def _checked(payload: object) -> bytes:
+    if not isinstance(payload, bytes) or len(payload) > MAX_PAYLOAD_BYTES:
+        raise ValueError(f"a datagram is at most {MAX_PAYLOAD_BYTES} bytes, not {payload!r:.40}")
+    return payload
+
+
+def _station(number: int) -> int:
+    if not 0 <= number <= MAX_STATION:
+        raise ValueError(f"a station's number is 0 to {MAX_STATION}, not {number}")
+    return number
+
+
+def _number(directory: Directory, name: str) -> int:
     if name not in directory.guests:
         known = ", ".join(directory.guests) or "none"
         raise RadioLost(f"there is no guest {name!r} on this channel; its guests: {known}")

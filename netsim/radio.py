@@ -75,7 +75,7 @@ class RadioClient:
     """One station's radio. Blocking, for one thread; deliveries come in by Zenoh's threads.
 
     Raises TransportError or RadioLost if the emulator cannot be reached. A station number that is in use is
-    not refused: both would get the deliveries.
+    not refused: the deliveries go to the first.
     """
 
     def __init__(self, *, endpoint: str, run_id: str, station: int) -> None:

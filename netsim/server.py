@@ -23,6 +23,7 @@ from netsim.child import Finished, Influenced, Ready, Stop, commands, emit
 from netsim.config import ServerConfig
 from netsim.emulator import Emulator
 from netsim.logs import FRAME_LOG, SESSION_LOG
+from netsim.phy.medium import Transmission
 from netsim.radio import DELIVERY_LIMIT_S, advance_key, directory_key, receive_key, transmit_key
 from netsim.record_log import RecordLog
 from netsim.transport import Asker, Question, Transport
@@ -54,6 +55,10 @@ class Motion(NamedTuple):
     q_ned_frd: Doubles
 
 
+LEAD_US = 60_000_000
+"""How far ahead of the air a transmission's time may lie."""
+FARTHEST_M, FASTEST_M_S, NORM_TOLERANCE = 1e8, 1e5, 1e-3
+"""What a vehicle's state may be: limits against senseless numbers."""
 STREAM = 802
 """Sets the emulator's random streams apart from those of the run's other processes."""
 
@@ -77,18 +82,12 @@ class Server:
         radio = config.radio
         self._stations = config.stations + len(radio.guests)
         self._guests_pos_ned_m = np.array([guest.pos_ned_m for guest in radio.guests]).reshape(-1, 3)
-        self._capture = (
-            None
-            if config.capture_path is None
-            else Capture(
-                config.capture_path, config=radio, comment=f"seed {config.seed}"
-            )
-        )
+        self._capture: Capture | None = None
         self._emulator = Emulator(
             config=radio,
             stations=self._stations,
             seed=np.random.SeedSequence([config.seed, STREAM]),
-            on_transmission=None if self._capture is None else self._capture.append,
+            on_transmission=None if config.capture_path is None else self._on_transmission,
         )
         self._directory = encode(
             Directory(
@@ -104,11 +103,24 @@ class Server:
         self._silent: frozenset[Station] = frozenset()
         self._reached_us = 0
         self._undelivered: dict[Station, bytes] = {}
-        self._frame_log = _log(config.frame_log_path, FRAME_LOG)
-        self._session_log = _log(config.session_log_path, SESSION_LOG)
+        self._frame_log: RecordLog | None = None
+        self._session_log: RecordLog | None = None
         self._transport = Transport.listen(config.host, config.port)
+        try:
+            # files come last: a start that is refused leaves what was there
+            self._frame_log = _log(config.frame_log_path, FRAME_LOG)
+            self._session_log = _log(config.session_log_path, SESSION_LOG)
+            if config.capture_path is not None:
+                self._capture = Capture(config.capture_path, config=radio, comment=f"seed {config.seed}")
+        except OSError:
+            self.close()
+            raise
         self._receivers: list[Asker] = [
-            self._transport.asker(receive_key(config.run_id, station), timeout_s=DELIVERY_LIMIT_S)
+            self._transport.asker(
+                receive_key(config.run_id, station),
+                timeout_s=DELIVERY_LIMIT_S,
+                lossy=station >= config.stations,
+            )
             for station in range(self._stations)
         ]
         self._transport.serve(directory_key(config.run_id), self._on_directory)
@@ -130,6 +142,7 @@ class Server:
             motion = None if request is None else self._motion(request)
             if request is None or motion is None:
                 self._malformed += 1
+                logger.warning("dropped %d bytes that tell of no step", len(item.payload))
                 continue
             item.answer(encode(self.advance(request, motion)))
         return {"counters": msgspec.to_builtins(self._emulator.counters), "malformed": self._malformed}
@@ -143,17 +156,31 @@ class Server:
 
     def _on_transmissions(self, question: Question) -> None:
         batch = decode(TxBatch, question.payload)
-        if batch is None or batch.station >= self._stations:
+        if batch is None or batch.station >= self._stations or self._too_early(batch):
             self._malformed += 1
             logger.warning("dropped %d bytes that are no transmission", len(question.payload))
             return
         if batch.items:
-            if batch.station >= self._config.stations and not self._visited:
-                # a guest's traffic depends on more than scenario and seed
-                self._visited = True
-                self._on_visit()
+            if batch.station >= self._config.stations:
+                batch = _at_once(batch)
+                if not self._visited:
+                    # a guest's traffic depends on more than scenario and seed
+                    self._visited = True
+                    self._on_visit()
             self._submitted.append(batch)
         question.answer(_ACK)
+
+    def _too_early(self, batch: TxBatch) -> bool:
+        """Whether a vehicle speaks of a time far ahead; guests have none."""
+        latest_us = max((item.at_us for item in batch.items), default=0)
+        return (
+            batch.station < self._config.stations
+            and max(batch.now_us, latest_us) > self._reached_us + LEAD_US
+        )
+
+    def _on_transmission(self, transmission: Transmission) -> None:
+        if self._capture is not None:
+            self._capture.append(transmission)
 
     def _on_directory(self, question: Question) -> None:
         if decode(DirectoryRequest, question.payload) is None:
@@ -162,7 +189,7 @@ class Server:
         question.answer(self._directory)
 
     def _motion(self, request: Advance) -> Motion | None:
-        """Where an `Advance` puts the vehicles; None unless it is all of them, finite and ahead."""
+        """Where an `Advance` puts the vehicles; None unless it is all of them, somewhere, and ahead."""
         vehicles = self._config.stations
         pos_ned_m = unpack_rows(request.pos_ned_m, stations=vehicles, columns=3)
         vel_ned_m_s = unpack_rows(request.vel_ned_m_s, stations=vehicles, columns=3)
@@ -170,8 +197,12 @@ class Server:
         if pos_ned_m is None or vel_ned_m_s is None or q_ned_frd is None:
             return None
         motion = Motion(pos_ned_m, vel_ned_m_s, q_ned_frd)
-        ahead = request.to_us >= self._reached_us
-        return motion if ahead and all(np.isfinite(rows).all() for rows in motion) else None
+        norms = np.linalg.norm(q_ned_frd, axis=1)
+        # comparisons that what is not a number fails as well
+        somewhere = (np.abs(pos_ned_m) <= FARTHEST_M).all() and (np.abs(vel_ned_m_s) <= FASTEST_M_S).all()
+        upright = (np.abs(norms - 1.0) <= NORM_TOLERANCE).all()
+        known = all(station < self._stations for station in request.silent)
+        return motion if known and somewhere and upright and request.to_us >= self._reached_us else None
 
     def _with_guests(self, motion: Motion) -> Motion:
         """Motion of all stations: guests stand still, upright."""
@@ -227,6 +258,8 @@ class Server:
             if station not in self._silent
         }
         self._write_logs()
+        if self._capture is not None:
+            self._capture.settle(1_000 * request.to_us)
 
     def _write_logs(self) -> None:
         frames, sessions = self._emulator.take_frames(), self._emulator.take_sessions()
@@ -244,6 +277,12 @@ class Server:
         for station, pending in asked.items():
             if station >= self._config.stations or pending.answer() is not None:
                 del self._undelivered[station]
+
+
+def _at_once(batch: TxBatch) -> TxBatch:
+    """Batch of a guest, whose time is not the simulation's: whatever it says, it means now."""
+    items = tuple(msgspec.structs.replace(item, at_us=0) for item in batch.items)
+    return msgspec.structs.replace(batch, now_us=0, items=items)
 
 
 def _log(path: str | None, dtype: np.dtype[Any]) -> RecordLog | None:

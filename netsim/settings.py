@@ -3,7 +3,11 @@
 from typing import Literal
 
 from netsim.config import Mode, RadioConfig
-from netsim.phy.modes import phy_mode
+from netsim.frames import ACK_BYTES, DATA_OVERHEAD_BYTES
+from netsim.ftm.elements import NON_HT_FORMAT, Measurement
+from netsim.ftm.negotiation import grant, wish
+from netsim.mac.access import DCF, EDCA, SIFS_NS
+from netsim.phy.modes import phy_mode, response_mode
 
 
 def check(config: RadioConfig, vehicles: int) -> None:
@@ -31,7 +35,33 @@ def check(config: RadioConfig, vehicles: int) -> None:
                 phy_mode(mode, config.bandwidth_mhz)
             except ValueError as error:
                 raise ValueError(f"{path}: {error}") from None
+    _check_burst(config)
     names = [guest.name for guest in config.guests]
     for number, name in enumerate(names):
         if name in names[:number]:
             raise ValueError(f"guests[{number}].name: {name!r} is there already")
+
+
+def _check_burst(config: RadioConfig) -> None:
+    """Raise ValueError unless a granted burst has time for the two measurement frames of a round trip.
+
+    They begin the granted least time apart, or as soon as the medium is free again after the first one's ACK;
+    and the second one's ACK is in the burst too.
+    """
+    ftm = config.ftm
+    granted = grant(wish(ftm, NON_HT_FORMAT), ftm, NON_HT_FORMAT, 0)
+    mode = phy_mode(ftm.mode, config.bandwidth_mhz)
+    answer_ns = SIFS_NS + response_mode(mode).duration_ns(ACK_BYTES)
+    first_ns, second_ns = (
+        mode.duration_ns(DATA_OVERHEAD_BYTES + len(Measurement(token=1, parameters=parameters).encode()))
+        + answer_ns
+        for parameters in (granted, None)
+    )
+    access = DCF if config.access == "dcf" else EDCA[ftm.access_category]
+    delta_us, duration_us = granted.min_delta_us or 0, granted.burst_duration_us or 0
+    least_us = (max(1_000 * delta_us, first_ns + access.aifs_ns) + second_ns) // 1_000
+    if duration_us < least_us:
+        raise ValueError(
+            f"ftm.burst_duration_us: {duration_us} us are too short for two measurement frames, which take "
+            f"{least_us} us with ftm.min_delta_us of {delta_us}"
+        )

@@ -94,9 +94,18 @@ class Transport:
         except zenoh.ZError as error:
             raise TransportError(f"cannot connect to {endpoint}: {_first_line(error)}") from None
 
-    def asker(self, key: str, *, timeout_s: float) -> Asker:
-        """Declare that this process will ask ``key``; an answer may take that long."""
-        return Asker(self._session.declare_querier(key, timeout=timeout_s))
+    def asker(self, key: str, *, timeout_s: float, lossy: bool = False) -> Asker:
+        """Declare that this process will ask ``key``; an answer may take that long.
+
+        Whoever asks waits while the connection is full; a ``lossy`` question is dropped instead.
+        """
+        control = zenoh.CongestionControl.DROP if lossy else zenoh.CongestionControl.BLOCK
+        return Asker(self._session.declare_querier(key, timeout=timeout_s, congestion_control=control))
+
+    @property
+    def connected(self) -> bool:
+        """Whether there is a router at the other end; for those that `connect`."""
+        return any(True for _ in self._session.info.routers_zid())
 
     def serve(self, key: str, handler: Callable[[Question], None]) -> None:
         """Answer ``key``.

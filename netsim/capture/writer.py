@@ -20,6 +20,8 @@ HOLD_NS = 7_000_000
 (aPPDUMaxTime), and is reported when it has ended at the last of its receivers."""
 CHUNK_BYTES = 1 << 16
 """What is written at a time: whole blocks, so that a process that is killed leaves a readable file."""
+WRITE_PERIOD_NS = 1_000_000_000
+"""Simulated time after which less than that is written too."""
 _SEQUENCE_NUMBERS = 4096
 _NUMBERED = frozenset({FrameKind.DATA, FrameKind.FTM_REQUEST, FrameKind.FTM})
 
@@ -29,7 +31,8 @@ class Capture:
 
     A packet's time is the simulated time at which its preamble leaves the transmitter's antenna. A frame
     that did not reach all it was meant for has a comment that says whom. Equal transmissions give equal
-    bytes. Raises OSError, with the path, if the file cannot be made or written.
+    bytes, whenever they are written. The file begins readable and stays so. Raises OSError, with the path, if
+    it cannot be made or written.
     """
 
     def __init__(self, path: str | Path, *, config: RadioConfig, comment: str = "") -> None:
@@ -50,6 +53,12 @@ class Capture:
             name="radio",
             description=f"emulated channel, {config.bandwidth_mhz} MHz wide at {config.frequency_mhz:g} MHz",
         )
+        self._write_due_ns = WRITE_PERIOD_NS
+        try:
+            self._write()
+        except OSError:
+            self._file.close()
+            raise
 
     def append(self, transmission: Transmission) -> None:
         """Take a transmission that has ended; they come in order of their end."""
@@ -57,12 +66,20 @@ class Capture:
         start_ns = transmission.start_ns
         packet = self._header(frame, start_ns) + mpdu(frame, retry=self._is_retry(frame))
         comment = _losses(transmission) if transmission.collided or transmission.lost_to_noise else ""
+        heappush(self._held, (start_ns, frame.source, enhanced_packet(start_ns, packet, comment=comment)))
+        self.settle(transmission.end_ns)
+
+    def settle(self, now_ns: int) -> None:
+        """Let go of frames that none can precede any more, at a time at which all that ended are appended.
+
+        A frame is in the file `HOLD_NS` and `WRITE_PERIOD_NS` after its start, or at the first call after.
+        """
         held = self._held
-        heappush(held, (start_ns, frame.source, enhanced_packet(start_ns, packet, comment=comment)))
-        settled_ns = transmission.end_ns - HOLD_NS
+        settled_ns = now_ns - HOLD_NS
         while held and held[0][0] < settled_ns:
             self._chunk += heappop(held)[2]
-        if len(self._chunk) >= CHUNK_BYTES:
+        if self._chunk and (now_ns >= self._write_due_ns or len(self._chunk) >= CHUNK_BYTES):
+            self._write_due_ns = now_ns + WRITE_PERIOD_NS
             self._write()
 
     def close(self) -> None:

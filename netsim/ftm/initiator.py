@@ -203,7 +203,7 @@ class Initiator:
         if not duplicate:
             session.measurements += 1
         if body.token == 0:
-            self._finish(session, "timeout")
+            self._finish(session, "timeout", ended_ns=end_ns)
             return
         # a frame comes again if its ACK was lost: t1 and t4 will be those of its last transmission
         session.arrival = _Arrival(
@@ -218,18 +218,22 @@ class Initiator:
 
     # --- results
 
-    def _finish(self, session: _Session, failure: str, *, retry_after_s: int = 0) -> None:
-        """End a session: ``ok`` if there is a round trip, else with the failure."""
+    def _finish(
+        self, session: _Session, failure: str, *, retry_after_s: int = 0, ended_ns: int | None = None
+    ) -> None:
+        """End a session, now if not said otherwise: ``ok`` if there is a round trip, else the failure."""
         del self._sessions[session.peer]
         for event in (session.time_out, session.burst_begin, session.end):
             if event is not None:
                 self._queue.cancel(event)
         if session.job is not None:
             session.job.cancelled = True
-        self._report(session, failure, retry_after_s)
+        self._report(session, failure, retry_after_s, ended_ns)
 
-    def _report(self, session: _Session, failure: str, retry_after_s: int = 0) -> None:
-        now = self._queue.now_ns
+    def _report(
+        self, session: _Session, failure: str, retry_after_s: int = 0, ended_ns: int | None = None
+    ) -> None:
+        now = self._queue.now_ns if ended_ns is None else ended_ns
         round_trips = session.round_trips
         if not round_trips:
             self._on_result(

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from math import cos, pi, sin
 
+import msgspec
 import numpy as np
 
 from netsim.config import RadioConfig
@@ -21,12 +22,20 @@ def ring_ned_m(stations: int, radius_m: float) -> list[Vector]:
     return [(radius_m * cos(angle), radius_m * sin(angle), -HEIGHT_M) for angle in angles]
 
 
+def validated(config: RadioConfig) -> RadioConfig:
+    """Give settings that were made in Python, held to the ranges of a file's. Raises ValueError."""
+    return msgspec.convert(msgspec.to_builtins(config), RadioConfig)
+
+
 class Bench:
-    """Stations without hosts' latencies: what is submitted is in the radio's queue at its ``at_us``."""
+    """Stations without hosts' latencies: what is submitted is in the radio's queue at its ``at_us``.
+
+    Raises ValueError for settings out of range, or that contradict each other.
+    """
 
     def __init__(self, config: RadioConfig, places_ned_m: Sequence[Vector], seed: int) -> None:
         self.emulator = Emulator(
-            config=config, stations=len(places_ned_m), seed=np.random.SeedSequence([seed])
+            config=validated(config), stations=len(places_ned_m), seed=np.random.SeedSequence([seed])
         )
         self.now_us = 0
         self._places_ned_m = np.array(places_ned_m)

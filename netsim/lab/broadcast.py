@@ -17,15 +17,15 @@ QUEUE_LIFETIME_US = 500_000
 
 
 class BroadcastResult(Struct, frozen=True, kw_only=True):
-    """What became of periodic broadcasts. Delays are those of what arrived, and 0 if nothing did."""
+    """What became of periodic broadcasts. Delays are those of what arrived, and None if nothing did."""
 
     delivery_ratio: float
     """Datagrams received over those sent, times the stations that should have."""
-    mean_delay_ms: float
+    mean_delay_ms: float | None
     """From the application's call to the end of the frame at the receiver."""
-    p50_ms: float
-    p95_ms: float
-    p99_ms: float
+    p50_ms: float | None
+    p95_ms: float | None
+    p99_ms: float | None
 
 
 def broadcast(
@@ -75,12 +75,15 @@ def broadcast(
             seq = bench.next_seq(station)
             bench.submit(station, Broadcast(seq=seq, at_us=at_us, payload=payload))
     _gather(bench, round(1e6 * (ticks * period_s + max(jitter_s, 0.0))) + DRAIN_US, sent_us, delays_us)
-    delays_ms = np.array(delays_us or [0.0]) / 1e3
-    p50_ms, p95_ms, p99_ms = np.percentile(delays_ms, (50, 95, 99)).tolist()
+    mean_ms = p50_ms = p95_ms = p99_ms = None
+    if delays_us:
+        delays_ms = np.array(delays_us) / 1e3
+        mean_ms = float(delays_ms.mean())
+        p50_ms, p95_ms, p99_ms = np.percentile(delays_ms, (50, 95, 99)).tolist()
     wanted = ticks * stations * (stations - 1)
     return BroadcastResult(
         delivery_ratio=len(delays_us) / wanted if wanted else 0.0,
-        mean_delay_ms=float(delays_ms.mean()),
+        mean_delay_ms=mean_ms,
         p50_ms=p50_ms,
         p95_ms=p95_ms,
         p99_ms=p99_ms,

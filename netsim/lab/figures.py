@@ -1,5 +1,6 @@
 """Figures of the emulator alone."""
 
+import math
 from collections.abc import Sequence
 
 from matplotlib.figure import Figure
@@ -23,7 +24,8 @@ def mesh_figure(results: Sequence[MeshResult], *, period_s: float) -> Figure:
     shares.set_ylabel("fraction")
     shares.legend()
     shares.set_title(f"every station ranges to every other, every {period_s:g} s")
-    delays.plot(counts, [r.mean_delay_ms for r in results], "o-")
+    delays_ms = [math.nan if r.mean_delay_ms is None else r.mean_delay_ms for r in results]
+    delays.plot(counts, delays_ms, "o-")
     delays.set_ylim(bottom=0.0)
     delays.set_ylabel("mean delay of the completed, ms")
     delays.set_xlabel("stations")

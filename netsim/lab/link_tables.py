@@ -86,7 +86,7 @@ def link_tables(
     ] = 1,
     out: Annotated[Path | None, typer.Option(help="The module to write; stdout without it.")] = None,
 ) -> None:
-    """Simulate links bit by bit and write the module with the frames that VHT loses. About 15 minutes."""
+    """Simulate links bit by bit and write the module with the frames that VHT loses, in half an hour."""
     names = [name for name in get_args(Mode) if name.startswith("vht")]
     parts: dict[str, str] = {}
     with ProcessPoolExecutor(jobs) as pool, Progress(console=Console(stderr=True)) as progress:

@@ -17,13 +17,14 @@ FTM_MODES: dict[BandwidthMhz, Mode] = {20: "ofdm6", 40: "vht_mcs0", 80: "vht_mcs
 
 
 class FtmResultSummary(Struct, frozen=True, kw_only=True):
-    """What sessions of one pair measured."""
+    """What sessions of one pair measured; None is what too few completed to tell."""
 
-    error_mean_m: float
+    error_mean_m: float | None
     """Of the sessions' distances."""
-    error_std_m: float
-    round_trip_std_m: float
-    """Standard deviation of a single round trip, as a range, within sessions."""
+    error_std_m: float | None
+    """Of the same; one alone has none."""
+    round_trip_std_m: float | None
+    """Standard deviation of a single round trip, as a range, within sessions, which takes two of them."""
     airtime_ms: float
     """What a session takes from others: its frames, SIFS, and AIFS and mean backoff of every exchange."""
     completed: int
@@ -35,10 +36,11 @@ class MeshResult(Struct, frozen=True, kw_only=True):
 
     stations: int
     completed_fraction: float
-    mean_delay_ms: float
-    """From the request to the result, of the completed; 0 if none was."""
+    mean_delay_ms: float | None
+    """From the request to the result, of the completed; None if none was."""
     round_trips_mean: float
-    """Of the completed: a burst that does not get through in its time ends with fewer than asked for."""
+    """Of the completed: a burst that does not get through in its time ends with fewer than asked for. 0 if
+    none was."""
     busy_fraction: float
     """Of the time, with a frame on the air."""
     airtime_fraction: float
@@ -80,12 +82,12 @@ def range_pair(
         bench.run(bench.now_us + STEP_US)
         airtime_ns += airtime_of_ns(bench.emulator.take_frames())
     good = [result for result in results if result.status == "ok"]
-    errors_m = np.array([result.distance_m - distance_m for result in good] or [0.0])
+    errors_m = np.array([result.distance_m - distance_m for result in good])
     variances_m2 = [result.distance_std_m**2 for result in good if result.round_trips > 1]
     return FtmResultSummary(
-        error_mean_m=float(errors_m.mean()),
-        error_std_m=float(errors_m.std(ddof=1)) if len(good) > 1 else 0.0,
-        round_trip_std_m=float(np.sqrt(np.mean(variances_m2))) if variances_m2 else 0.0,
+        error_mean_m=float(errors_m.mean()) if good else None,
+        error_std_m=float(errors_m.std(ddof=1)) if len(good) > 1 else None,
+        round_trip_std_m=float(np.sqrt(np.mean(variances_m2))) if variances_m2 else None,
         airtime_ms=airtime_ns / sessions / 1e6,
         completed=len(good),
         failed=sessions - len(good),
@@ -154,7 +156,7 @@ def range_mesh(
     return MeshResult(
         stations=stations,
         completed_fraction=len(good) / len(requested_us),
-        mean_delay_ms=float(np.mean(delays_us)) / 1e3 if delays_us else 0.0,
+        mean_delay_ms=float(np.mean(delays_us)) / 1e3 if delays_us else None,
         round_trips_mean=float(np.mean([item.round_trips for _, item in good])) if good else 0.0,
         busy_fraction=busy_fraction,
         airtime_fraction=alone.airtime_ms / 1e3 * stations * (stations - 1) / period_s,

@@ -67,6 +67,8 @@ class Contender:
         "backoff_slots",
         "base_ns",
         "cw",
+        "deadline",
+        "deadline_ns",
         "fresh",
         "jobs",
         "parameters",
@@ -89,6 +91,9 @@ class Contender:
         self.access_ns = NEVER_NS
         self.fresh = False
         """The frame found the medium idle and drew no backoff."""
+        self.deadline: Event | None = None
+        self.deadline_ns = NEVER_NS
+        """When frames whose lifetime is over are next looked for; never, if none is queued."""
         self._ahead_slots = 1 if parameters.edca else 0
         self._uniforms = uniforms
 

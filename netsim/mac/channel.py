@@ -5,6 +5,9 @@ while the station sends, while NAV stands, and after a broken frame for EIFS. A 
 AIFS, with no backoff left, goes at once (10.3.4.2; EDCA's alignment of that to slots since the last busy
 period is left out: after a long silence no two stations would agree on them).
 
+A frame whose lifetime is over leaves its queue at once, from any place in it and however long the medium
+stays busy; only an exchange that has begun goes on to its end.
+
 What is said at access, and what follows from it, is `netsim.mac.station`'s.
 """
 
@@ -78,9 +81,41 @@ class ChannelAccess(ABC):
         while contender.jobs and (contender.jobs[0].expires_ns <= now or contender.jobs[0].cancelled):
             self._give_up(contender, Outcome.EXPIRED)
 
+    def _watch(self, contender: Contender, expires_ns: int) -> None:
+        """Look for frames whose lifetime is over at that time, which is before any other that is planned."""
+        if contender.deadline is not None:
+            self._queue.cancel(contender.deadline)
+        contender.deadline_ns = expires_ns
+        contender.deadline = self._queue.at(max(expires_ns, self._queue.now_ns), self._on_deadline, contender)
+
+    def _unwatch(self, contender: Contender) -> None:
+        if contender.deadline is not None:
+            self._queue.cancel(contender.deadline)
+            contender.deadline = None
+            contender.deadline_ns = NEVER_NS
+
+    def _on_deadline(self, contender: Contender) -> None:
+        """End the frames whose lifetime is over, all but the one that is being exchanged."""
+        self._unwatch(contender)
+        now = self._queue.now_ns
+        jobs = contender.jobs
+        expired = [job for job in jobs if job.expires_ns <= now]
+        if expired and contender is self._current and expired[0] is jobs[0]:
+            del expired[0]  # it ends with its exchange
+        for job in expired:
+            jobs.remove(job)
+        self._held -= len(expired)
+        next_ns = min((job.expires_ns for job in jobs if job.expires_ns > now), default=NEVER_NS)
+        if next_ns < NEVER_NS:
+            self._watch(contender, next_ns)
+        for job in expired:
+            job.done(job, Outcome.EXPIRED)
+
     def _give_up(self, contender: Contender, outcome: Outcome) -> None:
         job = contender.jobs.popleft()
         self._held -= 1
+        if not contender.jobs:
+            self._unwatch(contender)
         job.done(job, outcome)
 
     def _full(self) -> bool:
@@ -98,6 +133,8 @@ class ChannelAccess(ABC):
         first = not contender.jobs
         contender.jobs.append(job)
         self._held += 1
+        if job.expires_ns < contender.deadline_ns:
+            self._watch(contender, job.expires_ns)
         if not first or self._current is contender:
             return
         busy = self._medium_busy()
@@ -110,14 +147,16 @@ class ChannelAccess(ABC):
         self._resume()
 
     def _fail(self, contender: Contender) -> None:
-        """Back off after an exchange in vain, and give its frame up at the retry limit."""
+        """Back off after an exchange in vain; the retry limit or the lifetime may end its frame."""
         job = contender.jobs[0]
         job.failures += 1
         if job.failures > job.retry_limit:
             contender.succeeded()
             self._give_up(contender, Outcome.RETRY_LIMIT)
-        else:
-            contender.collided()
+            return
+        contender.collided()
+        if job.expires_ns <= self._queue.now_ns:
+            self._give_up(contender, Outcome.EXPIRED)
 
     # --- the medium
 
@@ -203,7 +242,8 @@ class ChannelAccess(ABC):
             return
         idle_ns = receiver.busy_until_ns
         unsensed = False
-        if idle_ns > now:
+        # what NAV covers holds back no plan, and so no frame that comes meanwhile
+        if idle_ns > now and idle_ns > self._nav_until_ns:
             # a busy period that the station cannot have sensed yet does not hold it back
             unsensed = now <= receiver.busy_from_ns + CCA_NS
             if not unsensed:
@@ -220,6 +260,8 @@ class ChannelAccess(ABC):
             idle_ns = self._wait_until_ns
         self._planned = True
         for contender in self._contenders:
+            if unsensed and contender.backoff_slots and contender.base_ns == NEVER_NS:
+                continue  # the slots before that busy period were counted when it froze the backoff
             base_ns = contender.base_ns = idle_ns + contender.aifs_ns
             if not contender.jobs:
                 continue

@@ -63,6 +63,7 @@ class Job:
         """Reserve the medium first: with the destination, or for a group frame with a neighbour."""
         self.cancelled = False
         self.attempts = 0
+        """Transmissions of the frame itself."""
         self.failures = 0
         self.transmission: Transmission | None = None
         """The last transmission of the frame itself."""

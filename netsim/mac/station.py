@@ -104,9 +104,12 @@ class Station(ChannelAccess):
         self._stop_waiting()
         self._current = None
         for contender in self._contenders:
+            self._unwatch(contender)
             while contender.jobs:
                 job = contender.jobs.popleft()
-                job.done(job, Outcome.EXPIRED)
+                # a group frame that is still here though it was sent is on the air, and is completed
+                gone = job.destination == GROUP and job.transmission is not None
+                job.done(job, Outcome.SENT if gone else Outcome.EXPIRED)
         self._held = 0
 
     # --- the own exchange
@@ -129,7 +132,6 @@ class Station(ChannelAccess):
         if self._current is not contender or not contender.jobs:
             return
         job = contender.jobs[0]
-        job.attempts += 1
         target = self._rts_target(job) if job.rts else None
         if target is None:
             self._send_job(contender)
@@ -178,6 +180,7 @@ class Station(ChannelAccess):
             body=job.body,
         )
         self._phase = Phase.AWAITING_ACK if awaits else Phase.SENDING
+        job.attempts += 1
         job.transmission = self._send(frame, timeout=awaits)
 
     def _send(self, frame: Frame, *, timeout: bool = False) -> Transmission:
@@ -261,6 +264,9 @@ class Station(ChannelAccess):
         """See `netsim.phy.medium.Listener`."""
         if self._phase is Phase.SENDING and not transmission.frame.is_answer:
             self._succeeded(Outcome.SENT, transmission.end_ns)
+        elif self._timed_out and self._receiver.lock is None:
+            # to answer somebody it has given up the frame that might have been its own answer
+            self._failed()
         else:
             self._resume()
 
@@ -279,6 +285,8 @@ class Station(ChannelAccess):
         if destination == self.index:
             self._received_own(transmission, power_mw, end_ns)
         elif destination == GROUP:
+            if frame.nav_ns:
+                self._reserve(frame, end_ns)
             self._upper.on_frame(transmission, power_mw, end_ns, duplicate=False)
         elif frame.nav_ns:
             self._reserve(frame, end_ns)

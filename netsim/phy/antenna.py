@@ -24,8 +24,12 @@ _PEAK = 1.0 + UNPOLARISED + 0.5 * UNPOLARISED**2
 
 
 def body_z_ned(q_ned_frd: Doubles) -> Doubles:
-    """Axes of the dipoles, the bodies' z: third column of each quaternion's rotation. (n, 4) to (n, 3)."""
-    w, x, y, z = q_ned_frd.T
+    """Axes of the dipoles, the bodies' z: third column of each quaternion's rotation. (n, 4) to (n, 3).
+
+    Quaternions of any length are taken for the unit ones of their direction.
+    """
+    lengths = np.sqrt(np.einsum("ij,ij->i", q_ned_frd, q_ned_frd))
+    w, x, y, z = (q_ned_frd / np.maximum(lengths, 1e-12)[:, None]).T
     return np.stack((2.0 * (x * z + w * y), 2.0 * (y * z - w * x), w * w - x * x - y * y + z * z), axis=1)
 
 

@@ -8,8 +8,12 @@ side as well, whose phase turns the other way: cosine and sine serve both (Zheng
 on Communications 51, 2003, on such sums).
 
 The spread of what moves around the stations and that of the stations' own relative motion, v / lambda, are of
-independent causes: their squares add. All is a function of the seed, the unordered pair and theta, so a link
-is the same in both directions and no matter who sends when.
+independent causes: their squares add. From one instant at which positions are stated to the next, v is the
+way of the one end as seen from the other over the time between; after the last it is as the velocities say.
+So it hardly matters at how many instants they are stated: a turn counts as its chord.
+
+All is a function of the seed, the unordered pair and theta, so a link is the same in both directions and no
+matter who sends when.
 
 A frame has the gain of its beginning throughout, and the same on all subcarriers.
 """
@@ -18,7 +22,7 @@ from math import pi
 
 import numpy as np
 
-from netsim.phy.path_loss import SPEED_OF_LIGHT_M_S, Doubles
+from netsim.phy.path_loss import SPEED_OF_LIGHT_M_S, Doubles, Vector
 from netsim.streams import Model, Streams
 
 SECTORS = 8
@@ -39,7 +43,8 @@ class RicianFading:
         self._stations = stations
         self._streams = streams
         self._since_ns = 0
-        self._velocities: object = None
+        self._stated: object = None
+        self._pos_ned_m: Doubles | None = None
         self._theta_rad = np.zeros((stations, stations))
         """Of every pair at ``_since_ns``, and its rate from then on."""
         self._rates_rad_ns = np.full((stations, stations), 2e-9 * pi * doppler_hz)
@@ -51,17 +56,24 @@ class RicianFading:
         self._turned = np.empty((stations, 2 * SECTORS))
         self._cosine, self._sine = self._turned[:, :SECTORS], self._turned[:, SECTORS:]
 
-    def move(self, at_ns: int, vel_ned_m_s: list[tuple[float, float, float]]) -> None:
-        """From ``at_ns`` on the stations have these velocities."""
-        if vel_ned_m_s == self._velocities:
+    def move(self, at_ns: int, pos_ned_m: list[Vector], vel_ned_m_s: list[Vector]) -> None:
+        """At ``at_ns`` the stations are at these places, and go on with these velocities."""
+        if (pos_ned_m, vel_ned_m_s) == self._stated and not any(map(any, vel_ned_m_s)):
             return
-        self._velocities = vel_ned_m_s
-        self._theta_rad += (at_ns - self._since_ns) * self._rates_rad_ns
-        self._since_ns = at_ns
-        velocities = np.array(vel_ned_m_s)
-        relative = velocities[:, None, :] - velocities
-        square_hz2 = np.einsum("ijk,ijk->ij", relative, relative) / self._wavelength_m**2
-        self._rates_rad_ns = 2e-9 * pi * np.sqrt(square_hz2 + self._doppler_square_hz2)
+        self._stated = pos_ned_m, vel_ned_m_s
+        places = np.array(pos_ned_m).reshape(-1, 3)
+        # before the first instant everybody stood still
+        moved = np.zeros_like(places) if self._pos_ned_m is None else places - self._pos_ned_m
+        since_s = (at_ns - self._since_ns) * 1e-9
+        both = np.stack((moved, np.array(vel_ned_m_s).reshape(-1, 3)))
+        relative = both[:, :, None] - both[:, None]
+        square = np.einsum("kijl,kijl->kij", relative, relative) / self._wavelength_m**2
+        square[0] += self._doppler_square_hz2 * since_s**2
+        square[1] += self._doppler_square_hz2
+        turns, spread_hz = np.sqrt(square)
+        self._theta_rad += 2.0 * pi * turns
+        self._rates_rad_ns = 2e-9 * pi * spread_hz
+        self._since_ns, self._pos_ned_m = at_ns, places
         self._turning = [None] * self._stations
 
     def gains(self, source: int, at_ns: int) -> list[float]:

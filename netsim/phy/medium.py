@@ -6,17 +6,19 @@ settled, with every transmission known that overlapped it. All times at a receiv
 delay to it. Interferers' bursts are signals that nobody can find a preamble in.
 
 Clear channel assessment (IEEE 802.11-2016, 17.3.10.6): the medium is busy while all signals together are over
--62 dBm, and from a preamble that was found until its frame's end, however weak that is. Less energy of which
-no preamble was found, as of two weak frames that collide, leaves it idle; ns-3 takes it as busy down to -82
-dBm. Both thresholds apply to the power in the whole channel, which is more alert than the standard asks of
-wide channels. Preambles are found from -82 dBm and 4 dB over noise and interference on, as with ns-3's
+-62 dBm, and while a frame lasts that is over -82 dBm and 4 dB over the noise. Such a frame counts from its
+arrival on, whatever else is on the air and whatever the receiver makes of it: the short training fields of
+frames that collide trip a correlator all the same, and ns-3 takes frames as busy from its CCA sensitivity on.
+That it takes 4 us is the MAC's matter (`netsim.mac.access.CCA_NS`). Both thresholds apply to the power in the
+whole channel, which is more alert than the standard asks of wide channels.
+
+Preambles are found from the same -82 dBm and 4 dB over noise and interference on, as with ns-3's
 ThresholdPreambleDetection, and a frame 5 dB stronger that begins within 16 us of the one being received takes
-its place, as with its SimpleFrameCaptureModel. A receiver that gives a frame up, for a stronger one or to
-send itself, senses what is left of it by energy.
+its place, as with its SimpleFrameCaptureModel.
 
 Left out: adjacent channels; secondary channels, as every frame occupies the whole channel; propagation longer
-than SIFS (4.8 km), beyond which 802.11's own timing fails; and giving up a frame whose signal field failed:
-its receiver stays with it, and the medium busy, until it ends in errors.
+than SIFS (4.8 km), beyond which 802.11's own timing fails and nobody hears anybody; and giving up a frame
+whose signal field failed: its receiver stays with it until it ends in errors.
 """
 
 from collections.abc import Callable
@@ -63,6 +65,8 @@ class Medium:
         self._energy_mw = 10.0 ** (config.cca_energy_dbm / 10.0)
         self.noise_mw = thermal_noise_mw(config.bandwidth_mhz, config.noise_figure_db)
         self._preamble_mw = max(10.0 ** (config.cca_preamble_dbm / 10.0), PREAMBLE_SINR * self.noise_mw)
+        self._sensed_mw = min(self._energy_mw, self._preamble_mw)
+        """Least power of a frame that is sensed by itself."""
         self._survival = Survival(config.bandwidth_mhz, self.noise_mw)
         self._active: list[Transmission] = []
         self._busy_ns = 0
@@ -119,26 +123,20 @@ class Medium:
         self._carry(transmission)
         sender = self.receivers[source]
         sender.sending_until_ns = end_ns
-        if sender.lock is not None:
-            # what it does not receive any more, it senses by its energy alone
-            sender.busy_until_ns = max(now, self._energy_until_ns(sender.lock, source))
-            sender.lock = None
+        sender.lock = None
         delays_ns = row.delays_ns
-        energy_mw = self._energy_mw
-        if overlaps:
-            for receiver in self._others[source]:
-                until_ns = self._energy_until_ns(transmission, receiver.index)
-                if until_ns:
-                    receiver.occupy(now + delays_ns[receiver.index], until_ns)
-        else:
-            for receiver in self._others[source]:
-                r = receiver.index
-                if powers_mw[r] < energy_mw:
-                    continue
-                arrival_ns = now + delays_ns[r]
-                if arrival_ns <= receiver.busy_until_ns:
-                    receiver.occupy(arrival_ns, end_ns + delays_ns[r])
-                    continue
+        sensed_mw = self._sensed_mw
+        for receiver in self._others[source]:
+            r = receiver.index
+            arrival_ns = now + delays_ns[r]
+            if powers_mw[r] < sensed_mw:
+                if overlaps:
+                    until_ns = self._energy_until_ns(transmission, r)
+                    if until_ns:
+                        receiver.occupy(arrival_ns, until_ns)
+            elif arrival_ns <= receiver.busy_until_ns:
+                receiver.occupy(arrival_ns, end_ns + delays_ns[r])
+            else:
                 # what `occupy` comes down to on an idle medium
                 receiver.idle_before_ns = receiver.busy_until_ns
                 receiver.busy_from_ns = arrival_ns
@@ -184,7 +182,11 @@ class Medium:
                 receiver.listener.on_air_changed()
 
     def _energy_until_ns(self, newest: Signal, r: int) -> int:
-        """Until when all signals together keep up the energy threshold; 0 if they do not reach it."""
+        """Until when all signals together keep up the energy threshold; 0 if they do not reach it.
+
+        For bursts, and frames that are not sensed by themselves. What the others amount to without the newest
+        has been added up before.
+        """
         arrival_ns = newest.start_ns + newest.delays_ns[r]
         last_ns, last_mw = newest.end_ns + newest.delays_ns[r], newest.powers_mw[r]
         ends = [(last_ns, last_mw)]
@@ -207,7 +209,7 @@ class Medium:
     def _detect(self, transmission: Transmission) -> None:
         """Each free receiver looks for the preamble: strong enough, and 4 dB over noise and interference."""
         powers_mw, delays_ns = transmission.powers_mw, transmission.delays_ns
-        start_ns, end_ns = transmission.start_ns, transmission.end_ns
+        start_ns = transmission.start_ns
         now = self._queue.now_ns
         least_mw = self._preamble_mw
         overlaps = transmission.overlaps
@@ -217,8 +219,8 @@ class Medium:
             arrival_ns = start_ns + delays_ns[r]
             if power_mw < least_mw or receiver.sending_until_ns > arrival_ns:
                 continue
-            found_ns = arrival_ns + PREAMBLE_DETECTION_NS
             if overlaps:
+                found_ns = arrival_ns + PREAMBLE_DETECTION_NS
                 floor_mw = self.noise_mw + self._interference_mw(transmission, r, arrival_ns, found_ns)
                 if power_mw < PREAMBLE_SINR * floor_mw:
                     continue
@@ -228,15 +230,8 @@ class Medium:
                     or arrival_ns > lock.start_ns + lock.delays_ns[r] + CAPTURE_WINDOW_NS
                 ):
                     continue
-                if lock is not None:
-                    # the frame that is given up counts by its energy alone
-                    receiver.busy_until_ns = max(found_ns, self._energy_until_ns(transmission, r))
             receiver.lock = transmission
             receiver.locked_ns = now
-            until_ns = end_ns + delays_ns[r]
-            # as a rule the energy has said so before
-            if until_ns > receiver.busy_until_ns or found_ns < receiver.busy_from_ns:
-                receiver.occupy(found_ns, until_ns)
 
     @staticmethod
     def _interference_mw(transmission: Transmission, r: int, from_ns: int, to_ns: int) -> float:

@@ -16,10 +16,14 @@ from netsim.streams import Model, Streams
 
 LONGEST_NS = 1e18
 """Mean time beyond which it makes no difference, 30 years."""
+KEPT_NS = 100_000_000
+"""Nobody asks for an earlier time than that before the latest: frames that have ended lasted 6 ms at most."""
+MOST_SWITCHES = 64
+"""So many make a pair look for those that are too old."""
 
 
 class _Pair:
-    """Switches of one pair, drawn as far as anybody has asked."""
+    """Switches of one pair, drawn as far as anybody has asked and kept for `KEPT_NS`."""
 
     __slots__ = ("_generator", "_means_ns", "_starts_blocked", "switches_ns")
 
@@ -29,18 +33,27 @@ class _Pair:
         self._generator = generator
         self._means_ns = means_ns
         self._starts_blocked = bool(generator.random() < fraction)
+        """Whether it is blocked after the first switch that is kept."""
         self.switches_ns = array("q", [0])
 
     def at(self, at_ns: int) -> tuple[bool, int]:
-        """Whether it is blocked, and until when that stays so."""
+        """Whether it is blocked, and until when that stays so; `KEPT_NS` before the latest asked at most."""
         switches_ns = self.switches_ns
         while switches_ns[-1] <= at_ns:
             # the interval after an even number of switches is of the first kind
             blocked = self._starts_blocked == (len(switches_ns) % 2 == 1)
             length_ns = 1 + round(self._generator.exponential(self._means_ns[blocked]))
             switches_ns.append(min(switches_ns[-1] + length_ns, NEVER_NS))
+            if len(switches_ns) >= MOST_SWITCHES:
+                self._forget(at_ns - KEPT_NS)
         k = bisect_right(switches_ns, at_ns)
         return self._starts_blocked == (k % 2 == 1), switches_ns[k]
+
+    def _forget(self, before_ns: int) -> None:
+        """Drop the switches by which nothing is told from ``before_ns`` on: in pairs, so that kinds stay."""
+        old = bisect_right(self.switches_ns, before_ns) - 1
+        if old > 1:
+            del self.switches_ns[: old - old % 2]
 
 
 class Obstruction:

@@ -16,6 +16,7 @@ REFERENCE_DISTANCE_M = 1.0
 LEAST_HEIGHT_M = 0.1
 """Of an antenna over the ground: on its legs a vehicle's stands about so high, wherever its centre is."""
 
+Vector = tuple[float, float, float]
 Doubles = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 

@@ -5,7 +5,7 @@ The models are in `netsim.phy.path_gain` (path loss, antennas, shadowing), `nets
 """
 
 from collections.abc import Callable
-from math import hypot
+from math import hypot, inf
 
 import numpy as np
 from msgspec import Struct
@@ -16,10 +16,18 @@ from netsim.phy.antenna import body_z_ned
 from netsim.phy.fading import RicianFading
 from netsim.phy.obstruction import Obstruction
 from netsim.phy.path_gain import ALL, PathGain
-from netsim.phy.path_loss import REFERENCE_DISTANCE_M, SPEED_OF_LIGHT_M_S, Doubles, friis_loss_db
+from netsim.phy.path_loss import REFERENCE_DISTANCE_M, SPEED_OF_LIGHT_M_S, Doubles, Vector, friis_loss_db
 from netsim.streams import Streams
 
-__all__ = ["SPEED_OF_LIGHT_M_S", "LinkRow", "Links", "Trajectories", "friis_loss_db", "thermal_noise_mw"]
+__all__ = [
+    "SPEED_OF_LIGHT_M_S",
+    "LinkRow",
+    "Links",
+    "Trajectories",
+    "Vector",
+    "friis_loss_db",
+    "thermal_noise_mw",
+]
 
 BOLTZMANN_J_K = 1.380649e-23
 REFERENCE_TEMPERATURE_K = 290.0
@@ -28,9 +36,10 @@ ROW_LIFETIME_NS = 4_000_000
 COMPUTED_TOGETHER = 16
 """Up to so many stations the arrays of all links cost less than those of two stations' links, one by one."""
 AUDIBLE_BELOW_NOISE = 0.01
-"""Signals more than 20 dB below the noise do not matter to anybody."""
+"""Signals more than 20 dB below the noise, and the thresholds of sensing, do not matter to anybody."""
+FARTHEST_M = 16e-6 * SPEED_OF_LIGHT_M_S
+"""Beyond a delay of SIFS, 4.8 km, answers would be due before their cause has ended everywhere."""
 
-Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 
@@ -70,8 +79,8 @@ class Trajectories:
         self._q_ned_frd: list[Quaternion] | None = None
         self._axes_ned: Doubles | None = None
         self.moving = False
-        self.on_set: Callable[[int, list[Vector]], None] | None = None
-        """Called with the time and velocities of every `set`, before it holds."""
+        self.on_set: Callable[[int, list[Vector], list[Vector]], None] | None = None
+        """Called with time, positions and velocities of every `set`, before it holds."""
         self.version = 0
         """Rises whenever positions may have changed otherwise than by the motion announced before."""
         self.pose_version = 0
@@ -89,7 +98,7 @@ class Trajectories:
         ``q_ned_frd`` are Hamilton quaternions wxyz that map FRD to NED; None has all of them level.
         """
         if self.on_set is not None:
-            self.on_set(at_ns, vel_ned_m_s)
+            self.on_set(at_ns, pos_ned_m, vel_ned_m_s)
         moving = any(map(any, vel_ned_m_s))
         if moving or self.moving or pos_ned_m != self._pos_ned_m:
             self.version += 1
@@ -135,7 +144,10 @@ class Trajectories:
 
 
 class LinkRow(Struct, frozen=True):
-    """What one transmitter's signals are at every station, by station; a station's own entry is zero."""
+    """What one transmitter's signals are at every station, by station.
+
+    Entries are zero of a station's own, and of those over 4.8 km away, who hear nothing (`FARTHEST_M`).
+    """
 
     powers_mw: list[float]
     """Mean received power, before fading."""
@@ -155,8 +167,10 @@ class Links:
         self._stations = stations
         self._extra_db = config.extra_attenuation_db
         self._dipoles = config.antenna == "dipole"
-        self._audible_mw = AUDIBLE_BELOW_NOISE * thermal_noise_mw(
-            config.bandwidth_mhz, config.noise_figure_db
+        # who may sense a signal has to be told of its end
+        self._audible_mw = min(
+            AUDIBLE_BELOW_NOISE * thermal_noise_mw(config.bandwidth_mhz, config.noise_figure_db),
+            10.0 ** (min(config.cca_energy_dbm, config.cca_preamble_dbm) / 10.0 - 2.0),
         )
         self._rows: list[LinkRow | None] = [None] * stations
         self._row_until_ns = [0] * stations
@@ -206,8 +220,13 @@ class Links:
         self._update_powers()
 
     def set_extra_attenuation_db(self, value: float | None) -> None:
-        """Attenuation on every link from now on; None is the configured one. Interferers keep their power."""
+        """Attenuation on every link from now on; None is the configured one. Interferers keep their power.
+
+        Raises ValueError for one that is negative or not finite.
+        """
         extra_db = self._config.extra_attenuation_db if value is None else value
+        if not 0.0 <= extra_db < inf:
+            raise ValueError(f"cannot attenuate by {extra_db} dB")
         if extra_db != self._extra_db:
             self._extra_db = extra_db
             self._update_powers()
@@ -254,6 +273,10 @@ class Links:
                 until_ns = min(until_ns, same_until_ns - 1)
             powers_mw, distances_m = powers.tolist(), distances.tolist()
         powers_mw[source] = 0.0
+        if max(distances_m) > FARTHEST_M:
+            for r, distance_m in enumerate(distances_m):
+                if distance_m > FARTHEST_M:
+                    powers_mw[r] = distances_m[r] = 0.0
         row = self._finish(powers_mw, distances_m)
         self._rows[source], self._row_until_ns[source], self._row_version[source] = row, until_ns, version
         return row

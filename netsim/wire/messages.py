@@ -19,7 +19,8 @@ MAX_PAYLOAD_BYTES = 1472
 """Largest UDP payload that fits one 1500-byte IP packet."""
 _FLOAT64_BYTES = 8
 
-Station = Annotated[int, Meta(ge=0, le=65_535)]
+MAX_STATION = 65_535
+Station = Annotated[int, Meta(ge=0, le=MAX_STATION)]
 TimeUs = Annotated[int, Meta(ge=0, le=2**53)]
 """Some 285 years: what is later is no time, and its nanoseconds would not fit the logs."""
 TimeNs = Annotated[int, Meta(ge=0, le=2**63 - 1)]
@@ -86,7 +87,8 @@ class FtmResult(Struct, frozen=True, kw_only=True, array_like=True, tag="r"):
     seq: Seq
     """That of the `FtmRequest`."""
     status: str
-    """``ok``, ``timeout``, ``no_response``, ``rejected`` or ``dropped`` (never left the queue)."""
+    """``ok``, ``timeout``, ``no_response``, ``rejected``, ``incapable`` or ``dropped``: see
+    `netsim.ftm.session`."""
     measured_ns: TimeNs
     """Mean time of the round trips that were used; when the session ended if there were none."""
     ended_ns: TimeNs
@@ -96,10 +98,13 @@ class FtmResult(Struct, frozen=True, kw_only=True, array_like=True, tag="r"):
     distance_std_m: float
     """Sample standard deviation of a single round trip's distance; 0.0 with fewer than two."""
     rssi_dbm: float
+    """Mean of the measurement frames that were used; 0.0 unless ``status`` is ``ok``."""
     round_trips: int
     """Round trips that were averaged."""
     measurements: int
     """Measurement frames that arrived."""
+    retry_after_s: int = 0
+    """If rejected: for how long the responder does not want to be asked again."""
 
 
 class Sent(Struct, frozen=True, kw_only=True, array_like=True, tag="s"):
@@ -109,7 +114,8 @@ class Sent(Struct, frozen=True, kw_only=True, array_like=True, tag="s"):
     seq: Seq
     ended_ns: TimeNs
     status: str
-    """``acknowledged``, ``retry_limit``, ``expired`` (in the queue) or ``overflow`` (of the queue)."""
+    """``acknowledged``, ``retry_limit``, ``expired`` (in the queue), ``overflow`` (of the queue) or
+    ``rejected`` (no other station has that number)."""
     attempts: int
     """Transmissions of the frame, RTS not counted."""
 
@@ -156,7 +162,7 @@ class Advance(Struct, frozen=True, kw_only=True, array_like=True):
     """(stations, 4), Hamilton wxyz: attitude, from which the antennas' directions follow."""
     silent: tuple[Station, ...] = ()
     """Stations that are gone: their radios send and answer nothing."""
-    extra_attenuation_db: float | None = None
+    extra_attenuation_db: Annotated[float, Meta(ge=0.0, le=1_000.0)] | None = None
     """From now on, this attenuation on every link instead of the scenario's."""
 
 

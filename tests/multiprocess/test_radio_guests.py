@@ -3,6 +3,7 @@
 import contextlib
 import os
 import re
+import signal
 import subprocess
 import sys
 import threading
@@ -41,13 +42,19 @@ def process(*command):
         child.stdout.close()
 
 
-@pytest.fixture
-def lab():
-    """Endpoint of an emulator with the stations s0, s1 and s2, 15 m apart from their circle's middle."""
-    command = ("scripts/wifi_lab.py", "serve", "--stations", "3", "--port", "0")
+@contextlib.contextmanager
+def laboratory(*options):
+    """Endpoint and process of an emulator with s0, s1 and s2, 15 m from their circle's middle."""
+    command = ("scripts/wifi_lab.py", "serve", "--stations", "3", "--port", "0", *options)
     with process(sys.executable, *command) as server:
         endpoint, _, names = server.stdout.readline().strip().split(" ", 2)
         assert names == "s0, s1, s2"
+        yield endpoint, server
+
+
+@pytest.fixture
+def lab():
+    with laboratory() as (endpoint, _):
         yield endpoint
 
 
@@ -111,3 +118,74 @@ def test_an_endpoint_without_a_radio_is_one_line():
         endpoint = nobody.endpoint
     with pytest.raises(TransportError, match="cannot connect to"):
         Guest(endpoint, name="s0")
+
+
+def test_what_no_radio_can_send_is_said_before_it_is_sent(lab):
+    with Guest(lab, name="s0") as radio:
+        for send in (
+            lambda: radio.broadcast(b"x" * 1473),
+            lambda: radio.broadcast("text"),
+            lambda: radio.unicast(-1, b""),
+            lambda: radio.request_ftm(65_536),
+        ):
+            with pytest.raises(ValueError, match=r"a datagram is at most|a station's number is"):
+                send()
+        assert radio.broadcast(b"x" * 1472) == 1
+        for nobody in (0, 3):  # itself, and a number that no station has
+            assert radio.unicast(nobody, b"") > 1
+            assert wait_for(radio, Sent).status == "rejected"
+
+
+def test_an_emulator_that_has_ended_is_noticed_by_who_only_listens():
+    with laboratory() as (endpoint, server), Guest(endpoint, name="s0") as radio:
+        assert radio.receive(timeout_s=0.1) == []
+        server.kill()
+        with pytest.raises(RadioLost, match="emulator is gone"):
+            wait_for(radio, Delivery)
+
+
+LISTENER = """
+import sys, time
+from netsim.guest import Guest
+radio = Guest(sys.argv[1], name=sys.argv[2])
+print("here", flush=True)
+time.sleep(3600.0)
+"""
+
+
+def test_a_guest_that_is_stopped_holds_up_nobody(lab):
+    with (
+        process(sys.executable, "-c", LISTENER, lab, "s2") as stopped,
+        Guest(lab, name="s0") as sender,
+        Guest(lab, name="s1") as receiver,
+    ):
+        assert stopped.stdout.readline() == "here\n"
+        os.kill(stopped.pid, signal.SIGSTOP)
+        for _ in range(3000):  # 17 MB, more than the buffers on the way to the stopped one hold
+            for _ in range(4):
+                sender.broadcast(b"x" * 1472)
+            assert receiver.receive(timeout_s=4.0)  # an emulator that is held up is so for longer
+
+
+def test_two_copies_of_the_documentations_program_come_to_rest(lab, tmp_path):
+    script = tmp_path / "program.py"
+    script.write_text(PROGRAMS[0])
+    with (
+        process(sys.executable, str(script), lab, "s1") as one,
+        process(sys.executable, str(script), lab, "s2") as other,
+        Guest(lab, name="s0") as radio,
+    ):
+        # each says who it is; then nobody has anything to say until somebody broadcasts
+        for child in (one, other):
+            while not child.stdout.readline().startswith("station 0:"):
+                pass
+        radio.broadcast(b"a question")
+        heard = []
+        for _ in range(30):
+            items = radio.receive(timeout_s=2.0)
+            if not items:
+                break
+            heard += [item for item in items if isinstance(item, Delivery)]
+        else:
+            pytest.fail("the air never falls silent")
+        assert {item.source for item in heard if item.payload == b"thank you"} == {1, 2}

@@ -184,31 +184,30 @@ def test_hostile_bytes_change_nothing_and_are_counted(radio):
         asker = stranger.asker(advance_key(RUN), timeout_s=0.05)
         assert (
             asker.ask(
-                encode(
-                    Advance(to_us=1, release_us=2, at_us=0, pos_ned_m=b"", vel_ned_m_s=b"", q_ned_frd=b"")
-                )
+                encode(Advance(to_us=1, release_us=2, at_us=0, pos_ned_m=b"", vel_ned_m_s=b"", q_ned_frd=b""))
             ).answer()
             is None
         )
         nowhere, still = pack_rows(np.full((3, 3), np.nan)), pack_rows(np.zeros((3, 3)))
         askew = pack_rows(np.full((3, 4), np.inf))
-        for pos_ned_m, vel_ned_m_s, q_ned_frd in (
-            (nowhere, still, LEVEL),
-            (still, nowhere, LEVEL),
-            (still, still, askew),
+        far = pack_rows(np.full((3, 3), 1e308))
+        for senseless in (
+            {"pos_ned_m": nowhere},
+            {"pos_ned_m": far},
+            {"vel_ned_m_s": nowhere},
+            {"vel_ned_m_s": far},
+            {"q_ned_frd": askew},
+            {"q_ned_frd": pack_rows(np.full((3, 4), 1e200))},
+            {"silent": (3,)},
+            {"extra_attenuation_db": -1e6},
+            {"extra_attenuation_db": float("nan")},
         ):
-            request = Advance(
-                to_us=1,
-                release_us=2,
-                at_us=0,
-                pos_ned_m=pos_ned_m,
-                vel_ned_m_s=vel_ned_m_s,
-                q_ned_frd=q_ned_frd,
-            )
+            state = {"pos_ned_m": still, "vel_ned_m_s": still, "q_ned_frd": LEVEL, **senseless}
+            request = Advance(to_us=1, release_us=2, at_us=0, **state)
             assert asker.ask(encode(request)).answer() is None
         assert radio.advance(8000).to_us == 8000
         assert client.malformed == 4
-    assert radio.stop()["malformed"] == 12
+    assert radio.stop()["malformed"] == 18
 
 
 def test_a_station_that_is_gone_does_not_hold_up_the_others(radio):

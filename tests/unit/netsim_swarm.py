@@ -7,6 +7,7 @@ import numpy as np
 from netsim.config import RadioConfig
 from netsim.emulator import Emulator
 from netsim.phy.medium import Transmission
+from netsim.phy.path_loss import Doubles
 from netsim.wire.messages import Broadcast, FtmRequest, RxItem, TxBatch, TxItem
 
 STEP_US = 4_000
@@ -14,17 +15,22 @@ Place = tuple[float, float, float]
 
 
 class Swarm:
-    """Stations that hand items over; ``run`` advances in steps and gathers the arrivals."""
+    """Stations that hand items over; ``run`` advances in steps and gathers the arrivals.
+
+    They stand still, or ``motion`` gives places and velocities of all, both (n, 3), at a time in seconds.
+    """
 
     def __init__(
         self,
         places_ned_m: Sequence[Place],
         *,
         seed: int = 1,
+        motion: Callable[[float], tuple[Doubles, Doubles]] | None = None,
         on_transmission: Callable[[Transmission], None] | None = None,
         **settings: object,
     ) -> None:
         self.places = np.array(places_ned_m)
+        self._motion = motion
         count = len(places_ned_m)
         config = RadioConfig(**{"host_latency_us": 0, "host_jitter_us": 0, **settings})
         self.emulator = Emulator(
@@ -55,11 +61,11 @@ class Swarm:
     def run(self, until_us: int) -> list[tuple[int, RxItem]]:
         arrived = []
         while self.now_us < until_us:
+            places, velocities = self.places, np.zeros_like(self.places)
+            if self._motion is not None:
+                places, velocities = self._motion(1e-6 * self.now_us)
             arrived += self.emulator.advance(
-                to_us=self.now_us + STEP_US,
-                at_us=self.now_us,
-                pos_ned_m=self.places,
-                vel_ned_m_s=np.zeros_like(self.places),
+                to_us=self.now_us + STEP_US, at_us=self.now_us, pos_ned_m=places, vel_ned_m_s=velocities
             )
             self.now_us += STEP_US
         self.received += arrived

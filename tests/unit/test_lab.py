@@ -3,14 +3,19 @@
 import csv
 import json
 import math
+import sys
 from pathlib import Path
 
 import pytest
 
+from netsim.__main__ import main as serve_run
+from netsim.config import FtmConfig, RadioConfig
+from netsim.lab.bench import HEIGHT_M, Bench
 from netsim.lab.broadcast import broadcast
 from netsim.lab.cli import main
 from netsim.lab.ranging import range_mesh, range_pair
 from netsim.lab.saturation import saturate
+from netsim.wire.messages import FtmRequest, FtmResult
 
 REFERENCE = Path(__file__).parents[1] / "reference"
 
@@ -74,6 +79,7 @@ def test_periodic_broadcasts_fare_as_in_ns3(stations, period_s, jitter_s):
 def test_stations_that_broadcast_in_the_same_instant_all_collide():
     result = broadcast(stations=8, payload_bytes=300, period_s=0.1, jitter_s=0.0, seconds=2.0)
     assert result.delivery_ratio == 0.0
+    assert (result.mean_delay_ms, result.p50_ms, result.p95_ms, result.p99_ms) == (None, None, None, None)
 
 
 @pytest.mark.parametrize(("width_mhz", "round_trip_m"), [(20, 0.384), (40, 0.161)])
@@ -153,6 +159,24 @@ def test_every_command_answers_in_json_and_in_a_table(command, fields, capsys):
         ("saturation --rate-mbps 11", "'ofdm11' is no mode"),
         ("ftm --width 30", "30: the channel is 20, 40 or 80 MHz wide"),
         ("broadcast --stations 1", "greater than or equal to 2"),
+        ("per --mode ofdm6 --snr-db 1e5", "'--snr-db'"),
+        ("per --mode ofdm6 --snr-db nan", "'--snr-db'"),
+        ("per --mode ofdm6 --snr-db=-inf", "'--snr-db'"),
+        ("per --mode ofdm6 --snr-db 3 --bytes 1000000000000", "'--bytes'"),
+        ("broadcast --period inf", "'--period'"),
+        ("broadcast --period nan", "'--period'"),
+        ("broadcast --jitter inf", "'--jitter'"),
+        ("broadcast --jitter nan", "'--jitter'"),
+        ("broadcast --seconds nan", "'--seconds'"),
+        ("saturation --retry-limit 10000000000", "'--retry-limit'"),
+        ("ftm --bias inf", "'--bias'"),
+        ("ftm --bias 1e300", "'--bias'"),
+        ("ftm --distance nan", "'--distance'"),
+        ("ftm --width 20 --mode vht_mcs9", "VHT MCS 9 does not exist on a 20 MHz channel"),
+        ("ftm-mesh --period 1e300", "'--period'"),
+        ("serve --port 0 --radius inf", "'--radius'"),
+        ("serve --port 0 --speed inf", "'--speed'"),
+        ("serve --port 70000", "'--port'"),
         ("serve --port 0 --settings /nowhere/radio.json", "/nowhere/radio.json: No such file"),
     ],
 )
@@ -161,6 +185,98 @@ def test_bad_input_is_one_line(command, says, capsys):
     error = capsys.readouterr().err
     assert says in error
     assert error.count("\n") == 1
+
+
+CONTRADICTORY = '{"control_mode":"vht_mcs0"}'
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        (CONTRADICTORY, "control_mode: RTS is a non-HT frame, vht_mcs0 is none"),
+        (
+            '{"guests":[{"name":"x","pos_ned_m":[0,0,0]},{"name":"x","pos_ned_m":[0,9,0]}]}',
+            "guests[1].name: 'x' is there already",
+        ),
+        ('{"frequency_mhz":1e-300}', "frequency_mhz"),
+        ('{"ftm":{"burst_duration_us":250}}', "ftm.burst_duration_us"),
+        ("{", "radio.json"),
+        (b"\xff", "radio.json"),
+    ],
+)
+def test_settings_that_cannot_be_are_one_line(settings, says, tmp_path, capsys):
+    path = tmp_path / "radio.json"
+    path.write_bytes(settings if isinstance(settings, bytes) else settings.encode())
+    assert main(f"serve --port 0 --settings {path}".split()) == 2
+    error = capsys.readouterr().err
+    assert says in error
+    assert error.count("\n") == 1
+
+
+def test_the_emulator_of_a_run_refuses_contradictory_settings_in_one_line(tmp_path, capsys, monkeypatch):
+    path = tmp_path / "radio.json"
+    path.write_text(f'{{"run_id":"x","stations":2,"seed":1,"radio":{CONTRADICTORY}}}')
+    monkeypatch.setattr(sys, "argv", ["netsim", "--config", str(path)])
+    assert serve_run() == 2
+    error = capsys.readouterr().err
+    assert error == "radio: control_mode: RTS is a non-HT frame, vht_mcs0 is none\n"
+
+
+def test_settings_made_in_python_are_held_to_the_ranges_of_a_file():
+    places_ned_m = [(0.0, 0.0, -HEIGHT_M)] * 2
+    with pytest.raises(ValueError, match="frequency_mhz"):
+        Bench(RadioConfig(frequency_mhz=-1.0), places_ned_m, 1)
+    with pytest.raises(ValueError, match="calibration_bias_m"):
+        Bench(RadioConfig(ftm=FtmConfig(calibration_bias_m=math.inf)), places_ned_m, 1)
+
+
+@pytest.mark.parametrize(
+    ("width_mhz", "ftm"),
+    [
+        (80, FtmConfig(burst_duration_us=500, min_delta_us=300)),
+        (20, FtmConfig(burst_duration_us=500, min_delta_us=300, mode="ofdm6")),
+        (80, FtmConfig(burst_duration_us=250, min_delta_us=100, mode="vht_mcs9")),
+    ],
+)
+def test_the_shortest_bursts_that_are_taken_measure(width_mhz, ftm):
+    """Each has at least 40 us more than two frames take, and AC_VO's backoff draws 0 to 3 slots of 9 us.
+
+    The first frame comes SIFS, ACK and AIFS after the burst begins, but the last may end after it.
+    """
+    config = RadioConfig(bandwidth_mhz=width_mhz, rician_k_db=None, ftm=ftm)
+    bench = Bench(config, [(0.0, 0.0, -HEIGHT_M), (10.0, 0.0, -HEIGHT_M)], 1)
+    for session in range(20):
+        bench.submit(0, FtmRequest(seq=session + 1, at_us=200_000 * session, peer=1))
+    results = [item for _, item in bench.run(4_200_000) if isinstance(item, FtmResult)]
+    assert len(results) == 20
+    assert sum(result.status == "ok" for result in results) >= 15
+
+
+@pytest.mark.parametrize(
+    ("command", "unknown"),
+    [
+        ("ftm --distance 4000 --sessions 2", {"error_mean_m", "error_std_m", "round_trip_std_m"}),
+        ("ftm --sessions 1 --ftms-per-burst 2", {"error_std_m", "round_trip_std_m"}),
+        ("broadcast --seconds 0.5", {"mean_delay_ms", "p50_ms", "p95_ms", "p99_ms"}),
+        # 380 sessions in a millisecond, the time that one takes: nobody's gets through
+        ("ftm-mesh --stations 20 --period 0.001 --seconds 0.003", {"mean_delay_ms"}),
+    ],
+)
+def test_what_nothing_tells_is_null_and_a_dash(command, unknown, capsys):
+    assert main([*command.split(), "--json"]) == 0
+    line = capsys.readouterr().out
+    assert line.count("\n") == 1
+    assert {name for name, value in json.loads(line).items() if value is None} == unknown
+    assert main(command.split()) == 0
+    words = capsys.readouterr().out.split()
+    assert words.count("-") >= len(unknown)  # a mesh has a row for fewer stations too
+
+
+def test_a_figure_is_drawn_of_meshes_in_which_nothing_completes(tmp_path):
+    path = tmp_path / "mesh.png"
+    command = f"ftm-mesh --stations 20 --period 0.001 --seconds 0.003 --json --figure {path}"
+    assert main(command.split()) == 0
+    assert path.read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_figure_of_the_mesh_is_written(tmp_path):

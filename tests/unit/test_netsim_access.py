@@ -70,6 +70,18 @@ def test_post_backoff_counts_down_without_a_frame():
         assert air.run()[1][0] == starts_us
 
 
+@pytest.mark.parametrize("arrives_us", [1247, 1250, 1252, 1253])
+def test_slots_before_a_busy_period_count_once(arrives_us):
+    #  1000   1160 1194     1248   1408 1442    1478
+    #  B data |difs|6 slots | A data |difs|4 slots| B data    B drew 10; that the next frame comes
+    #                        ^ B's arrives                    before B can have sensed A's changes nothing
+    air = Air(2, backoffs={B: [(10, 15)]})
+    air.send(1000, B)
+    air.send(1248, A)
+    air.send(arrives_us, B)
+    assert air.run()[2] == (1408 + DIFS_US + 4 * SLOT_US, 1638, B, "data")
+
+
 def test_stations_that_start_in_the_same_instant_all_collide():
     stations = 6
     air = Air(stations)
@@ -202,6 +214,18 @@ def test_busy_medium_beyond_nav_is_waited_for():
     assert air.outcomes == [Outcome.ACKNOWLEDGED, Outcome.SENT, Outcome.SENT]
 
 
+@pytest.mark.parametrize("arrives_us", [1210, 1250, 1280, 1300, 1470, 1509])
+def test_frame_that_comes_while_nav_covers_a_busy_medium_waits_for_its_end(arrives_us):
+    #  1000   1160 1194 1200  1228 1244  1272 1288   1448 1464  1508 1542    1668
+    #  C data |difs|    A rts |    B cts |    A data |    B ack |difs|14 slots| C data      C drew 15: one
+    #                                                                                       has passed at 1204
+    air = Air(3, backoffs={C: [(15, 15)]})
+    air.send(1000, C)
+    air.send(1200, A, B, rts=True)
+    air.send(arrives_us, C)
+    assert air.run()[-1] == (1508 + DIFS_US + 14 * SLOT_US, 1828, C, "data")
+
+
 def test_nav_falls_when_nothing_follows_an_rts():
     # 1028 + 2 SIFS + CTS 28 + preamble 20 + 2 slots = 1126
     air = Air(3, powers_dbm={(A, B): UNHEARD_DBM}, backoffs={C: [(0, 15)]})
@@ -251,6 +275,23 @@ def test_ack_that_has_begun_in_time_is_waited_for():
     assert len(air.transmissions) == 2
 
 
+@pytest.mark.parametrize("begins_us", [1195, 1198, 1200])
+def test_exchange_fails_if_an_answer_to_somebody_else_cuts_off_what_it_waits_for(begins_us):
+    #  1000   1160 1161   1189  1205  1233  1355 1389    1407
+    #  A data |    C data |     A ack |     |difs|2 slots| A data     B is deaf. At 1205 A's time-out
+    #                       1195 D data     |                         finds D's frame begun, and A's ACK to C
+    #                                                                 breaks that off: at 1233 nothing is left
+    #                                                                 to wait for
+    unheard = [(A, B), (A, C), (A, D), (C, D), (D, C)]
+    air = Air(4, powers_dbm=dict.fromkeys(unheard, UNHEARD_DBM), backoffs={A: [(2, 31)]})
+    air.send(1000, A, B, retry_limit=1)
+    air.send(1161, C, A, frame_bytes=40, mode="ofdm54", retry_limit=0)
+    air.send(begins_us, D)
+    starts_us = [start for start, _, source, kind in air.run() if (source, kind) == (A, "data")]
+    assert starts_us == [1000, begins_us + 160 + DIFS_US + 2 * SLOT_US]
+    assert air.outcomes.count(Outcome.RETRY_LIMIT) == 2
+
+
 def test_group_frame_behind_rts_goes_to_the_loudest_neighbour():
     #  9000  9028 9044  9072 9088
     #  A rts |    C cts |    A data
@@ -289,7 +330,7 @@ def test_next_rts_goes_to_the_next_loudest_neighbour():
 
 
 def test_expired_frames_make_room_in_a_full_queue():
-    # B's queue of ten fills at 1010 while A's 1000 bytes are on the air to 2376; at 1700 the ten have expired
+    # B's queue of ten fills at 1010 while A's 1000 bytes are on the air to 2360; at 1700 the ten have expired
     air = Air(2)
     air.send(1000, A, frame_bytes=1000)
     for _ in range(10):

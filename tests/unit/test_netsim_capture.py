@@ -17,7 +17,7 @@ from netsim_pcapng import OFDM24, blocks, datagram, options, packets, radiotap, 
 from netsim_swarm import Swarm
 
 from netsim.capture.ieee80211 import mpdu
-from netsim.capture.writer import CHUNK_BYTES, HOLD_NS, Capture
+from netsim.capture.writer import CHUNK_BYTES, HOLD_NS, WRITE_PERIOD_NS, Capture
 from netsim.config import RadioConfig, StationConfig
 from netsim.frames import Frame, FrameKind
 from netsim.mac.access import EDCA
@@ -67,7 +67,55 @@ def test_packets_are_in_order_of_start_however_they_end(tmp_path_factory, plan, 
     ]
 
 
-def test_what_is_not_yet_written_is_bounded_and_a_kill_leaves_whole_blocks(tmp_path):
+def test_a_file_can_be_read_before_there_is_a_frame(tmp_path):
+    path = tmp_path / "radio.pcapng"
+    capture = Capture(path, config=CONFIG)
+    assert [kind for kind, _ in blocks(path.read_bytes())] == [0x0A0D0D0A, 1]
+    capture.close()
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 1472), st.integers(0, 500_000_000)), min_size=1, max_size=8),
+    st.integers(20_000_000, 400_000_000),
+)
+def test_however_few_frames_are_in_the_file_a_second_after_they_are_settled(tmp_path_factory, plan, step_ns):
+    """`settle` comes at every step: one later than HOLD after a start may write the frame, none sooner.
+
+    One that is later by the period too has it in the file: had the write before come since, the frame would
+    have been in that. Within a second there is one write, as eight frames of 1604 B at most are no chunk.
+    """
+    folder = tmp_path_factory.mktemp("capture")
+    path = folder / "radio.pcapng"
+    start_ns, sent = 0, []
+    for number, (size, gap_ns) in enumerate(plan):
+        sent.append(transmission(datagram(bytes(size), sequence=number + 1), start_ns))
+        start_ns = sent[-1].end_ns + gap_ns
+    capture, now_ns, ended = Capture(path, config=CONFIG), 0, 0
+    sizes = [path.stat().st_size]
+    while now_ns <= sent[-1].start_ns + HOLD_NS + WRITE_PERIOD_NS:
+        now_ns += step_ns
+        while ended < len(sent) and sent[ended].end_ns <= now_ns:
+            capture.append(sent[ended])
+            ended += 1
+        capture.settle(now_ns)
+        found = [time_ns for time_ns, _, _ in packets(path.read_bytes())]
+        assert found == [each.start_ns for each in sent][: len(found)]
+        assert all(time_ns < now_ns - HOLD_NS for time_ns in found)
+        overdue_ns = now_ns - HOLD_NS - WRITE_PERIOD_NS
+        assert len(found) >= sum(each.start_ns < overdue_ns for each in sent)
+        sizes.append(path.stat().st_size)
+    writes = sum(a != b for a, b in pairwise(sizes))
+    assert writes <= 1 + now_ns // WRITE_PERIOD_NS
+    assert len(packets(path.read_bytes())) == len(sent)
+    capture.close()
+    alone = Capture(folder / "alone", config=CONFIG)
+    for each in sent:
+        alone.append(each)
+    alone.close()
+    assert path.read_bytes() == (folder / "alone").read_bytes()
+
+
+def test_of_many_frames_a_chunk_waits_and_a_kill_leaves_whole_blocks(tmp_path):
     """Back to back on 20 MHz at 24 Mbit/s: a frame of 1064 B takes 380 us, so 7 ms hold 19 of them.
 
     Of any number of frames all but those and one chunk are in the file, which ends with a whole block.
@@ -98,19 +146,13 @@ def test_a_missing_folder_and_a_full_disk_are_one_line_with_the_path(tmp_path):
     full = Path("/dev/full")
     if not full.exists():
         pytest.skip("this system has no /dev/full")
-    capture = Capture(full, config=CONFIG)
-    for number in range(60):  # of 1132 bytes each: more than a chunk, held back until 7 ms have passed
-        capture.append(transmission(datagram(bytes(1_000), source=number)))
     with pytest.raises(OSError, match="/dev/full") as failure:
-        capture.append(transmission(datagram(), 10**9))
+        Capture(full, config=CONFIG)
     assert failure.value.errno == errno.ENOSPC
-    with pytest.raises(OSError, match="/dev/full"):
-        capture.close()
-    capture.close()
 
 
 def test_a_disk_that_takes_a_part_only_is_full(tmp_path):
-    """The system writes as much of a chunk as fits, and refuses the rest."""
+    """The system writes as much of a chunk as fits, and refuses the rest and what comes later."""
     path = tmp_path / "radio.pcapng"
     capture = Capture(path, config=CONFIG)
     for number in range(60):
@@ -119,7 +161,10 @@ def test_a_disk_that_takes_a_part_only_is_full(tmp_path):
     resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, limits[1]))
     try:
         with pytest.raises(OSError, match=r"radio\.pcapng") as failure:
+            capture.append(transmission(datagram(), 10**9))
+        with pytest.raises(OSError, match=r"radio\.pcapng"):
             capture.close()
+        capture.close()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert failure.value.errno == errno.EFBIG

@@ -1,6 +1,6 @@
 """Packet errors against ns-3's, and the link simulation behind them against the theory of its code.
 
-About 5 s, and 10 more when the kernels are compiled.
+About 7 s, and 10 more when the kernels are compiled.
 """
 
 import csv
@@ -63,19 +63,19 @@ REFERENCE = reference()
 
 
 @pytest.mark.parametrize(("mode", "frame_bytes"), REFERENCE)
-def test_at_a_tenth_errors_are_ns3s(mode, frame_bytes):
-    """Within 0.5 dB of its tables; of its NIST model, whose formula is ours, within 0.03 dB.
+def test_errors_are_ns3s(mode, frame_bytes):
+    """Within 0.1 dB of its tables over the waterfall; of its NIST model, whose formula is ours, 0.05 dB.
 
-    Over the waterfall, from 0.5 to 0.01, the distance to the tables does not change by more than the 0.4 dB
-    that their own noise and steps of 0.5 dB leave open.
+    ns-3 makes frames below 400 bytes from a table of 32 bytes. That of MCS 7 contradicts its table of 1458:
+    from 19 to 20.5 dB its hazard per bit is twice as high, which is 0.2 dB at 0.1 and more below.
     """
+    limit_db = 0.1 if mode in VHT else 0.05
     curve = REFERENCE[mode, frame_bytes]
-    distance_db = {
-        rate: snr_db_at(rate, phy_mode(mode, 80), frame_bytes) - crossing_db(curve, rate)
-        for rate in (0.5, 0.1, 0.01)
-    }
-    assert abs(distance_db[0.1]) < (0.5 if mode in VHT else 0.03)
-    assert max(distance_db.values()) - min(distance_db.values()) < 0.45
+    for rate in (0.5, 0.1, 0.01):
+        if mode == "vht_mcs7" and frame_bytes < 400:
+            limit_db = 0.3 if rate >= 0.1 else 0.5
+        distance_db = snr_db_at(rate, phy_mode(mode, 80), frame_bytes) - crossing_db(curve, rate)
+        assert abs(distance_db) < limit_db
 
 
 @pytest.mark.parametrize("name", MODES)
@@ -112,24 +112,37 @@ def test_the_hazard_of_non_ht_follows_the_formula(name):
 
 @pytest.mark.parametrize("name", VHT)
 def test_the_hazard_of_vht_is_what_was_counted(name):
-    """In every row; nearly none lost in the last, and a decoder that guesses far below the first."""
+    """In every row up to the last dB; there in all its rows together, each within four standard errors."""
     mode = phy_mode(name, 80)
     hazard = error_model(mode).hazard_per_bit
-    for snr_db, frame_bytes, frames, lost in VHT_COUNTS[name]:
+    rows = VHT_COUNTS[name]
+    for snr_db, frame_bytes, frames, lost in rows[:-4]:
         counted = -math.log1p(-lost / frames) / (8 * frame_bytes)
         assert hazard(linear(snr_db)) == pytest.approx(counted, rel=1e-6)
-    assert 0 < lost / frames <= 1e-3
-    assert hazard(0.0) == hazard(linear(-10.0)) == pytest.approx(math.log(2.0))
+    expected = [packet_error_rate(mode, row[1], linear(row[0])) * row[2] for row in rows[-4:]]
+    assert sum(expected) == pytest.approx(sum(row[3] for row in rows[-4:]), rel=0.01)
+    for (_, _, _, lost), mean in zip(rows[-4:], expected, strict=True):
+        assert abs(lost - mean) < 4.0 * math.sqrt(mean)
 
 
 @pytest.mark.parametrize("name", VHT)
-def test_past_what_was_counted_the_hazard_falls_as_the_bound_does(name):
-    """The slope, in e-folds per dB, goes on from the last rows (each known to 5 to 15 %) into the bound."""
-    mode = phy_mode(name, 80)
-    hazard = error_model(mode).hazard_per_bit
+def test_the_counts_reach_from_certain_loss_to_one_frame_in_a_thousand(name):
+    _, short_bytes, short_frames, short_lost = VHT_COUNTS[name][0]
+    _, long_bytes, long_frames, long_lost = VHT_COUNTS[name][-1]
+    assert short_bytes == 32
+    assert long_bytes == 1458
+    assert 0.95 < short_lost / short_frames < 1.0
+    assert 0 < long_lost / long_frames <= 1e-3
+
+
+@pytest.mark.parametrize("name", VHT)
+def test_beyond_the_counts_the_hazard_goes_on(name):
+    """Above, its slope in e-folds per dB goes on growing with the ratio; far below, the decoder guesses."""
+    hazard = error_model(phy_mode(name, 80)).hazard_per_bit
     last_db = VHT_COUNTS[name][-1][0]
     before, at, after = (math.log(hazard(linear(last_db + d))) for d in (-1.0, 0.0, 1.0))
-    assert 0.9 * (before - at) < at - after < 1.9 * (before - at)
+    assert before - at < at - after < 1.9 * (before - at)
+    assert hazard(0.0) == hazard(linear(-10.0)) == pytest.approx(math.log(2.0))
 
 
 def first_event_weights(longest):
@@ -184,7 +197,7 @@ def test_with_whole_frames_of_memory_bpsk_at_rate_one_half_meets_its_union_bound
 
 @pytest.mark.parametrize("name", ["vht_mcs0", "vht_mcs5"])
 def test_settling_bits_early_costs_a_few_tenths_of_a_decibel(name):
-    """With the rule's delay more frames are lost than with whole frames of memory, as few as 0.5 dB below."""
+    """With the rule's delay more frames are lost than with whole frames of memory, as few as 0.8 dB below."""
     mode = phy_mode(name, 80)
     snr_db = snr_db_at(0.3, mode, 300)
 
@@ -194,7 +207,7 @@ def test_settling_bits_early_costs_a_few_tenths_of_a_decibel(name):
         return link.count(linear(snr_db + shift_db), rng, frames=1000, enough=1000).rate
 
     # four standard errors of the difference of two counts of 300 in 1000 are 0.08
-    assert rate(0.0, 10**6) + 0.08 < rate(0.0, None) < rate(-0.5, 10**6) - 0.08
+    assert rate(0.0, 10**6) + 0.08 < rate(0.0, None) < rate(-0.8, 10**6) - 0.08
 
 
 def test_qpsk_is_two_bpsks_of_half_the_power():

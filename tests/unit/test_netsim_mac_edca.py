@@ -137,7 +137,7 @@ def test_expired_frame_is_left_out_of_a_txop():
     air.send(1000, A, category="vo", lifetime_us=100)
     air.send(1000, A, category="vo")
     assert [start for start, *_ in air.run()] == [1000, 1176]
-    assert air.outcomes == [Outcome.SENT, Outcome.EXPIRED, Outcome.SENT]
+    assert air.outcomes == [Outcome.EXPIRED, Outcome.SENT, Outcome.SENT]
 
 
 def test_hidden_station_keeps_quiet_for_the_rest_of_a_txop():
@@ -152,6 +152,27 @@ def test_hidden_station_keeps_quiet_for_the_rest_of_a_txop():
         air.send(1000, A, B, category="vi")
     air.send(1300, D, category="be")
     assert air.run()[-1] == (1456 + AIFS_BE_US, 1659, D, "data")
+
+
+def test_group_frame_reserves_the_one_that_follows_in_its_txop():
+    #  1000   1160 1176   1336
+    #  A data |    A data |aifs| C data      D, hidden from A, begins at 1176 too: at C neither of the
+    #              D data |                  two is 4 dB over the other, and both are below the energy
+    #                                        that it senses
+    hidden = dict.fromkeys([(A, D), (D, A)], UNHEARD_DBM)
+    weak = dict.fromkeys([(A, C), (D, C)], -75.0)
+    air = Air(4, access=EDCA, powers_dbm=hidden | weak, backoffs={C: [(0, 15)]})
+    for _ in range(2):
+        air.send(1000, A, category="vo")
+    air.send(1176, D, category="be")
+    air.send(1200, C, category="be")
+    assert air.run() == [
+        (1000, 1160, A, "data"),
+        (1176, 1336, A, "data"),
+        (1176, 1336, D, "data"),
+        (1336 + AIFS_BE_US, 1539, C, "data"),
+    ]
+    assert C not in air.transmissions[1].delivered + air.transmissions[2].delivered
 
 
 def test_holder_of_a_txop_is_answered_in_spite_of_its_own_reservation():

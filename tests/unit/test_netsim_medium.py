@@ -1,12 +1,15 @@
-"""What receivers sense and receive, without a MAC: energy, preambles, capture, interferers. Under 2 s."""
+"""What receivers sense and receive: energy, preambles, capture, interferers. 4 s."""
 
 import numpy as np
 import pytest
+from netsim_air import Air
 from netsim_swarm import Swarm
 
 from netsim.config import InterfererConfig, RadioConfig
 from netsim.frames import GROUP, Frame, FrameKind
 from netsim.kernel import NEVER_NS, EventQueue
+from netsim.mac.access import EDCA
+from netsim.mac.jobs import Job, Outcome
 from netsim.phy.interferers import Interferer
 from netsim.phy.medium import Medium
 from netsim.phy.modes import phy_mode
@@ -99,46 +102,63 @@ def interferer(duty_cycle, burst_us=1_000.0):
 # --- clear channel assessment
 
 
-@pytest.mark.parametrize(("power_dbm", "from_us", "until_us"), [(-61.9, 1000, 1160), (-62.1, 1004, 1160)])
-def test_energy_is_sensed_at_once_and_a_weak_frame_by_its_preamble(power_dbm, from_us, until_us):
-    channel = Channel({(A, C): power_dbm})
+@pytest.mark.parametrize("power_dbm", [-50.0, -62.1, -81.9])
+def test_frames_are_sensed_from_their_arrival_to_their_end_whatever_their_power(power_dbm):
+    channel = Channel({(A, C): power_dbm}, delay_ns=300)
     channel.send(1000, A)
     channel.queue.run_until(1_100_000)
-    assert channel.busy_us(C) == (from_us, until_us)
+    assert channel.busy_us(C) == (1000.3, 1160.3)
 
 
-def test_weak_frames_that_collide_leave_the_medium_idle():
+@pytest.mark.parametrize(("thresholds_dbm", "sensed"), [((-62.0, -82.0), False), ((-84.0, -82.0), True)])
+def test_a_frame_that_is_too_weak_for_a_preamble_is_sensed_by_its_energy(thresholds_dbm, sensed):
+    energy_dbm, preamble_dbm = thresholds_dbm
+    settings = {"cca_energy_dbm": energy_dbm, "cca_preamble_dbm": preamble_dbm}
+    channel = Channel({(A, C): -83.0}, **settings)
+    channel.send(1000, A)
+    channel.queue.run_until(MILLISECOND_NS * 2)
+    assert channel.listeners[C].busy_us == ([1000.0] if sensed else [])
+    assert channel.listeners[C].received == []
+
+
+def test_weak_frames_that_collide_are_sensed_though_nobody_receives_them():
     # neither is 4 dB over the other, and -70 dBm twice is -67
     channel = Channel({(A, C): -70.0, (B, C): -70.0, (A, B): UNHEARD_DBM, (B, A): UNHEARD_DBM})
     channel.send(1000, A)
-    channel.send(1000, B)
+    channel.send(1100, B)
+    channel.queue.run_until(1_110_000)
+    assert channel.busy_us(C) == (1000, 1260)
     channel.queue.run_until(MILLISECOND_NS * 2)
-    assert channel.listeners[C].busy_us == []
-    assert channel.listeners[C].errors == []
+    assert channel.listeners[C].received == []
+    channel.send(3000, A)
+    channel.send(3000, B)
+    channel.queue.run_until(3_110_000)
+    assert channel.busy_us(C) == (3000, 3160)
+    assert channel.medium.receivers[C].lock is None
 
 
 #   A  weak  |====================|  1000..2376
-#   B strong     |====|              1008..1168     C takes B, and then senses A by its energy alone
-@pytest.mark.parametrize(("weak_dbm", "until_us"), [(-75.0, 1168), (-60.0, 2376)])
-def test_after_a_capture_what_was_given_up_counts_by_its_energy(weak_dbm, until_us):
+#   B strong     |====|              1008..1168     C takes B; A is sensed on, unless it is under -82 dBm
+@pytest.mark.parametrize(("weak_dbm", "busy_us"), [(-82.5, (1008, 1168)), (-75.0, (1000, 2376))])
+def test_after_a_capture_what_was_given_up_is_still_sensed(weak_dbm, busy_us):
     channel = Channel({(A, C): weak_dbm, (B, C): -50.0, (A, B): UNHEARD_DBM, (B, A): UNHEARD_DBM})
     channel.send(1000, A, frame_bytes=1014)  # 20 + 4 ceil(8134 / 24) = 1376 us
     channel.send(1008, B)
     channel.queue.run_until(1_200_000)
-    assert channel.busy_us(C)[1] == until_us
+    assert channel.busy_us(C) == busy_us
     channel.queue.run_until(3_000_000)
     assert channel.listeners[C].received == [(B, 1168.0)]
 
 
 #   A  |====================|  1000..2376
 #   C        |====|            1100..1260     C answers somebody else and does not receive A any more
-@pytest.mark.parametrize(("power_dbm", "until_us"), [(-75.0, 1100), (-60.0, 2376)])
-def test_who_sends_while_receiving_senses_the_rest_by_its_energy(power_dbm, until_us):
+@pytest.mark.parametrize(("power_dbm", "busy_us"), [(-82.5, (0, 0)), (-75.0, (1000, 2376))])
+def test_who_sends_while_receiving_senses_the_rest(power_dbm, busy_us):
     channel = Channel({(A, C): power_dbm})
     channel.send(1000, A, frame_bytes=1014)
     channel.send(1100, C)
     channel.queue.run_until(1_300_000)
-    assert channel.busy_us(C)[1] == until_us
+    assert channel.busy_us(C) == busy_us
     channel.queue.run_until(3_000_000)
     assert (channel.listeners[C].received, channel.listeners[C].errors) == ([], [])
 
@@ -236,6 +256,8 @@ def test_frames_die_under_a_burst_that_is_strong_enough(before_us, lost, interfe
 def test_a_burst_is_sensed_by_its_energy_alone_and_with_that_of_others():
     settings = {"interferers": interferer(0.2, 2_000.0), "seed": 3}
     begin_ns, end_ns = burst_over(Channel(**settings))
+    # at -64 dBm a frame is not sensed by itself with this threshold of preambles
+    settings |= {"cca_preamble_dbm": -60.0}
     powers = {("x", A): -60.0, ("x", B): -64.0, ("x", C): -64.0, (A, B): -64.0, (A, C): UNHEARD_DBM}
     channel = Channel(powers, **settings)
     channel.send(begin_ns // 1_000 + 100, A, C)
@@ -312,3 +334,45 @@ def test_stations_defer_to_an_interferer_that_they_sense(eirp_dbm, sensed):
     )
     assert within == 0 if sensed else within > 100
     assert swarm.emulator.busy_ns > 0.9 * sum(end - begin for begin, end in bursts_ns)
+
+
+def saturated_mbps(power_dbm, *, spread_db=0.0, stations=5, seconds=3, seed=1, **settings):
+    """Payload that saturated stations get through to one more, whom all hear with powers about this one."""
+    generator = np.random.default_rng(3)
+    powers_dbm = {}
+    for i in range(stations + 1):
+        for j in range(i):
+            powers_dbm[i, j] = powers_dbm[j, i] = power_dbm + generator.uniform(-spread_db, spread_db)
+    air = Air(stations + 1, powers_dbm=powers_dbm, seed=seed, **settings)
+    outcomes = []
+
+    def feed(source):
+        def done(_job, outcome):
+            outcomes.append(outcome)
+            feed(source)
+
+        job = Job(
+            kind=FrameKind.DATA,
+            destination=stations,
+            mode=phy_mode("ofdm6", 20),
+            frame_bytes=500,
+            expires_ns=NEVER_NS,
+            retry_limit=7,
+            done=done,
+        )
+        air.stations[source].enqueue("vo" if settings else "dcf", job)
+
+    for source in range(stations):
+        feed(source)
+        feed(source)
+    air.queue.run_until(seconds * SECOND_NS)
+    return 500 * 8 * outcomes.count(Outcome.ACKNOWLEDGED) / seconds / 1e6
+
+
+@pytest.mark.parametrize("settings", [{}, {"access": EDCA}])
+def test_weak_stations_share_the_medium_as_well_as_strong_ones(settings):
+    """With equal powers nothing depends on the power; with others captures let more through."""
+    strong = saturated_mbps(-50.0, **settings)
+    assert strong > 2.5
+    assert saturated_mbps(-70.0, **settings) == strong
+    assert saturated_mbps(-70.0, spread_db=6.0, **settings) > 0.97 * strong

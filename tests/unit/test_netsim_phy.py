@@ -1,5 +1,6 @@
 """Durations, rates, link budget, capture and the reasons of losses."""
 
+import msgspec
 import numpy as np
 import pytest
 from netsim_air import A, Air, B, C
@@ -158,11 +159,64 @@ def test_a_short_overlap_costs_less_than_a_long_one():
     assert survived[0] > survived[1] > survived[2]
 
 
-def test_energy_of_several_weak_signals_adds_up():
-    # -64 dBm each is under the threshold of -62, two together are over it; neither is found as a preamble
+def test_a_weak_frame_holds_back_as_long_as_it_lasts():
+    # -64 dBm each: A ends at 1160, B at 1288 (20 + 4 ceil(1622 / 24)), and C waits DIFS after B
     air = Air(4, powers_dbm={(A, C): -64.0, (B, C): -64.0}, backoffs={C: [(0, 15)]})
     air.send(1000, A)
     air.send(1000, B, frame_bytes=200)
     air.send(1100, C)
-    # A ends at 1160, after which B's -64 dBm alone do not hold C back
-    assert next(frame for frame in air.run() if frame[2] == C)[0] == 1160 + 34
+    assert next(frame for frame in air.run() if frame[2] == C)[0] == 1292 + 34
+
+
+@pytest.mark.parametrize("power_dbm", [-50.0, -70.0])
+@pytest.mark.parametrize(("later_us", "deferred"), [(4, False), (5, True)])
+def test_energy_goes_unnoticed_for_four_microseconds_however_strong(power_dbm, later_us, deferred):
+    air = Air(2, powers_dbm={(A, B): power_dbm, (B, A): power_dbm}, backoffs={B: [(0, 15)]})
+    air.send(1000, A)
+    air.send(1000 + later_us, B)
+    (start_us,) = [frame[0] for frame in air.run() if frame[2] == B]
+    assert start_us == (1160 + 34 if deferred else 1000 + later_us)
+
+
+def test_nobody_is_heard_beyond_a_delay_of_sifs():
+    """16 us are 4796.7 m."""
+    budget, trajectories = links(3, tx_power_dbm=50.0)
+    trajectories.set(0, [(0.0, 0.0, 0.0), (4796.0, 0.0, 0.0), (-4797.0, 0.0, 0.0)], REST + REST[:1])
+    row = budget.row(0, 0)
+    assert row.powers_mw[1] > 0.0
+    assert row.delays_ns == [0, 15_998, 0]
+    assert (row.powers_mw[2], row.longest_delay_ns) == (0.0, 15_998)
+
+
+def test_whoever_can_sense_counts_for_the_longest_delay():
+    # 77 dB under the 16 dBm less 46.7 of 1 m: -108 dBm, under the noise of 50 dB less 20
+    budget, trajectories = links(noise_figure_db=50.0, cca_preamble_dbm=-100.0)
+    trajectories.set(0, [(0.0, 0.0, 0.0), (3000.0, 0.0, 0.0)], REST)
+    assert budget.row(0, 0).longest_delay_ns == 10_007
+
+
+@pytest.mark.parametrize("value", [-1e5, -0.1, float("nan"), float("inf")])
+def test_attenuations_that_are_none_are_refused(value):
+    budget, trajectories = links()
+    trajectories.set(0, [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)], REST)
+    row = budget.row(0, 0)
+    with pytest.raises(ValueError, match="attenuate"):
+        budget.set_extra_attenuation_db(value)
+    assert budget.row(0, 0) is row
+
+
+@pytest.mark.parametrize(
+    ("name", "least", "most"),
+    [
+        ("frequency_mhz", 100.0, 100_000.0),
+        ("cca_energy_dbm", -100.0, 0.0),
+        ("cca_preamble_dbm", -100.0, 0.0),
+        ("nlos_duration_s", 0.01, 1e6),
+    ],
+)
+def test_settings_have_their_ranges(name, least, most):
+    for value in (least, most):
+        assert getattr(msgspec.convert({name: value}, RadioConfig), name) == value
+    for value in (least - 1e-3, most * 1.01 + 1e-3):
+        with pytest.raises(msgspec.ValidationError, match=name):
+            msgspec.convert({name: value}, RadioConfig)

@@ -130,13 +130,15 @@ def test_two_rays_are_the_sum_of_both_fields_averaged_over_the_channel():
 
 
 def test_far_away_the_power_falls_with_the_fourth_power_of_the_distance():
-    # kD = 2 k h^2 / d = 0.087 at 5 km and h = 1 m, where the reflection is -1 but for 2 e sin / sqrt(e - 1) =
-    # 0.003: power (2 k h^2 / d^2 )^2 within 2 %
-    places = [(0.0, 0.0, -1.0), (5_000.0, 0.0, -1.0)]
+    # kD = 2 k h^2 / d = 0.090 at 2.4 km and h = 1 m, where the reflection is -1 but for
+    # 2 e sin / sqrt(e - 1) = 0.006: power (2 k h^2 / d)^2 within 2 %
+    places = [(0.0, 0.0, -1.0), (2_400.0, 0.0, -1.0)]
     ratio = 10 ** ((power_dbm(places, path_loss="two_ray") - power_dbm(places, path_loss="friis")) / 10.0)
-    assert ratio == pytest.approx((2.0 * WAVE_NUMBER / 5_000.0) ** 2, rel=0.02)
-    beyond = power_dbm([places[0], (10_000.0, 0.0, -1.0)], path_loss="two_ray")
-    assert power_dbm(places, path_loss="two_ray") - beyond == pytest.approx(40.0 * log10(2.0), abs=0.1)
+    assert ratio == pytest.approx((2.0 * WAVE_NUMBER / 2_400.0) ** 2, rel=0.02)
+    beyond = power_dbm([places[0], (4_796.0, 0.0, -1.0)], path_loss="two_ray")
+    assert power_dbm(places, path_loss="two_ray") - beyond == pytest.approx(
+        40.0 * log10(4796.0 / 2400.0), abs=0.1
+    )
 
 
 def test_a_landed_station_is_heard_and_its_antenna_is_over_the_ground():
@@ -328,3 +330,10 @@ def test_two_rays_of_a_narrow_channel_have_notches_that_a_wide_one_has_not():
     against = -np.exp(2j * pi * MHZ * 1e6 * detour_m / SPEED_OF_LIGHT_M_S)
     assert two_ray_gain(direct_m, ray, 1.0, against, MHZ, 1e-3) * 1e4 == pytest.approx(0.0, abs=1e-6)
     assert two_ray_gain(direct_m, ray, 1.0, against, MHZ, 80.0) * 1e4 == pytest.approx(2.0)
+
+
+def test_attitudes_need_not_be_of_unit_length():
+    places = [(0.0, 0.0, -10.0), (20.0, 0.0, -13.0)]
+    unit = power_dbm(places, [LEVEL, rolled(30.0)], antenna="dipole")
+    longer = [(3.0, 0.0, 0.0, 0.0), tuple(0.2 * part for part in rolled(30.0))]
+    assert power_dbm(places, longer, antenna="dipole") == pytest.approx(unit)

@@ -9,7 +9,7 @@ from scipy.special import j0
 from netsim.config import RadioConfig
 from netsim.kernel import NEVER_NS
 from netsim.phy.fading import SECTORS, RicianFading
-from netsim.phy.obstruction import Obstruction
+from netsim.phy.obstruction import KEPT_NS, Obstruction
 from netsim.phy.path_loss import SPEED_OF_LIGHT_M_S
 from netsim.phy.propagation import ROW_LIFETIME_NS, Links, Trajectories
 from netsim.phy.shadowing import Shadowing
@@ -158,8 +158,9 @@ def test_motion_fades_as_the_doppler_spread_that_it_makes():
     """
     wavelength_m = SPEED_OF_LIGHT_M_S / 5.21e9
     moving = fading(doppler_hz=30.0)
-    moving.move(0, [(3.0, 0.0, 0.0), (0.0, 0.0, 0.0)])
-    moving.move(SECOND_NS // 2, [(3.0, 4.0, 0.0), (3.0, 4.0, -7.0)])
+    moving.move(0, [REST, REST], [(3.0, 0.0, 0.0), REST])
+    there = [(1.5, 0.0, 0.0), REST]
+    moving.move(SECOND_NS // 2, there, [(3.0, 4.0, 0.0), (3.0, 4.0, -7.0)])
     moving.gains(1, 600_000_000)
     turns = 0.5 * np.hypot(30.0, 3.0 / wavelength_m) + 0.3 * np.hypot(30.0, 7.0 / wavelength_m)
     resting = fading(doppler_hz=turns / 0.8)
@@ -168,12 +169,35 @@ def test_motion_fades_as_the_doppler_spread_that_it_makes():
     assert moving.gains(0, 500_000_000)[1] != pytest.approx(expected, rel=1e-3)
 
 
+def test_it_does_not_matter_how_often_a_motion_is_stated():
+    """2 s with a speed of 3 + 2 sin(12.5 t) m/s, stated every 4 ms or once in 2 s.
+
+    What remains are the squares of the spread at rest: 5 Hz beside 17 to 87 Hz.
+    """
+    often, seldom, times_s = fading(k_db=0.0), fading(k_db=0.0), np.arange(0.0, 2.0001, 0.004)
+    for time_s in times_s.tolist():
+        way_m = 3.0 * time_s + 0.16 * (1.0 - np.cos(12.5 * time_s))
+        stated = [REST, (way_m, 0.0, 0.0)], [REST, (0.0, 3.0 + 2.0 * np.sin(12.5 * time_s), 0.0)]
+        often.move(round(1e9 * time_s), *stated)
+        if time_s in (0.0, 2.0):
+            seldom.move(round(1e9 * time_s), *stated)
+    turns = [model._theta_rad[0, 1] / (2.0 * pi) for model in (often, seldom)]
+    # the mean of sqrt(f^2 + 25 Hz^2) over that speed, by itself
+    speeds_hz = (3.0 + 2.0 * np.sin(12.5 * times_s)) / SPEED_OF_LIGHT_M_S * 5.21e9
+    excess = 2.0 * np.mean(np.hypot(speeds_hz, 5.0) - speeds_hz)
+    assert turns[0] - turns[1] == pytest.approx(excess - 2.0 * (np.hypot(52.13, 5.0) - 52.13), abs=0.25)
+
+
+def test_a_channel_of_no_stations_is_one():
+    fading(stations=0).move(0, [], [])
+
+
 def test_without_doppler_the_channel_stands_still_until_somebody_moves():
     model = fading(doppler_hz=0.0, stations=3)
     before = model.gains(0, 0)
     assert model.gains(0, 100 * SECOND_NS) == before
     # who flies beside each other stands still for each other
-    model.move(100 * SECOND_NS, [(9.0, 0.0, 0.0), (9.0, 0.0, 0.0), REST])
+    model.move(100 * SECOND_NS, [REST] * 3, [(9.0, 0.0, 0.0), (9.0, 0.0, 0.0), REST])
     after = model.gains(0, 101 * SECOND_NS)
     assert after[1] == before[1]
     assert after[2] != before[2]
@@ -224,11 +248,27 @@ def test_lines_of_sight_are_blocked_for_their_share_in_spells_of_their_mean(frac
 
 def test_blockage_is_reciprocal_and_the_same_in_whatever_order_it_is_asked():
     ahead, back = obstruction(0.4, stations=4), obstruction(0.4, stations=7)
-    times_ns = range(0, 60 * SECOND_NS, SECOND_NS // 3)
+    # whole groups of times within what is kept are asked backwards
+    times_ns = [group + step for group in range(0, 60 * SECOND_NS, SECOND_NS) for step in (0, KEPT_NS // 2)]
     states = {(t, i, j): ahead.blocked(i, j, t) for t in times_ns for i in range(4) for j in range(i)}
-    for t, i, j in reversed(states):
-        assert back.blocked(j, i, t) == states[t, i, j]
+    assert len(times_ns) == 120
+    for second in range(60):
+        group = [key for key in states if key[0] // SECOND_NS == second]
+        for t, i, j in reversed(group):
+            assert back.blocked(j, i, t) == states[t, i, j]
     assert len({blocked for blocked, _ in states.values()}) == 2
+
+
+def test_old_switches_are_forgotten_and_change_nothing():
+    """An hour of 10 ms: 180 000 switches, of which those of the last 100 ms are kept, 10 on average."""
+    often, once = obstruction(0.5, 0.01), obstruction(0.5, 0.01)
+    for at_ns in range(0, 60 * SECOND_NS, 700_000):
+        state = often.blocked(0, 1, at_ns)
+    assert once.blocked(0, 1, at_ns) == state
+    for before_ns in range(0, KEPT_NS, 1_000_000):
+        assert once.blocked(0, 1, at_ns - before_ns) == often.blocked(0, 1, at_ns - before_ns)
+    once.blocked(0, 1, 3_600 * SECOND_NS)
+    assert len(once._pairs[0, 1].switches_ns) < 100
 
 
 def test_shares_of_none_and_all_are_exact():

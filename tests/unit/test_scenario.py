@@ -88,6 +88,19 @@ def test_overrides_take_numbers_strings_words_and_new_tables():
             "radio.ftm.mode: VHT MCS 9 does not exist on a 20 MHz channel",
         ),
         (
+            "radio.ftm={burst_duration_us=250, min_delta_us=100}",
+            # VHT MCS 0 on 80 MHz: 60 + 16 + 44 us with the parameters, AIFS 34, then 56 + 16 + 44
+            (
+                "radio.ftm.burst_duration_us: 250 us are too short for two measurement frames, "
+                "which take 270 us with ftm.min_delta_us of 100"
+            ),
+        ),
+        (
+            "radio.ftm={burst_duration_us=500, min_delta_us=310}",
+            # in units of 100 us that is 400, and 116 for the second frame
+            "radio.ftm.burst_duration_us: 500 us are too short for two measurement frames, which take 516 us",
+        ),
+        (
             "radio.stations=[{station=8}]",
             "radio.stations[0].station: 8 is not on a channel of 8 stations",
         ),
@@ -170,6 +183,18 @@ def test_a_wrong_field_is_named(override, says):
     text = str(caught.value)
     assert says.lower() in text.lower()
     assert "\n" not in text
+
+
+@pytest.mark.parametrize(
+    "ftm",
+    [
+        "burst_duration_us=500, min_delta_us=300",  # 300 + 116 us
+        "burst_duration_us=250, min_delta_us=100, mode='vht_mcs9'",  # 88 + 34 + 88 us
+        "burst_duration_us=250, responder_min_delta_us=300",  # a responder that slow grants a longer burst
+    ],
+)
+def test_a_burst_that_has_time_for_two_measurement_frames_is_taken(ftm):
+    assert load(ARTICLE, [f"radio.ftm={{{ftm}}}"]).radio.ftm.burst_duration_us <= 500
 
 
 FAULTS = ROOT / "scenarios" / "faults.toml"

@@ -2,6 +2,9 @@
 
 from pathlib import Path
 
+import numpy as np
+from msgspec.structs import replace
+
 from harness.validation.radio.figures import save_error_rates
 from harness.validation.radio.peers import ErrorCurve, ns3_error_curves
 from harness.validation.radio.plan import RadioPlan
@@ -14,6 +17,7 @@ from netsim.phy.modes import phy_mode
 TARGET = 0.1
 TOLERANCE_DB = {"nist": 0.3, "table": 0.5}
 DRAWN_BYTES = 1458
+DRAWN_POINTS = 701
 
 
 def jobs(plan: RadioPlan) -> dict[str, list[Job]]:  # noqa: ARG001  # one shape
@@ -48,7 +52,10 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:  #
     figures: tuple[tuple[str, str], ...] = ()
     if images is not None:
         drawn = [
-            (curve, per) for curve, per in zip(curves, rates, strict=True) if curve.frame_bytes == DRAWN_BYTES
+            (curve, fine_db, _rates(replace(curve, snr_db=fine_db)))
+            for curve in curves
+            if curve.frame_bytes == DRAWN_BYTES
+            for fine_db in [tuple(np.linspace(curve.snr_db[0], curve.snr_db[-1], DRAWN_POINTS).tolist())]
         ]
         save_error_rates(images / "radio-per.png", drawn)
         figures = (("radio-per.png", "packet error rates of all modes beside ns-3's"),)

@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from harness.validation.radio.peers import Broadcasts, ErrorCurve, Saturated
 from harness.validation.radio.statistics import Mean, Mesh
 
 DPI = 130
 LEAST_PER = 1e-4
+RANGING_TICKS_M = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 
 
 def save_saturation(path: Path, rows: Sequence[tuple[str, Saturated, Mean]]) -> None:
@@ -31,8 +33,8 @@ def save_saturation(path: Path, rows: Sequence[tuple[str, Saturated, Mean]]) -> 
         for i, ((rate_mbps, rts), curve) in enumerate(sorted(curves.items())):
             counts = [n for n, _, _ in curve]
             label = f"{rate_mbps} Mbit/s{', RTS' if rts else ''}"
-            _errorbar(axes, counts, [ours for *_, ours in curve], marker=".", color=f"C{i}", label=label)
-            axes.plot(counts, [theirs for _, theirs, _ in curve], "x", color="black", markersize=6)
+            _errorbar(axes, counts, [ours for *_, ours in curve], color=f"C{i}", label=label)
+            axes.plot(counts, [theirs for _, theirs, _ in curve], "x", color=f"C{i}", markersize=7)
         axes.set(xlabel="Saturated stations", title=title)
         axes.set_ylim(bottom=0.0)
         axes.legend(fontsize="small")
@@ -41,35 +43,37 @@ def save_saturation(path: Path, rows: Sequence[tuple[str, Saturated, Mean]]) -> 
     figure.savefig(path, dpi=DPI)
 
 
-def save_broadcast(path: Path, rows: Sequence[tuple[Broadcasts, Mean, Mean]]) -> None:
-    """Delivery ratio and mean delay over the number of stations, a curve for each jitter and period."""
+def save_broadcast(
+    path: Path, rows: Sequence[tuple[Broadcasts, tuple[Mean, Mean], tuple[Mean, Mean]]], *, long_s: float
+) -> None:
+    """Delivery ratio and mean delay over the number of stations: (row, ours, ns-3's).
+
+    Rows of the period ``long_s`` on the left with a curve for each jitter, shorter ones on the right.
+    """
     figure = Figure(figsize=(10.0, 7.6), layout="constrained")
     grid = figure.subplots(2, 2)
-    slow = [entry for entry in rows if entry[0].period_s == 0.1]  # the table's two parts
-    for column, (entries, title) in enumerate(
-        (
-            (slow, "Every 100 ms; crosses: ns-3 3.37"),
-            ([entry for entry in rows if entry not in slow], "Phases drawn once; crosses: ns-3 3.37"),
-        )
-    ):
+    curves: dict[tuple[float, float], list[tuple[int, tuple[Mean, Mean], tuple[Mean, Mean]]]] = {}
+    for row, ours, theirs in rows:
+        curves.setdefault((row.period_s, row.jitter_s), []).append((row.stations, ours, theirs))
+    for i, ((period_s, jitter_s), curve) in enumerate(curves.items()):
+        column, label = (0, _jitter(jitter_s)) if period_s == long_s else (1, f"every {1e3 * period_s:g} ms")
+        counts = [stations for stations, *_ in curve]
+        for place in range(2):
+            if place == 1 and jitter_s == 0.0:
+                continue  # nothing arrives, so nothing is late
+            axes = grid[place][column]
+            _errorbar(axes, counts, [ours[place] for _, ours, _ in curve], color=f"C{i}", label=label)
+            _errorbar(
+                axes, counts, [theirs[place] for *_, theirs in curve], color=f"C{i}", marker="x", linestyle=""
+            )
+    for column, title in enumerate((f"Every {1e3 * long_s:g} ms", "Phases drawn once, short periods")):
         ratios, delays = grid[0][column], grid[1][column]
-        curves: dict[tuple[float, float], list[tuple[Broadcasts, Mean, Mean]]] = {}
-        for entry in entries:
-            curves.setdefault((entry[0].period_s, entry[0].jitter_s), []).append(entry)
-        for i, ((period_s, jitter_s), curve) in enumerate(curves.items()):
-            counts = [row.stations for row, _, _ in curve]
-            label = f"every {1e3 * period_s:g} ms" if period_s != 0.1 else _jitter(jitter_s)
-            for axes, values, theirs in (
-                (ratios, [ratio for _, ratio, _ in curve], [row.delivery_ratio for row, _, _ in curve]),
-                (delays, [delay for *_, delay in curve], [row.mean_delay_ms for row, _, _ in curve]),
-            ):
-                if axes is delays and not any(theirs):
-                    continue  # nothing arrived, so nothing was late
-                _errorbar(axes, counts, values, marker=".", color=f"C{i}", label=label)
-                axes.plot(counts, theirs, "x", color="black", markersize=6)
-        ratios.set(title=title, ylim=(-0.03, 1.03))
-        delays.set(xlabel="Stations", yscale="log")
+        ratios.set(title=f"{title}; crosses: ns-3 3.37", ylim=(-0.03, 1.03))
         ratios.legend(fontsize="small", loc="best")
+        delays.set(xlabel="Stations", yscale="log")
+        delays.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        delays.yaxis.set_major_formatter("{x:g}")
+        delays.yaxis.set_minor_formatter(NullFormatter())
         _finish(ratios)
         _finish(delays)
     grid[0][0].set_ylabel("Delivered")
@@ -81,24 +85,26 @@ def _jitter(jitter_s: float) -> str:
     return "phases drawn once" if jitter_s < 0.0 else f"jitter {1e3 * jitter_s:g} ms"
 
 
-def save_error_rates(path: Path, curves: Sequence[tuple[ErrorCurve, Sequence[float]]]) -> None:
-    """Packet error rate over the ratio: ours as lines, ns-3's as dots."""
+def save_error_rates(
+    path: Path, curves: Sequence[tuple[ErrorCurve, Sequence[float], Sequence[float]]]
+) -> None:
+    """Packet error rate over the ratio: (ns-3's as dots, our ratios in dB and rates as lines)."""
     figure = Figure(figsize=(10.0, 4.4), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     for axes, model, title in (
         (left, "nist", "Non-HT, 20 MHz; dots: ns-3's NIST model"),
         (right, "table", "VHT, 80 MHz; dots: ns-3's tables"),
     ):
-        chosen = [(curve, per) for curve, per in curves if curve.model == model]
-        for i, (curve, per) in enumerate(chosen):
+        chosen = [entry for entry in curves if entry[0].model == model]
+        for i, (curve, snr_db, per) in enumerate(chosen):
             shown = [max(value, LEAST_PER / 10.0) for value in per]
-            axes.semilogy(curve.snr_db, shown, color=f"C{i}", linewidth=1.2, label=curve.mode)
+            axes.semilogy(snr_db, shown, color=f"C{i}", linewidth=1.2, label=curve.mode)
             theirs = [max(value, LEAST_PER / 10.0) for value in curve.per]
             axes.semilogy(curve.snr_db, theirs, ".", color=f"C{i}", markersize=5)
         axes.axhline(0.1, color="black", linestyle=":", linewidth=0.9)
-        lengths = {curve.frame_bytes for curve, _ in chosen}
+        lengths = {curve.frame_bytes for curve, *_ in chosen}
         axes.set(xlabel="SNR (dB)", title=f"{title}, {max(lengths, default=0)} B", ylim=(LEAST_PER, 1.3))
-        axes.legend(fontsize="x-small", ncols=2)
+        axes.legend(fontsize="x-small", loc="lower right")
         _finish(axes)
     left.set_ylabel("Packet error rate")
     figure.savefig(path, dpi=DPI)
@@ -122,6 +128,7 @@ def save_ranging(
     )  # fmt: skip
     axes.set_xticks(trips, [str(n) for n in trips])
     axes.minorticks_off()
+    axes.set_yticks(RANGING_TICKS_M, [f"{tick_m:g}" for tick_m in RANGING_TICKS_M])
     axes.legend(fontsize="small")
     _finish(axes)
     figure.savefig(path, dpi=DPI)
@@ -152,18 +159,18 @@ def save_mesh(path: Path, periods: Mapping[float, Sequence[Mesh]]) -> None:
         shares.legend(fontsize="small")
         _errorbar(delays, counts, [mesh.delay_ms for mesh in row], marker="o")
         delays.set_xlabel("Stations")
-        delays.set_ylim(bottom=0.0)
         _finish(shares)
         _finish(delays)
     grid[0][0].set_ylabel("Share")
     grid[1][0].set_ylabel("Mean delay of the completed (ms)")
+    grid[1][0].set_ylim(bottom=0.0)
     figure.savefig(path, dpi=DPI)
 
 
 def _errorbar(axes: Axes, counts: Sequence[int], means: Sequence[Mean], **style: Any) -> None:  # noqa: ANN401
     """Draw means with their standard errors."""
     errors = [mean.error or 0.0 for mean in means]
-    axes.errorbar(counts, [mean.value for mean in means], errors, linewidth=1.2, **style)
+    axes.errorbar(counts, [mean.value for mean in means], errors, linewidth=1.2, **({"marker": "."} | style))
 
 
 def _finish(axes: Axes) -> None:

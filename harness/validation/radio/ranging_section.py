@@ -78,7 +78,7 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
     checks, rows = [], []
     for width in WIDTHS:
         runs: list[FtmResultSummary] = results[f"width/{width}"]
-        errors_m = [run.error_mean_m - BIAS_M for run in runs]
+        errors_m = [_known(run.error_mean_m) - BIAS_M for run in runs]
         trip = mean_of([run.round_trip_std_m for run in runs])
         checks.append(
             Check(
@@ -102,14 +102,14 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
     for width in (20, 80):
         runs = results[f"frames/{width}"]
         # one round trip alone has no scatter
-        scatters_m = [run.round_trip_std_m for run in runs if run.round_trip_std_m > 0.0]
-        trip_m = float(np.sqrt(np.mean(np.square(scatters_m))))
-        spreads[width] = (trip_m, [run.error_std_m for run in runs])
+        scatters_m = [run.round_trip_std_m for run in runs if run.round_trip_std_m is not None]
+        trip_m = float(np.sqrt(np.mean(np.square(scatters_m)))) if scatters_m else math.nan
+        spreads[width] = (trip_m, [_known(run.error_std_m) for run in runs])
         for frames, run in zip(FRAMES_PER_BURST, runs, strict=True):
             checks.append(
                 Check(
                     name=f"{width} MHz, {frames} frames: error's sigma over round trip's / √{frames - 1}",
-                    value=run.error_std_m * math.sqrt(frames - 1) / trip_m, unit="",
+                    value=_known(run.error_std_m) * math.sqrt(frames - 1) / trip_m, unit="",
                     at_least=1.0 - SIGMA_TOLERANCE, at_most=1.0 + SIGMA_TOLERANCE,
                 )
             )  # fmt: skip
@@ -121,6 +121,13 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
                 at_most=(1.0 + AIRTIME_TOLERANCE) * airtime_ms,
             )
         )  # fmt: skip
+    everybody = [run for group in results.values() for run in group]
+    checks.append(
+        Check(
+            name=f"sessions that failed, of {sum(run.failed + run.completed for run in everybody)}",
+            value=sum(run.failed for run in everybody), unit="", at_most=0.0,
+        )
+    )  # fmt: skip
     figures: tuple[tuple[str, str], ...] = ()
     if images is not None:
         save_ranging(images / "radio-ftm.png", frames=FRAMES_PER_BURST, spreads=spreads)
@@ -149,3 +156,8 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
         ),
         figures=figures,
     )  # fmt: skip
+
+
+def _known(value: float | None) -> float:
+    """NaN, which meets no requirement, for what too few sessions could tell."""
+    return math.nan if value is None else value

@@ -32,10 +32,16 @@ class Mesh(Struct, frozen=True, kw_only=True):
     busy: Mean
 
 
-def mean_of(values: Sequence[float]) -> Mean:
-    """Mean and standard error of independent values."""
-    error = float(np.std(values, ddof=1)) / math.sqrt(len(values)) if len(values) > 1 else None
-    return Mean(float(np.mean(values)), error)
+def mean_of(values: Sequence[float | None]) -> Mean:
+    """Mean and standard error of independent values; None is left out, and the mean of nothing is NaN."""
+    known = [value for value in values if value is not None]
+    error = float(np.std(known, ddof=1)) / math.sqrt(len(known)) if len(known) > 1 else None
+    return Mean(float(np.mean(known)) if known else math.nan, error)
+
+
+def difference_error(first: Mean, second: Mean) -> float:
+    """Standard error of the difference of two means, as far as theirs are known."""
+    return math.hypot(first.error or 0.0, second.error or 0.0)
 
 
 def crossing_db(snr_db: Sequence[float], per: Sequence[float], target: float = 0.1) -> float:
