@@ -138,7 +138,7 @@ def _seeds(plan: RadioPlan, row: Broadcasts) -> int:
     if _is_drawn(row) and row.stations / row.period_s < CAPACITY_HZ:
         return plan.phase_seeds
     in_one = row.stations * row.seconds / row.period_s
-    return min(max(math.ceil(plan.datagrams / in_one), min(plan.seeds, 2)), 4 * plan.seeds)
+    return min(max(math.ceil(plan.datagrams / in_one), 1), 4 * plan.seeds)
 
 
 def _is_drawn(row: Broadcasts) -> bool:
