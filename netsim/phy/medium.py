@@ -173,6 +173,7 @@ class Medium:
             energy_until_ns = self._energy_until_ns(burst, receiver.index)
             if energy_until_ns:
                 receiver.occupy(now + row.delays_ns[receiver.index], energy_until_ns)
+        burst.overlaps.clear()  # asked for only now; kept, each burst would keep all before it
         self._queue.at(end_ns + row.longest_delay_ns, self._end_burst, burst)
 
     def _end_burst(self, burst: Signal) -> None:

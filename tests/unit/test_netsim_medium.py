@@ -1,5 +1,7 @@
 """What receivers sense and receive: energy, preambles, capture, interferers. 4 s."""
 
+import gc
+
 import numpy as np
 import pytest
 from netsim_air import Air
@@ -14,6 +16,7 @@ from netsim.phy.interferers import Interferer
 from netsim.phy.medium import Medium
 from netsim.phy.modes import phy_mode
 from netsim.phy.propagation import LinkRow, Links, Trajectories
+from netsim.phy.signals import Signal
 from netsim.streams import Model, Streams
 
 A, B, C = range(3)
@@ -376,3 +379,14 @@ def test_weak_stations_share_the_medium_as_well_as_strong_ones(settings):
     assert strong > 2.5
     assert saturated_mbps(-70.0, **settings) == strong
     assert saturated_mbps(-70.0, spread_db=6.0, **settings) > 0.97 * strong
+
+
+def test_interferers_that_never_pause_leave_nothing_behind():
+    swarm = Swarm(
+        [(0.0, 0.0, -10.0), (10.0, 0.0, -10.0)],
+        interferers=2 * interferer(1.0),
+    )
+    swarm.run(1_000_000)
+    gc.collect()
+    # about 2000 bursts have been; two are on the air
+    assert sum(isinstance(each, Signal) for each in gc.get_objects()) < 20
