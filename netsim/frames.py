@@ -13,6 +13,8 @@ DATA_OVERHEAD_BYTES = 24 + 4
 """MAC header and FCS of a data or action frame."""
 UDP_OVERHEAD_BYTES = 8 + 20 + 8
 """LLC/SNAP, IPv4 and UDP headers."""
+MAX_MSDU_BYTES = 2304
+"""Most that one frame carries behind its MAC header (9.2.4.7)."""
 
 
 class FrameKind(StrEnum):

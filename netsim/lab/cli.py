@@ -16,6 +16,7 @@ from rich.progress import track
 from rich.table import Table
 
 from netsim.config import BandwidthMhz, Mode, RadioConfig, ServerConfig
+from netsim.frames import MAX_MSDU_BYTES, UDP_OVERHEAD_BYTES
 from netsim.lab.broadcast import broadcast as run_broadcast
 from netsim.lab.ranging import MeshResult, range_mesh, range_pair
 from netsim.lab.saturation import UNLIMITED, saturate
@@ -30,7 +31,9 @@ Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")
 # A range with both its ends refuses what is not finite.
 Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0, max=2**63 - 1)]
 Stations = Annotated[int, typer.Option(help="Number of stations that send.", min=1, max=1000)]
-Payload = Annotated[int, typer.Option("--payload", help="UDP payload, bytes.", min=0, max=1472)]
+MOST_BYTES = MAX_MSDU_BYTES - UDP_OVERHEAD_BYTES
+"""Of UDP in one frame; more than IP hands to a network of 1500 bytes, as Bianchi's packets are."""
+Payload = Annotated[int, typer.Option("--payload", help="UDP payload, bytes.", min=0, max=MOST_BYTES)]
 Seconds = Annotated[float, typer.Option(help="Simulated seconds.", min=0.001, max=1e6)]
 Width = Annotated[int, typer.Option(help="Channel width, MHz: 20, 40 or 80.")]
 ModeName = Annotated[

@@ -145,11 +145,11 @@ def test_an_emulator_that_has_ended_is_noticed_by_who_only_listens():
 
 
 LISTENER = """
-import sys, time
+import signal, sys
 from netsim.guest import Guest
 radio = Guest(sys.argv[1], name=sys.argv[2])
 print("here", flush=True)
-time.sleep(3600.0)
+signal.pause()
 """
 
 

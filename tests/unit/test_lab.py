@@ -53,6 +53,14 @@ def test_collisions_are_those_of_bianchis_fixed_point():
     assert result.dropped == 0
 
 
+@pytest.mark.parametrize(("rate_mbps", "bianchi_mbps"), [(6, 4.7087), (54, 29.8324)])
+def test_bianchis_table_can_be_asked_for_with_its_own_packets(rate_mbps, bianchi_mbps, capsys):
+    """Five stations; our frames have IP and UDP headers in front of the 1500 bytes, 1.8 % more than its."""
+    command = f"saturation --stations 5 --rate-mbps {rate_mbps} --payload 1500 --seconds 6 --json"
+    assert main(command.split()) == 0
+    assert json.loads(capsys.readouterr().out)["throughput_mbps"] == pytest.approx(bianchi_mbps, rel=0.03)
+
+
 def test_a_retry_limit_gives_frames_up_and_costs_throughput_as_the_window_falls_back():
     unlimited = saturate(stations=50, rts=False, mode="ofdm6", payload_bytes=1000, seconds=3.0)
     limited = saturate(stations=50, rts=False, mode="ofdm6", payload_bytes=1000, seconds=3.0, retry_limit=6)
@@ -158,6 +166,7 @@ def test_every_command_answers_in_json_and_in_a_table(command, fields, capsys):
         ("per --mode vht_mcs9 --width 20 --snr-db 3", "VHT MCS 9 does not exist on a 20 MHz channel"),
         ("saturation --rate-mbps 11", "'ofdm11' is no mode"),
         ("ftm --width 30", "30: the channel is 20, 40 or 80 MHz wide"),
+        ("saturation --payload 2269", "less than or equal to 2268"),
         ("broadcast --stations 1", "greater than or equal to 2"),
         ("per --mode ofdm6 --snr-db 1e5", "'--snr-db'"),
         ("per --mode ofdm6 --snr-db nan", "'--snr-db'"),
