@@ -89,11 +89,22 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     enabled: bool = True
     """False leaves the autopilots to the ground station."""
-    localisation: Literal["gps", "ftm"] = "ftm"
-    """Correct the own position by everyone's GPS and the FTM distances, or trust the own GPS alone."""
+    localisation: Literal["gps", "ftm", "truth"] = "ftm"
+    """Correct the own position by everyone's GPS and the FTM distances, trust the own GPS alone, or be told
+    by the simulator: the last two are what the first is measured against."""
     beacon_period_ms: Annotated[int, Meta(ge=10, le=60_000)] = 100
+    ranging: Literal["all_pairs", "scheduled"] = "all_pairs"
+    """Everybody to everybody in every period, or each pair by one of its ends, in a slot of its own, when the
+    distance is worth its time on the air."""
     ftm_period_s: Annotated[float, Meta(ge=0.02, le=3600.0)] = 1.0
-    """Each UAV ranges to every other once in this time."""
+    """With ``all_pairs`` each UAV ranges to every other once in this time."""
+    ranging_slot_ms: Annotated[int, Meta(ge=2, le=1_000)] = 4
+    """With ``scheduled`` each pair's slot is this long, and comes again when all pairs have had theirs."""
+    ranging_airtime: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.3
+    """With ``scheduled``: occupancy of the channel, as the own radio measures it and by whatever causes it,
+    above which only the more valuable distances are measured."""
+    wind_feed_forward: bool = False
+    """Lean against the wind that the application has learned; for autopilots that do not do so themselves."""
     climb_speed_m_s: Annotated[float, Meta(gt=0.0, le=5.0)] = 1.5
     on_station_tolerance_m: Positive = 0.7
     """Own estimated distance from the own place that counts as being there."""
@@ -113,6 +124,40 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     At most 0.6 of the spacing to the nearest place.
     """
+
+
+class TrackMotion(
+    Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="track"
+):
+    """The formation flies straight on, and stops after ``length_m``."""
+
+    speed_m_s: Annotated[float, Meta(gt=0.0, le=15.0)] = 3.0
+    acceleration_m_s2: Annotated[float, Meta(gt=0.0, le=3.0)] = 0.5
+    """Along the track, at its beginning and end."""
+    length_m: Positive = 100.0
+    course_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
+    """Compass direction of flight; the formation keeps its heading."""
+
+
+class RacetrackMotion(
+    Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="racetrack"
+):
+    """The formation flies round after round: two straights joined by half turns."""
+
+    speed_m_s: Annotated[float, Meta(gt=0.0, le=15.0)] = 3.0
+    acceleration_m_s2: Annotated[float, Meta(gt=0.0, le=3.0)] = 0.5
+    length_m: NonNegative = 60.0
+    """Of a straight."""
+    radius_m: Positive = 25.0
+    """Tightest in a turn."""
+    course_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
+    """Of the first straight, which begins where the formation has formed."""
+    side: Literal["left", "right"] = "right"
+    heading: Literal["fixed", "track"] = "track"
+    """Whether the formation turns with the track or keeps its heading."""
+
+
+AnyMotion = TrackMotion | RacetrackMotion
 
 
 class Devices(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -154,7 +199,10 @@ class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     onboard: OnboardConfig = OnboardConfig()
     devices: Devices = Devices()
     places_ned_m: tuple[Vector, ...]
-    """The formation: each UAV's place from the site's origin."""
+    """The formation: each UAV's place from the site's origin, before it moves."""
+    heading_deg: float = 0.0
+    """Of the formation, before it moves."""
+    motion: AnyMotion | None = None
     log_path: str | None = None
     """Binary log of estimates; None writes none."""
     params_path: str | None = None

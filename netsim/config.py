@@ -95,6 +95,11 @@ class GuestConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The 802.11 channel and the radios on it, all alike."""
 
+    channel: Literal["emulated", "ideal"] = "emulated"
+    """``ideal`` is what the emulation is measured against: whatever is sent arrives, after its own time on
+    the air, at everybody in range; nothing contends, collides or fades. Errors of time stamps remain."""
+    drop_fraction: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
+    """Share of received datagrams and of ranging results that the hosts lose, on top of the channel."""
     frequency_mhz: Annotated[float, Meta(ge=100.0, le=100_000.0)] = 5210.0
     bandwidth_mhz: BandwidthMhz = 80
     tx_power_dbm: PowerDbm = 16.0
