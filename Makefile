@@ -5,12 +5,13 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.set-up
 ARGS ?=
 
-.PHONY: help setup swarm test validate validate-radio bench-radio lint format clean
+.PHONY: help setup swarm test validate validate-radio codesign bench-radio lint format clean
 help:
 	@echo "make swarm [ARGS='--duration 20 --seed 3']   fly scenarios/article.toml"
 	@echo "make test  [ARGS='-k radio']                 run the tests"
 	@echo "make validate [ARGS='--quick | --out docs']   measure how well one vehicle flies (docs/validation.md)"
 	@echo "make validate-radio [ARGS='--quick | --out docs']   compare the radio with ns-3 (docs/radio-validation.md)"
+	@echo "make codesign [ARGS='--quick | --out docs']   measure what ranging does for the formation (docs/codesign.md)"
 	@echo "make bench-radio [ARGS='--peer COMMAND']      measure what the radio costs"
 	@echo "make lint | format | setup | clean"
 
@@ -33,6 +34,9 @@ validate: $(STAMP)
 
 validate-radio: $(STAMP)
 	$(BIN)/python scripts/validate_radio.py $(ARGS)
+
+codesign: $(STAMP)
+	$(BIN)/python scripts/experiment_codesign.py $(ARGS)
 
 bench-radio: $(STAMP)
 	$(BIN)/python scripts/bench_radio.py $(ARGS)

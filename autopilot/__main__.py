@@ -15,21 +15,18 @@ import time
 from pathlib import Path
 
 import msgspec
-from pymavlink.dialects.v20 import common
 
 from autopilot import parameter_file
 from autopilot.config import AutopilotConfig, VehicleConfig, VehiclePorts
+from autopilot.host import Host, warnings
 from autopilot.mavlink.codec import Encoder, Message
-from autopilot.mavlink.hil import HilEncoder, HilParser, HilSensor
 from autopilot.mavlink.links import UdpLink
 from autopilot.parameter_file import ParameterFileError
 from autopilot.params import ParameterError
-from autopilot.recording import VEHICLE_RECORD, record
 from autopilot.site_plan import PlanError
-from autopilot.vehicle import COMPANION, GROUND_STATION, Vehicle, is_clock
+from autopilot.vehicle import COMPANION, GROUND_STATION
 from netsim.child import Finished, Influenced, Ready, Warned, emit, end_with_parent
-from netsim.radio import BATCH_HANDED_OVER, RadioClient
-from netsim.record_log import RecordLog
+from netsim.radio import RadioClient
 
 RETRY_S = 0.1
 LINK_PERIOD_US = 20_000
@@ -63,10 +60,7 @@ class Process:
     """A vehicle and its edges."""
 
     def __init__(self, config: VehicleConfig, stack: contextlib.ExitStack) -> None:
-        self._config = config
-        self._name = f"uav {config.instance}"
         system, ports = config.instance + 1, config.ports
-        self._vehicle = Vehicle(config)
         self._links = [
             stack.enter_context(
                 contextlib.closing(
@@ -89,11 +83,7 @@ class Process:
                 endpoint=ports.radio_endpoint, run_id=config.run_id, station=config.instance
             )
             stack.enter_context(contextlib.closing(self._radio))
-        self._log: RecordLog | None = None
-        if config.log_path is not None:
-            self._log = stack.enter_context(contextlib.closing(RecordLog(config.log_path, VEHICLE_RECORD)))
-        self._parser = HilParser(HilSensor)
-        self._encoder = HilEncoder(system=system, component=1)
+        self._host = stack.enter_context(contextlib.closing(Host(config, self._radio)))
         self._link_messages = 0
         self._poll_us = 0
         self._simulator = stack.enter_context(
@@ -104,7 +94,7 @@ class Process:
         """Fly until the simulator hangs up."""
         emit(
             Ready(
-                name=self._name,
+                name=self._host.name,
                 pid=os.getpid(),
                 details={
                     "gcs_local_udp": self._links[GROUND_STATION].local_port,
@@ -115,22 +105,18 @@ class Process:
         # What lives now lives to the end: no full collection need walk it in flight.
         gc.collect()
         gc.freeze()
-        waiting: list[Message] = []
         with contextlib.suppress(ConnectionResetError, BrokenPipeError):  # a simulator that died hangs up too
             while data := self._simulator.recv(_RECEIVE_BYTES):
-                for message in self._parser.push(data):
-                    waiting.append(message)
-                    if is_clock(message):
-                        self._simulator.sendall(self._step(waiting))
-                        waiting = []
+                for messages in self._host.push(data):
+                    self._simulator.sendall(self._step(messages))
         emit(
             Finished(
-                name=self._name,
+                name=self._host.name,
                 details={
                     "ground_messages": self._link_messages,
-                    "malformed_bytes": self._parser.bad_bytes + sum(link.bad_bytes for link in self._links),
+                    "malformed_bytes": self._host.bad_bytes + sum(link.bad_bytes for link in self._links),
                     "malformed_deliveries": 0 if self._radio is None else self._radio.malformed,
-                    **self._vehicle.troubles(),
+                    **self._host.vehicle.troubles(),
                 },
             )
         )
@@ -143,53 +129,20 @@ class Process:
             self._poll_us = now_us + LINK_PERIOD_US
             incoming = [(i, message) for i, link in enumerate(self._links) for message in link.receive()]
             if incoming and not self._link_messages:
-                emit(Influenced(name=self._name, by="a ground station or companion"))
+                emit(Influenced(name=self._host.name, by="a ground station or companion"))
             self._link_messages += len(incoming)
-        output = self._vehicle.step(
-            sim_messages=simulator_messages,
+        answer, outgoing = self._host.step(
+            simulator_messages,
             link_messages=incoming,
-            radio_items=self._radio.receive(now_us) if self._radio is not None else (),
             link_active=tuple(link.active for link in self._links),
         )
-        actuators = output.actuators
-        if output.save_parameters:
-            self._save_parameters()
-        if output.links:
-            self._tell_launcher(now_us, output.links)
+        if outgoing:
+            # so that whoever looks on without a ground station sees what it is warned of
+            for text in warnings(outgoing):
+                emit(Warned(name=self._host.name, time_us=now_us, text=text))
             for i, link in enumerate(self._links):
-                link.send(message for to, message in output.links if to == i)
-        if output.radio and self._radio is not None:
-            self._radio.send(now_us, output.radio)
-            actuators = actuators._replace(flags=actuators.flags | BATCH_HANDED_OVER)
-        if self._log is not None and now_us % self._config.record_period_us == 0:
-            self._log.append([record(self._vehicle)])
-        return b"".join(self._encoder.encode(message) for message in (*output.simulator, actuators))
-
-    def _tell_launcher(self, now_us: int, messages: list[tuple[int, Message]]) -> None:
-        """Pass on what the ground station is warned of, so that whoever looks on without one sees it."""
-        for to, message in messages:
-            if (
-                to == GROUND_STATION
-                and message.get_msgId() == common.MAVLINK_MSG_ID_STATUSTEXT
-                and message.severity <= common.MAV_SEVERITY_WARNING
-            ):
-                emit(Warned(name=self._name, time_us=now_us, text=_text(message)))
-
-    def _save_parameters(self) -> None:
-        """Write the parameter file; a disk that will not have it is no reason to fall out of the sky."""
-        path, system = self._config.params_path, self._config.instance + 1
-        if path is None:
-            return
-        try:
-            parameter_file.save(Path(path), self._vehicle.parameters, system_id=system)
-        except OSError as error:
-            print(f"{self._name}: parameters not saved: {error}", file=sys.stderr)
-
-
-def _text(message: Message) -> str:
-    """Text of a STATUSTEXT that is made here: its bytes are what pymavlink makes of them on the wire."""
-    text = message.text
-    return text.decode("ascii", "replace") if isinstance(text, bytes) else str(text)
+                link.send(message for to, message in outgoing if to == i)
+        return answer
 
 
 def main() -> int:

@@ -100,7 +100,7 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """With ``all_pairs`` each UAV ranges to every other once in this time."""
     ranging_slot_ms: Annotated[int, Meta(ge=2, le=1_000)] = 4
     """With ``scheduled`` each pair's slot is this long, and comes again when all pairs have had theirs."""
-    ranging_airtime: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.3
+    ranging_airtime: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.1
     """With ``scheduled``: occupancy of the channel, as the own radio measures it and by whatever causes it,
     above which only the more valuable distances are measured."""
     wind_feed_forward: bool = False
@@ -131,7 +131,7 @@ class TrackMotion(
 ):
     """The formation flies straight on, and stops after ``length_m``."""
 
-    speed_m_s: Annotated[float, Meta(gt=0.0, le=15.0)] = 3.0
+    speed_m_s: Annotated[float, Meta(gt=0.0, le=12.0)] = 3.0
     acceleration_m_s2: Annotated[float, Meta(gt=0.0, le=3.0)] = 0.5
     """Along the track, at its beginning and end."""
     length_m: Positive = 100.0
@@ -144,7 +144,7 @@ class RacetrackMotion(
 ):
     """The formation flies round after round: two straights joined by half turns."""
 
-    speed_m_s: Annotated[float, Meta(gt=0.0, le=15.0)] = 3.0
+    speed_m_s: Annotated[float, Meta(gt=0.0, le=12.0)] = 3.0
     acceleration_m_s2: Annotated[float, Meta(gt=0.0, le=3.0)] = 0.5
     length_m: NonNegative = 60.0
     """Of a straight."""

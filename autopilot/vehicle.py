@@ -32,7 +32,13 @@ from autopilot.protocol.offboard import OffboardService
 from autopilot.protocol.parameter import ParameterService
 from autopilot.protocol.service import AUTOPILOT_COMPONENT, is_addressed_to
 from autopilot.protocol.status import heartbeat, status_text
-from autopilot.protocol.streams import APPLICATION_HZ, COMPANION_HZ, GROUND_STATION_HZ, Streams
+from autopilot.protocol.streams import (
+    APPLICATION_HZ,
+    APPLICATION_WITH_ATTITUDE_HZ,
+    COMPANION_HZ,
+    GROUND_STATION_HZ,
+    Streams,
+)
 from autopilot.protocol.telemetry import Telemetry
 from autopilot.recording import SiteFrame
 from autopilot.sensors import SensorInput
@@ -51,6 +57,9 @@ _MODE_DISARMED = common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 _MODE_ARMED = _MODE_DISARMED | common.MAV_MODE_FLAG_SAFETY_ARMED
 _LOCKSTEP_FLAG = 1
 _GPS_RAW_INT = common.MAVLINK_MSG_ID_GPS_RAW_INT
+_HIL_STATE_QUATERNION = common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
+_TO_GROUND_TOO = frozenset({common.MAVLINK_MSG_ID_HEARTBEAT, common.MAVLINK_MSG_ID_NAMED_VALUE_INT})
+"""What the application tells simulator and ground station of itself."""
 
 
 def is_clock(message: Message) -> bool:
@@ -113,7 +122,10 @@ class Vehicle:
         self.pilot = Pilot(settings, self.flight, offboard=self.offboard, manual=self.manual)
         self.pilot.load_mission(site_plan.mission(config.autopilot.mission, config.site))
         self._links = (self._make_link(GROUND_STATION_HZ), self._make_link(COMPANION_HZ))
-        self._app_link = self._make_link(APPLICATION_HZ)
+        self._app_link = self._make_link(
+            APPLICATION_WITH_ATTITUDE_HZ if config.onboard.wind_feed_forward else APPLICATION_HZ
+        )
+        self._told_truth = config.onboard.localisation == "truth"
         self.app = self._make_app()
         self._last_us: int | None = None
         self._announced: tuple[FlightMode, bool, bool] | None = None
@@ -159,6 +171,8 @@ class Vehicle:
             self._tell_everybody(status_text(notice.severity, notice.text), outgoing, now_us)
         for number, message in link_messages:
             outgoing += [(number, answer) for answer in self._on_link_message(number, message, now_us)]
+        if self._told_truth:
+            self._pass_truth_on(sim_messages, now_us)
         radio = self._run_app(radio_items, outgoing, simulator, now_us)
         self.pilot.fly(dt_s)
         for number, link in enumerate(self._links):
@@ -252,7 +266,7 @@ class Vehicle:
         for message in output.mavlink:
             stamp(message, system=self._system, component=APPLICATION_COMPONENT)
             kind = message.get_msgId()
-            if kind == common.MAVLINK_MSG_ID_HEARTBEAT:
+            if kind in _TO_GROUND_TOO:
                 simulator.append(message)
                 outgoing.append((GROUND_STATION, message))
             elif kind == common.MAVLINK_MSG_ID_STATUSTEXT:
@@ -263,6 +277,12 @@ class Vehicle:
                     if answer.get_msgId() == common.MAVLINK_MSG_ID_STATUSTEXT:
                         outgoing.append((GROUND_STATION, answer))
         return output.radio
+
+    def _pass_truth_on(self, sim_messages: Sequence[Message], now_us: int) -> None:
+        """Tell the application where the vehicle is: what no aircraft knows, and estimates are held to."""
+        for message in sim_messages:
+            if message.get_msgId() == _HIL_STATE_QUATERNION and self.app is not None:
+                self.app.on_mavlink(message, now_us)
 
     def _announce(self, simulator: list[Message], now_us: int) -> None:
         """Heartbeat to simulator and application: each second, and at once when what it says changes."""
@@ -307,6 +327,8 @@ class Vehicle:
         return OnboardApp(
             station=config.instance,
             places_ned_m=config.places_ned_m,
+            heading_deg=config.heading_deg,
+            motion=config.motion,
             site=config.site,
             config=config.onboard,
             devices=config.devices,

@@ -1,15 +1,38 @@
 """The time master's side of the 802.11 emulator: when the air has to go on, and that it has."""
 
+from collections.abc import Mapping
+from typing import Protocol
+
 import msgspec
 
 from harness.physics.truth import Truth
 from netsim.radio import ADVANCE_LIMIT_S, advance_key
-from netsim.transport import Pending, Transport
 from netsim.wire.messages import Advance, Advanced, decode, encode, pack_rows
 
 
 class RadioSilent(ConnectionError):
     """The 802.11 emulator does not answer the time master."""
+
+
+class Answering(Protocol):
+    """A question under way: see `netsim.transport.Pending`."""
+
+    def answer(self) -> bytes | None:
+        """Wait for the answer; None: there is none."""
+
+
+class Asking(Protocol):
+    """Asks one key: see `netsim.transport.Asker`."""
+
+    def ask(self, payload: bytes) -> Answering:
+        """Send a question."""
+
+
+class Carrier(Protocol):
+    """Brings questions to the emulator: see `netsim.transport.Transport`."""
+
+    def asker(self, key: str, *, timeout_s: float) -> Asking:
+        """Declare that ``key`` will be asked."""
 
 
 class Air:
@@ -18,15 +41,17 @@ class Air:
     Asks it to go on, and only when it has something to do; with guests on the channel that is always.
     """
 
-    def __init__(self, transport: Transport, run_id: str, *, guests: bool = False) -> None:
+    def __init__(self, transport: Carrier, run_id: str, *, guests: bool = False) -> None:
         self._guests = guests
         self._asker = transport.asker(advance_key(run_id), timeout_s=ADVANCE_LIMIT_S)
         self._request: Advance | None = None
-        self._pending: Pending | None = None
+        self._pending: Answering | None = None
         self._quiet_until_us = 0
         self._handed_over = True
         self.extra_attenuation_db: float | None = None
         """On every link, in the intervals that begin from now on; None is the scenario's own value."""
+        self.range_offsets_m: Mapping[int, float] = {}
+        """By station, how much farther than it is its radio measures, from then on too."""
         self.busy_ns = 0
 
     def begin(self, time_us: int, step_us: int, truth: Truth, silent: tuple[int, ...]) -> None:
@@ -49,6 +74,7 @@ class Air:
                 q_ned_frd=pack_rows(truth.q_ned_frd),
                 silent=silent,
                 extra_attenuation_db=self.extra_attenuation_db,
+                range_offsets_m=tuple(self.range_offsets_m.items()),
             )
         )
 

@@ -47,19 +47,22 @@ class GainSeries:
         return int(np.argsort(self.max_gain_dbi, kind="stable")[(len(self.patterns) - 1) // 2])
 
 
-def antenna_from_ned(heading_deg: float) -> Array:
+def antenna_from_ned(heading_rad: float) -> Array:
     """(3, 3) matrix that maps NED components into the antenna's frame of a formation with this heading.
 
     y, the end-fire axis, points along the heading, x to the right of it, z up.
     """
-    c, s = np.cos(np.radians(heading_deg)), np.sin(np.radians(heading_deg))
+    c, s = np.cos(heading_rad), np.sin(heading_rad)
     return np.array([[-s, c, 0.0], [c, s, 0.0], [0.0, 0.0, -1.0]])
 
 
-def ideal_pattern(places_ned_m: Array, heading_deg: float, config: AntennaConfig) -> Pattern:
-    """Pattern of the formation (N, 3) with every vehicle upright in its place; raises `ElementsTouch`."""
+def ideal_pattern(places_ned_m: Array, heading_rad: float, config: AntennaConfig) -> Pattern:
+    """Pattern of the formation (N, 3) with every vehicle upright in its place; raises `ElementsTouch`.
+
+    It is the same wherever the formation flies, for the antenna's frame turns with it.
+    """
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(places_ned_m), 1))
-    snapshot = antenna_snapshot(places_ned_m, upright, places_ned_m, heading_deg, config.wavelength_m)
+    snapshot = antenna_snapshot(places_ned_m, upright, places_ned_m, heading_rad, config.wavelength_m)
     (pattern,) = compute_patterns(config, [snapshot])
     if isinstance(pattern, ElementsTouch):
         raise pattern
@@ -67,14 +70,14 @@ def ideal_pattern(places_ned_m: Array, heading_deg: float, config: AntennaConfig
 
 
 def antenna_snapshot(
-    pos_ned_m: Array, q_ned_frd: Array, desired_pos_ned_m: Array, heading_deg: float, wavelength_m: float
+    pos_ned_m: Array, q_ned_frd: Array, desired_pos_ned_m: Array, heading_rad: float, wavelength_m: float
 ) -> Snapshot:
     """Make the array of n vehicles at (n, 3) positions with (n, 4) attitudes, fed for desired places (n, 3).
 
     A dipole stands along its vehicle's vertical axis, positive upwards. The frame's origin is the centre of
     the places.
     """
-    to_antenna = antenna_from_ned(heading_deg).T
+    to_antenna = antenna_from_ned(heading_rad).T
     up_ned = Rotation.from_quat(q_ned_frd, scalar_first=True).apply([0.0, 0.0, -1.0])
     centre_ned_m = desired_pos_ned_m.mean(axis=0)
     return Snapshot(
@@ -84,7 +87,7 @@ def antenna_snapshot(
     )
 
 
-def gain_series(flight: Flight, heading_deg: float, config: AntennaConfig, *, workers: int = 1) -> GainSeries:
+def gain_series(flight: Flight, config: AntennaConfig, *, workers: int = 1) -> GainSeries:
     """Patterns of the flight at ``config.snapshot_rate_hz``.
 
     The elements of dead vehicles are left out; instants at which none lives, or two elements touch, are
@@ -106,7 +109,7 @@ def gain_series(flight: Flight, heading_deg: float, config: AntennaConfig, *, wo
                 sampled.pos_ned_m[t, alive],
                 sampled.q_ned_frd[t, alive],
                 places_ned_m,
-                heading_deg,
+                float(sampled.heading_rad[t]),
                 config.wavelength_m,
             )
         )
@@ -130,11 +133,11 @@ def gain_series(flight: Flight, heading_deg: float, config: AntennaConfig, *, wo
 
 
 def figure_patterns(
-    series: GainSeries, places_ned_m: Array, heading_deg: float, config: AntennaConfig
+    series: GainSeries, places_ned_m: Array, heading_rad: float, config: AntennaConfig
 ) -> tuple[Pattern, Pattern]:
     """Patterns of the ideal formation (N, 3) and of the median instant, on a grid fine enough to look at."""
     fine = structs.replace(config, grid_deg=min(config.grid_deg, FIGURE_GRID_DEG))
     (flown,) = compute_patterns(fine, [series.snapshots[series.median_index]])
     if isinstance(flown, ElementsTouch):
         raise flown
-    return ideal_pattern(places_ned_m, heading_deg, fine), flown
+    return ideal_pattern(places_ned_m, heading_rad, fine), flown

@@ -17,7 +17,7 @@ from rich.console import Console
 
 from harness.processes import SetupError, SwarmError
 from harness.progress import Display, display_for, summary_table
-from harness.scenario import ScenarioError, load
+from harness.scenario import Scenario, ScenarioError, load
 from harness.swarm import Swarm, SwarmTimeoutError
 
 FINE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -67,6 +67,14 @@ def fly(
     port_offset: Annotated[
         int, typer.Option(help="Added to every port, for a second swarm on one machine: 1000, 2000 ...")
     ] = 0,
+    one_process: Annotated[  # noqa: FBT002
+        bool,
+        typer.Option(
+            "--one-process",
+            help="Fly it all in this process, on one processor: the same results byte for byte, but nobody"
+            " from outside can connect: no ground station, companion or guest of the radio.",
+        ),
+    ] = False,
     json: Annotated[bool, typer.Option("--json", help="The summary alone on stdout.")] = False,  # noqa: FBT002
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,  # noqa: FBT002
 ) -> None:
@@ -80,14 +88,7 @@ def fly(
         out = out or _default_folder(plan.name)
         factor = _speed(speed)
         display = display_for(messages)
-        swarm = Swarm(
-            plan,
-            speed=factor,
-            out=out,
-            ports="scenario",
-            port_offset=port_offset,
-            on_message=display.on_message,
-        )
+        swarm = _swarm(plan, factor, out, port_offset, display, one_process=one_process)
         broken_off = _fly(swarm, display)
         display.close()
         _report(swarm, broken_off, messages, as_json=json)
@@ -99,12 +100,36 @@ def fly(
         raise _failure(error) from None
 
 
+def _swarm(
+    plan: Scenario,
+    speed: float | Literal["max"],
+    out: Path,
+    port_offset: int,
+    display: Display,
+    *,
+    one_process: bool,
+) -> Swarm:
+    if one_process:
+        from harness.one_process import OneProcessSwarm  # noqa: PLC0415  loads the physics, which prints a line
+
+        return OneProcessSwarm(plan, speed=speed, out=out, on_message=display.on_message)
+    return Swarm(
+        plan,
+        speed=speed,
+        out=out,
+        ports="scenario",
+        port_offset=port_offset,
+        on_message=display.on_message,
+    )
+
+
 def _fly(swarm: Swarm, display: Display) -> SwarmError | KeyboardInterrupt | None:
     """Start, form, hold and stop. Returns what broke it off, if there are records all the same."""
     run = swarm.scenario.run
     display.note(f"{swarm.scenario.name}: {swarm.scenario.agents} UAVs, seed {run.seed}, into {swarm.path}")
     swarm.start()
-    display.note(f"{len(swarm.pids)} processes are ready")
+    processes = "one process is" if len(swarm.pids) == 1 else f"{len(swarm.pids)} processes are"
+    display.note(f"{processes} ready")
     try:
         if swarm.scenario.onboard.enabled:  # else nobody forms anything: the ground station flies
             swarm.run_until_formed(timeout_s=run.reach_timeout_s)

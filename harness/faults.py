@@ -1,12 +1,12 @@
 """Faults that a scenario injects at a time: what fails, in which vehicle, from when to when.
 
 Pure: the physics server asks `Faults.advance` in every step, which costs next to nothing while nothing begins
-or ends; sensors and rotors read what is in force. Faults of one kind that overlap in a vehicle add up, as
-independent noises do, by their variances; rotors' effectivenesses multiply.
+or ends; sensors, rotors and the air read what is in force. Faults of one kind that overlap in a vehicle add
+up, as independent noises do, by their variances; rotors' effectivenesses multiply.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Literal, NamedTuple, get_args
 
 import msgspec
@@ -32,6 +32,10 @@ PositionOffset = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
 AccelOffset = Annotated[float, Meta(ge=-100.0, le=100.0)]
 GyroOffset = Annotated[float, Meta(ge=-35.0, le=35.0)]
 MagOffset = Annotated[float, Meta(ge=-10.0, le=10.0)]
+RangeOffset = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
+MOST_ATTENUATION_DB = 1_000.0
+MOST_RANGE_OFFSET_M = 1e6
+"""What `netsim.wire.messages.Advance` can say, of whatever adds up to more."""
 
 
 def _tag(name: str) -> str:
@@ -124,6 +128,26 @@ class MotorStop(Fault, frozen=True, kw_only=True):
     motor: Motor
 
 
+class RadioAttenuation(Fault, frozen=True, kw_only=True):
+    """Every link of the channel is weaker, guests' too; 200 dB cut it. Interferers keep their power."""
+
+    uav: Annotated[int, Meta(ge=0)] | Literal["all"] = "all"
+    attenuation_db: Annotated[float, Meta(ge=0.0, le=300.0)]
+    """On top of what the run has on every link already."""
+
+    def __post_init__(self) -> None:
+        """Check what no single field can."""
+        if self.uav != "all":
+            raise ValueError('uav: expected "all", for the channel is everybody\'s')
+
+
+class RangingBias(Fault, frozen=True, kw_only=True):
+    """A radio that is calibrated wrongly: it tells so of all distances that it measures itself."""
+
+    offset_m: RangeOffset
+    """By which it measures too far."""
+
+
 AnyFault = (
     GpsLoss
     | GpsBias
@@ -136,6 +160,8 @@ AnyFault = (
     | BaroBias
     | MotorLoss
     | MotorStop
+    | RadioAttenuation
+    | RangingBias
 )
 
 
@@ -224,6 +250,10 @@ class Faults:
         """(n, 4)"""
         self.rotor_stopped: NDArray[np.bool_] | None = None
         """(n, 4)"""
+        self.extra_attenuation_db: float | None = None
+        """On every link, on top of what there is already."""
+        self.range_offsets_m: Mapping[int, float] = {}
+        """By vehicle, of those whose radios measure too far."""
         for fault in faults:
             self.add(fault, 0)
 
@@ -309,6 +339,13 @@ class Faults:
                 if self.rotor_stopped is None:
                     self.rotor_stopped = np.zeros((self._vehicles, ROTORS), dtype=np.bool_)
                 self.rotor_stopped[_who(fault), fault.motor] = True
+        losses_db = [fault.attenuation_db for fault in active if isinstance(fault, RadioAttenuation)]
+        self.extra_attenuation_db = min(sum(losses_db), MOST_ATTENUATION_DB) if losses_db else None
+        offsets_m = self._sum((fault, fault.offset_m) for fault in active if isinstance(fault, RangingBias))
+        self.range_offsets_m = {}
+        if offsets_m is not None:
+            limited_m = np.clip(offsets_m, -MOST_RANGE_OFFSET_M, MOST_RANGE_OFFSET_M).tolist()
+            self.range_offsets_m = {i: offset_m for i, offset_m in enumerate(limited_m) if offset_m}
 
     def _sum(self, parts: Iterable[tuple[AnyFault, Vector | float]]) -> Array | None:
         """(n, 3) or (n,) sum of vectors or numbers, each for its fault's vehicles; None of nothing."""

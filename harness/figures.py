@@ -19,15 +19,20 @@ from harness.flight import Array, Flight
 from harness.formation_error import ErrorSeries, FormationError
 
 DPI = 150
+SHOWN_ON_THE_WAY = 13
+"""Instants at which a formation that moves is marked on the map."""
 LEGEND_VEHICLES = 12
 """More vehicles than this are told apart by nothing but their places."""
 
 
 def save_tracks(path: Path, flight: Flight) -> None:
-    """Map of the tracks and of the last desired places, and the heights over time; T >= 1."""
+    """Map of the tracks, with the desired ones of a formation that moves, and heights over time; T >= 1."""
     figure = Figure(figsize=(9.0, 8.0), layout="constrained")
     plan, profile = figure.subplots(2, 1, height_ratios=[3, 2])
     time_s = flight.time_us / 1e6
+    moves = bool((flight.desired_pos_ned_m != flight.desired_pos_ned_m[0]).any())
+    on_the_way = np.linspace(0, len(flight) - 1, SHOWN_ON_THE_WAY).astype(int)
+    mark, cross, cross_width = (4, 8, 1.2) if moves else (6, 16, 2.0)
     for i, colour in enumerate(_colours(flight.alive.shape[1])):
         north_m, east_m, down_m = (
             np.ma.array(flight.pos_ned_m[:, i, axis], mask=~flight.alive[:, i]) for axis in range(3)
@@ -39,17 +44,26 @@ def save_tracks(path: Path, flight: Flight) -> None:
             last = living[-1]
             marker = "o" if last == len(flight) - 1 else "X"  # a cross where it was lost
             plan.plot(
-                east_m[last], north_m[last], marker, color=colour, markeredgecolor="black", markersize=6
+                east_m[last], north_m[last], marker, color=colour, markeredgecolor="black", markersize=mark
             )
         desired_north_m, desired_east_m, desired_down_m = flight.desired_pos_ned_m[:, i].T
+        if moves:
+            plan.plot(desired_east_m, desired_north_m, "--", color="0.2", linewidth=0.4, zorder=3)
+            plan.plot(east_m[on_the_way], north_m[on_the_way], "o", color=colour, markersize=3)
         plan.plot(
-            desired_east_m[-1], desired_north_m[-1], "+", color=colour, markersize=16, markeredgewidth=2.0
+            desired_east_m[-1],
+            desired_north_m[-1],
+            "+",
+            color=colour,
+            markersize=cross,
+            markeredgewidth=cross_width,
         )
         profile.plot(time_s, -desired_down_m, "k--", linewidth=1.0, zorder=1)
+    moving = " (desired: dashed; · at equal intervals)" if moves else ""
     plan.set(
         xlabel="East (m)",
         ylabel="North (m)",
-        title="Tracks; + desired place, ● last position, ✖ of a lost UAV",
+        title=f"Tracks{moving}; + desired place, ● last position, ✖ of a lost UAV",
     )
     plan.set_aspect("equal", adjustable="datalim")
     profile.set(

@@ -23,6 +23,8 @@ class Flight:
     """(T, N, 4) Hamilton, wxyz; maps FRD into NED."""
     desired_pos_ned_m: Array
     """(T, N, 3); `numpy.broadcast_to` makes it of a formation that stands still."""
+    heading_rad: Array
+    """(T,) of the desired formation, clockwise from north; likewise."""
     alive: NDArray[np.bool_]
     """(T, N)"""
 
@@ -34,6 +36,7 @@ class Flight:
             "pos_ned_m": (instants, vehicles, 3),
             "q_ned_frd": (instants, vehicles, 4),
             "desired_pos_ned_m": (instants, vehicles, 3),
+            "heading_rad": (instants,),
         }
         for name, shape in expected.items():
             if getattr(self, name).shape != shape:
@@ -51,6 +54,7 @@ class Flight:
             pos_ned_m=self.pos_ned_m[rows],
             q_ned_frd=self.q_ned_frd[rows],
             desired_pos_ned_m=self.desired_pos_ned_m[rows],
+            heading_rad=self.heading_rad[rows],
             alive=self.alive[rows],
         )
 

@@ -12,10 +12,13 @@ from itertools import repeat
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from autopilot.config import Site
 from autopilot.estimation.atmosphere import altitude_m
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.hil import HilActuatorControls, HilSensor, pack
+from autopilot.navigation.geodesy import ned_to_geodetic
 from harness.esc import EscReadings, pack_escs
+from harness.physics.truth import Truth
 from harness.sensors.suite import BaroSamples, GpsFixes, SensorFrame
 
 SIMULATOR_SYSTEM_ID = 0
@@ -29,23 +32,34 @@ _COURSE_LEAST_SPEED_M_S = 0.1
 _SATELLITES = 10
 _NO_FIELD = (0.0, 0.0, 0.0)
 _NO_AIR = (0.0, 0.0, 0.0, 0.0)
+_SITE = Site()
+TRUTH_PERIOD_US = 20_000
+"""Between two HIL_STATE_QUATERNION, where the truth is told."""
 
 
 class SensorEncoder:
     """Bytes that the vehicles get in one step. The same kinds go to all, so their links count alike."""
 
-    def __init__(self) -> None:
+    def __init__(self, site: Site = _SITE) -> None:
+        self._site = site
         self._mav = mavlink.MAVLink(None, srcSystem=SIMULATOR_SYSTEM_ID, srcComponent=SIMULATOR_COMPONENT_ID)
         self._sequence = 0
 
-    def encode(self, time_us: int, frame: SensorFrame, escs: EscReadings | None = None) -> Iterator[bytes]:
+    def encode(
+        self,
+        time_us: int,
+        frame: SensorFrame,
+        escs: EscReadings | None = None,
+        truth: Truth | None = None,
+    ) -> Iterator[bytes]:
         """Frames for one vehicle after the other, each made when it is asked for.
 
-        ESC_STATUS when there are readings of motors, HIL_GPS when a fix is due, then HIL_SENSOR, which is
-        what lets a vehicle's clock go on.
+        ESC_STATUS when there are readings of motors, HIL_GPS when a fix is due, HIL_STATE_QUATERNION when
+        the truth is to be told, then HIL_SENSOR, which is what lets a vehicle's clock go on.
         """
         fix_sequence = (self._sequence + (escs is not None)) % 256
-        sequence = (fix_sequence + (frame.gps is not None)) % 256
+        state_sequence = (fix_sequence + (frame.gps is not None)) % 256
+        sequence = (state_sequence + (truth is not None)) % 256
         motors: Iterable[bytes] = repeat(b"")
         if escs is not None:
             motors = pack_escs(
@@ -74,6 +88,9 @@ class SensorEncoder:
                 system=SIMULATOR_SYSTEM_ID,
                 component=SIMULATOR_COMPONENT_ID,
             )
+            if truth is not None:
+                self._mav.seq = state_sequence
+                sensor = _state(vehicle, time_us, truth, self._site).pack(self._mav) + sensor
             if frame.gps is not None:
                 self._mav.seq = fix_sequence
                 sensor = _gps(vehicle, time_us, frame.gps).pack(self._mav) + sensor
@@ -111,6 +128,29 @@ def _gps(vehicle: int, time_us: int, fixes: GpsFixes) -> Message:
         _i16(down * 100),
         course_cdeg if speed_m_s > _COURSE_LEAST_SPEED_M_S else _UNKNOWN,
         _SATELLITES,
+    )
+
+
+def _state(vehicle: int, time_us: int, truth: Truth, site: Site) -> Message:
+    """HIL_STATE_QUATERNION; its position is good to a centimetre, as degE7 are."""
+    lat_deg, lon_deg, alt_m = ned_to_geodetic(
+        truth.pos_ned_m[vehicle],
+        origin_lat_deg=site.latitude_deg,
+        origin_lon_deg=site.longitude_deg,
+        origin_alt_m=site.altitude_m,
+    )
+    north, east, down = truth.vel_ned_m_s[vehicle].tolist()
+    return mavlink.MAVLink_hil_state_quaternion_message(
+        time_us,
+        truth.q_ned_frd[vehicle].tolist(),
+        *truth.omega_frd_rad_s[vehicle].tolist(),
+        _i32(float(lat_deg) * 1e7),
+        _i32(float(lon_deg) * 1e7),
+        _i32(float(alt_m) * 1e3),
+        _i16(north * 100),
+        _i16(east * 100),
+        _i16(down * 100),
+        *(0, 0, 0, 0, 0),
     )
 
 

@@ -21,16 +21,38 @@ _RECEIVE_BYTES = 4096
 _POLL_TIMEVAL = struct.pack("ll", 0, round(POLL_S * 1e6))
 
 
-class Seat:
-    """One vehicle's place at the simulator: its connection and what it last said of itself."""
+CLOSED = "its connection closed"
+"""Reason of the loss of a vehicle that ended."""
+
+
+class Voice:
+    """What one vehicle says to the simulator."""
 
     def __init__(self, instance: int) -> None:
         self.instance = instance
-        self.connection: socket.socket | None = None
         self.parser = HilParser(HilActuatorControls)
         self.answer: HilActuatorControls | None = None
         """HIL_ACTUATOR_CONTROLS of the present step, once it is there."""
         self.answered_ever = False
+
+    def take(self, data: bytes, time_us: int) -> list[Message]:
+        """Take in the next bytes: keep the answer to the sensors of ``time_us``, return all but answers."""
+        others: list[Message] = []
+        for message in self.parser.push(data):
+            if not isinstance(message, HilActuatorControls):
+                others.append(message)
+            elif message.time_usec == time_us:  # a late answer to an earlier step is none to this
+                self.answer = message
+                self.answered_ever = True
+        return others
+
+
+class Seat(Voice):
+    """One vehicle's place at the simulator: its connection and what it last said of itself."""
+
+    def __init__(self, instance: int) -> None:
+        super().__init__(instance)
+        self.connection: socket.socket | None = None
 
     @property
     def alive(self) -> bool:
@@ -156,14 +178,10 @@ class Lockstep:
         except OSError:
             data = b""
         if not data:
-            self.lose(seat.instance, "its connection closed")
+            self.lose(seat.instance, CLOSED)
             return True
-        for message in seat.parser.push(data):
-            if not isinstance(message, HilActuatorControls):
-                self._on_message(seat.instance, message)
-            elif message.time_usec == time_us:  # a late answer to an earlier step is none to this
-                seat.answer = message
-                seat.answered_ever = True
+        for message in seat.take(data, time_us):
+            self._on_message(seat.instance, message)
         return True
 
     def _look_around(self, time_us: int) -> None:

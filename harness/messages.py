@@ -72,7 +72,7 @@ class VehicleTruth(Struct, frozen=True, kw_only=True):
     vel_ned_m_s: Vector
     q_ned_frd: Quaternion
     error_m: float
-    """Horizontal distance from its place in the formation."""
+    """Horizontal distance from its place in the formation, wherever that moves."""
 
 
 class Progress(Event, frozen=True, kw_only=True):
@@ -96,6 +96,15 @@ class Paused(Event, frozen=True, kw_only=True):
 
 class Formed(Event, frozen=True, kw_only=True):
     """Every living vehicle's application says that it is on station, for the first time."""
+
+
+class FormationMoves(Event, frozen=True, kw_only=True):
+    """More than half of the living vehicles' applications say the same start of the formation's motion.
+
+    Once they do, and again when that start is another one.
+    """
+
+    start_us: int
 
 
 class VehicleLost(Event, frozen=True, kw_only=True):
@@ -134,4 +143,6 @@ class FaultChanged(Event, frozen=True, kw_only=True):
     change: Literal["began", "ended"]
 
 
-AnyEvent = Progress | Paused | Formed | VehicleLost | VehicleSilent | Collision | FaultChanged
+AnyEvent = (
+    Progress | Paused | Formed | FormationMoves | VehicleLost | VehicleSilent | Collision | FaultChanged
+)

@@ -25,5 +25,5 @@ force or a velocity.
 
 AIR_RECORD = np.dtype([("time_us", "i8"), ("busy_ns", "i8")])
 """One row per recorded instant: time since the start for which the channel carried something."""
-EVENT_KINDS = ("formed", "vehiclelost", "collision", "faultchanged")
+EVENT_KINDS = ("formed", "formationmoves", "vehiclelost", "collision", "faultchanged")
 """Events that belong to the run itself, not to the wall clock; they are written to events.jsonl."""

@@ -7,6 +7,7 @@ Everything here works from the run folder alone, so a run that was cut short is 
 
 import hashlib
 import importlib.metadata
+import math
 import os
 import platform
 from pathlib import Path
@@ -21,10 +22,12 @@ from antenna.backend import BackendUnavailable
 from antenna.parallel import WorkerError
 from antenna.patterns import Pattern
 from antenna.statistics import gain_statistics
+from autopilot.formation_plan import FormationPlan
 from harness import figures
 from harness.analysis import GainSeries, figure_patterns, gain_series, ideal_pattern
 from harness.flight import Flight
 from harness.formation_error import FormationError, formation_error
+from harness.motion_start import flown_start_us, since_start_s
 from harness.recording import AIR_RECORD
 from harness.run_folder import RunFolder
 from harness.scenario import Scenario
@@ -78,10 +81,13 @@ def finish(folder: RunFolder, scenario: Scenario, outcome: Outcome, *, draw: boo
 
     Raises OSError if the folder cannot be written.
     """
-    records = write_tables(folder, scenario.agents)
+    plan, start_us = scenario.plan(), flown_start_us(folder.events)
+    records = write_tables(
+        folder, scenario.agents, lambda time_us: plan.places(since_start_s(time_us, start_us))
+    )
     sessions = read(folder.raw_sessions, SESSION_LOG)
     hashes = {name: _sha256(folder.path / name) for name in LOGS}
-    whole = _flight(records, scenario)
+    whole = _flight(records, plan, start_us)
     window = _window(whole, outcome)
     error = formation_error(window) if len(window) else None
     gains, ideal, antenna_note = _antenna(window, scenario)
@@ -95,6 +101,7 @@ def finish(folder: RunFolder, scenario: Scenario, outcome: Outcome, *, draw: boo
         "wall_s": round(outcome.wall_s, 3),
         "real_time_factor": round(outcome.simulated_us / 1e6 / outcome.wall_s, 3) if outcome.wall_s else None,
         "formed_s": None if outcome.formed_us is None else outcome.formed_us / 1e6,
+        "moves_s": None if start_us is None else start_us / 1e6,
         "formation_s": _span_s(window),
         "formation_rms_m": _formation(error),
         "vehicles": _vehicles(records, error),
@@ -113,13 +120,15 @@ def finish(folder: RunFolder, scenario: Scenario, outcome: Outcome, *, draw: boo
     return summary
 
 
-def _flight(records: NDArray[Any], scenario: Scenario) -> Flight:
+def _flight(records: NDArray[Any], plan: FormationPlan, start_us: int | None) -> Flight:
     """The run's records as the analysis wants them."""
+    time_us = records["time_us"][:, 0]
     return Flight(
-        time_us=records["time_us"][:, 0],
+        time_us=time_us,
         pos_ned_m=records["pos_ned_m"],
         q_ned_frd=records["q_ned_frd"],
-        desired_pos_ned_m=np.broadcast_to(scenario.places_ned_m(), records["pos_ned_m"].shape),
+        desired_pos_ned_m=records["desired_pos_ned_m"],
+        heading_rad=plan.headings(since_start_s(time_us, start_us)),
         alive=records["alive"],
     )
 
@@ -190,14 +199,18 @@ def _ftm_error_m(sessions: NDArray[Any]) -> NDArray[np.float64]:
 
 def _antenna(window: Flight, scenario: Scenario) -> tuple[GainSeries | None, Pattern | None, str | None]:
     """Patterns of the window and the ideal one; where they cannot be had, nothing and the reason."""
-    heading_deg = scenario.formation.heading_deg
     try:
-        ideal = ideal_pattern(scenario.places_ned_m(), heading_deg, scenario.antenna)
+        ideal = ideal_pattern(scenario.places_ned_m(), _heading_rad(scenario), scenario.antenna)
         if not len(window):
             return None, ideal, "the formation was not reached"
-        return gain_series(window, heading_deg, scenario.antenna, workers=os.cpu_count() or 1), ideal, None
+        return gain_series(window, scenario.antenna, workers=os.cpu_count() or 1), ideal, None
     except (BackendUnavailable, WorkerError) as error:
         return None, None, str(error)
+
+
+def _heading_rad(scenario: Scenario) -> float:
+    """Heading of the formation before it moves."""
+    return math.radians(scenario.formation.heading_deg)
 
 
 def _gain(gains: GainSeries | None, ideal: Pattern | None, note: str | None) -> dict[str, Any]:
@@ -275,9 +288,9 @@ def _draw(
         figures.save_formation_error(at / "formation_error.png", window.time_us, error)
     if gains is not None and ideal is not None and len(gains.patterns):
         figures.save_gain_density(at / "gain_density.png", {"flown": gains.max_gain_dbi}, ideal.max_gain_dbi)
-        places_ned_m, heading_deg = scenario.places_ned_m(), scenario.formation.heading_deg
+        places_ned_m, heading_rad = scenario.places_ned_m(), _heading_rad(scenario)
         figures.save_patterns(
-            at / "patterns.png", *figure_patterns(gains, places_ned_m, heading_deg, scenario.antenna)
+            at / "patterns.png", *figure_patterns(gains, places_ned_m, heading_rad, scenario.antenna)
         )
     air = read(folder.raw_air, AIR_RECORD)
     time_us, busy_fraction = _occupancy(air)

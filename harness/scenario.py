@@ -18,11 +18,13 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
 from antenna.config import AntennaConfig
-from antenna.geometry import grid
+from autopilot import formation_plan
 from autopilot.config import AutopilotConfig, Devices, OnboardConfig, Port, Site, VehicleConfig, VehiclePorts
+from autopilot.formation_plan import FormationPlan
 from autopilot.parameter_file import ParameterFileError
-from harness import autopilot_settings
+from harness import autopilot_settings, formation_shape
 from harness.faults import EXPECTED, MOST_TIME_S, AnyFault, check
+from harness.formation_shape import FormationConfig, FormationFileError
 from harness.physics.environment import EnvironmentConfig
 from harness.refusals import explain
 from harness.sensors.config import SensorsConfig
@@ -31,8 +33,8 @@ from netsim import settings as radio_settings
 from netsim.config import RadioConfig
 from netsim.ftm.stamps import distance_m, round_trip_std_ps
 
-Spacing = Annotated[float, Meta(gt=0.0, le=1000.0)]
 ARRAYS_OF_TABLES = ("faults", "wind.gusts")
+_EXPECTED = {**EXPECTED, r"formation\.motion\.kind": "one of track, racetrack"}
 
 
 class ScenarioError(ValueError):
@@ -54,20 +56,6 @@ class RunConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Wall time after which a vehicle that lives but does not answer is given up."""
     record_rate_hz: Annotated[float, Meta(ge=0.001, le=250.0)] = 50.0
     """Rows per simulated second and vehicle in the flight log."""
-
-
-class FormationConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The ``[formation]`` table: the antenna's grid, hung in the air over the site."""
-
-    columns: Annotated[int, Meta(ge=1, le=254)] = 4
-    """Elements along the broadside axis."""
-    rows: Annotated[int, Meta(ge=1, le=254)] = 2
-    """Elements along the end-fire axis."""
-    broadside_spacing_lambda: Spacing = 0.85
-    endfire_spacing_lambda: Spacing = 0.25
-    height_m: Annotated[float, Meta(ge=2.0, le=500.0)] = 10.0
-    heading_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
-    """Compass direction of the end-fire axis, which is where the main lobe points."""
 
 
 class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -112,11 +100,17 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             radio_settings.check(self.radio, self.agents)
         except ValueError as error:
             raise ValueError(f"radio.{error}") from None
-        nearest_m = min(pdist(self.places_ned_m()), default=math.inf)
+        places_ned_m = self.places_ned_m()
+        nearest_m = min(pdist(places_ned_m), default=math.inf)
         if nearest_m < MIN_SPACING_M:
             raise ValueError(
                 f"formation: places {nearest_m:.2f} m apart; vehicles this size need {MIN_SPACING_M} m"
             )
+        if self.formation.motion is not None:
+            try:
+                formation_plan.check(places_ned_m, self.formation.motion)
+            except ValueError as error:
+                raise ValueError(f"formation.motion.{error}") from None
         last = self.agents - 1
         for field in ("simulator_tcp", "gcs_local_udp", "companion_local_udp", "companion_remote_udp"):
             base = getattr(self.ports, field)
@@ -124,20 +118,12 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
                 raise ValueError(f"ports.{field}: {base} + {last} vehicles is over 65535")
 
     def places_ned_m(self) -> NDArray[np.float64]:
-        """(agents, 3) places of the formation in the site's NED frame.
+        """(agents, 3) places of the formation, before it moves, in the site's NED frame."""
+        return formation_shape.places_ned_m(self.formation, self.agents, self.antenna.wavelength_m)
 
-        The first of the grid, or a longer grid.
-        """
-        f, wavelength_m = self.formation, self.antenna.wavelength_m
-        xyz_m = grid(
-            max(self.agents, f.columns * f.rows),
-            f.columns,
-            f.broadside_spacing_lambda * wavelength_m,
-            f.endfire_spacing_lambda * wavelength_m,
-        )[: self.agents]
-        c, s = math.cos(math.radians(f.heading_deg)), math.sin(math.radians(f.heading_deg))
-        x_m, y_m = xyz_m[:, 0], xyz_m[:, 1]
-        return np.stack([y_m * c - x_m * s, y_m * s + x_m * c, np.full(len(x_m), -f.height_m)], axis=1)
+    def plan(self) -> FormationPlan:
+        """Where the places are once the formation moves."""
+        return FormationPlan(self.places_ned_m(), self.formation.heading_deg, self.formation.motion)
 
     def vehicle(
         self, instance: int, *, run_id: str, radio_endpoint: str | None, log_path: str | None
@@ -167,6 +153,8 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
                 ftm_trip_std_m=distance_m(round_trip_std_ps(self.radio.ftm, self.radio.bandwidth_mhz)),
             ),
             places_ned_m=tuple((float(n), float(e), float(d)) for n, e, d in self.places_ned_m()),
+            heading_deg=self.formation.heading_deg,
+            motion=self.formation.motion,
             log_path=log_path,
             record_period_us=self.record_period_us,
         )
@@ -202,10 +190,14 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
     for override in overrides:
         _override(table, override)
     try:
+        if isinstance(formation := table.get("formation"), dict):
+            table["formation"] = formation_shape.with_points(formation, path.parent)
         scenario = msgspec.convert(table, Scenario)
         autopilot = autopilot_settings.with_parameter_file(scenario.autopilot, path.parent)
     except msgspec.ValidationError as error:
-        raise ScenarioError(f"{path}: {explain(error, EXPECTED)}") from None
+        raise ScenarioError(f"{path}: {explain(error, _EXPECTED)}") from None
+    except FormationFileError as error:
+        raise ScenarioError(f"{path}: formation.file: {error}") from None
     except ParameterFileError as error:
         raise ScenarioError(f"{path}: autopilot.params_file: {error}") from None
     return msgspec.structs.replace(scenario, autopilot=autopilot)

@@ -5,6 +5,7 @@ A structured record's field of several components becomes one column each, named
 give equal bytes.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,12 @@ from netsim.logs import FRAME_LOG, SESSION_LOG
 from netsim.record_log import read
 
 
-def write_tables(folder: RunFolder, agents: int) -> NDArray[Any]:
+def write_tables(
+    folder: RunFolder, agents: int, desired: Callable[[NDArray[np.int64]], NDArray[np.float64]]
+) -> NDArray[Any]:
     """Make the Parquet files from the raw logs.
+
+    ``desired`` gives the places (T, agents, 3), site NED, at T times in us.
 
     Returns the flight: records (instants, agents) of `FLIGHT_RECORD`.
     """
@@ -29,6 +34,7 @@ def write_tables(folder: RunFolder, agents: int) -> NDArray[Any]:
         read(folder.raw_truth, TRUTH_RECORD),
         [read(folder.raw_vehicle(i), VEHICLE_RECORD) for i in range(agents)],
     )
+    flight["desired_pos_ned_m"] = desired(flight["time_us"][:, 0])
     _write(folder.flight, flight.ravel())
     for target, raw, dtype in (
         (folder.radio, folder.raw_frames, FRAME_LOG),
@@ -42,7 +48,7 @@ def write_tables(folder: RunFolder, agents: int) -> NDArray[Any]:
 def merge(truth: NDArray[Any], vehicles: list[NDArray[Any]]) -> NDArray[Any]:
     """Truth (instants x vehicles rows) beside what each vehicle recorded at the same times.
 
-    NaN or 0 where it did not.
+    NaN or 0 where it did not, and for the desired places, which neither knows.
 
     Returns (instants, vehicles) records of `FLIGHT_RECORD`. An instant that was cut short is left out.
     """
@@ -70,7 +76,9 @@ def _vehicle_fields() -> list[str]:
 FLIGHT_RECORD = np.dtype(
     [(name, TRUTH_RECORD[name]) for name in TRUTH_RECORD.names or ()]
     + [(name, VEHICLE_RECORD[name]) for name in _vehicle_fields()]
+    + [("desired_pos_ned_m", np.dtype(("f8", 3)))]
 )
+"""Truth, estimates, and where the vehicle should have been, by the formation's plan."""
 
 
 def _write(path: Path, records: NDArray[Any]) -> None:

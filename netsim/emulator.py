@@ -1,28 +1,28 @@
 """The emulated 802.11 channel as a whole: items in, time advances with the vehicles' poses, deliveries out.
 
-Composes medium, MAC and Fine Time Measurement; does no I/O and knows no wall clock. The same seed,
-submissions and poses give the same results, in whatever order the stations' batches of one step were
-submitted.
+Composes hosts, Fine Time Measurement and a channel (`netsim.channels`), which is emulated or ideal; does no
+I/O and knows no wall clock. The same seed, submissions and poses give the same results, in whatever order the
+stations' batches of one step were submitted.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
-from math import log10
+from math import isfinite, log10
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from netsim.channels import channel_of
 from netsim.config import RadioConfig, StationConfig
 from netsim.frames import DATA_OVERHEAD_BYTES, GROUP, UDP_OVERHEAD_BYTES, FrameKind
-from netsim.ftm.session import FtmRadio, Ranging
+from netsim.ftm.session import FtmRadio, Ranging, lost
 from netsim.ftm.stamps import Clock
+from netsim.ideal import undisturbed
 from netsim.kernel import EventQueue
-from netsim.mac.access import DCF, EDCA, AccessParameters
-from netsim.mac.jobs import Job, Outcome
-from netsim.mac.rates import AdaptiveRate, channel_modes
-from netsim.mac.station import Station as Mac
-from netsim.phy.medium import Medium, Transmission
-from netsim.phy.modes import PhyMode, phy_mode
+from netsim.mac.jobs import Job, Outcome, Sender
+from netsim.mac.rates import datagram_modes
+from netsim.phy.medium import Transmission
 from netsim.phy.propagation import Links, Trajectories, Vector
 from netsim.records import Counters, FrameRecord, SessionRecord, Tally
 from netsim.settings import check
@@ -34,6 +34,7 @@ from netsim.wire.messages import (
     FtmResult,
     RxItem,
     Sent,
+    Survey,
     TxBatch,
     TxItem,
     Unicast,
@@ -76,7 +77,10 @@ class Emulator:
         seed: np.random.SeedSequence,
         on_transmission: Callable[[Transmission], None] | None = None,
     ) -> None:
-        check(config, stations - len(config.guests))
+        self._vehicles = stations - len(config.guests)
+        check(config, self._vehicles)
+        if config.channel == "ideal":
+            config = undisturbed(config)
         self._config = config
         self._stations = stations
         self._streams = Streams(seed)
@@ -85,8 +89,8 @@ class Emulator:
         self.queue = EventQueue()
         self.trajectories = Trajectories(stations)
         self._links = Links(config, self.trajectories, stations, self._streams)
-        self._medium = Medium(
-            config=config,
+        self._channel = channel_of(
+            config,
             queue=self.queue,
             links=self._links,
             stations=stations,
@@ -94,39 +98,30 @@ class Emulator:
             on_ended=self._on_ended,
         )
         self._host_jitter = [Uniforms(self._streams.generator(Model.HOST, i)) for i in range(stations)]
+        self._host_losses: list[Uniforms] = []
+        """By station; empty if hosts lose nothing."""
+        if config.drop_fraction > 0.0:
+            losses = (self._streams.generator(Model.HOST_LOSS, i) for i in range(stations))
+            self._host_losses = [Uniforms(generator) for generator in losses]
+        self._range_offsets_m: Mapping[int, float] = {}
         self._bias_m: dict[tuple[int, int], float] = {}
         own = {each.station: each for each in config.stations}
-        defaults = StationConfig(station=0)
-        self._broadcast_modes: list[PhyMode] = []
-        self._data_modes: list[PhyMode] = []
-        self._rates: list[AdaptiveRate | None] = []
-        """By station; None where the mode is fixed."""
+        self._modes = [
+            datagram_modes(config, own.get(i, StationConfig(station=i)), self._streams)
+            for i in range(stations)
+        ]
         self._ftm: list[FtmRadio] = []
-        self._macs: list[Mac] = []
+        self._macs: list[Sender] = []
         clocks = [
             Clock(config.ftm.clock_ppm, self._streams.generator(Model.CLOCK, i)) for i in range(stations)
         ]
         for i in range(stations):
-            self._set_modes(i, own.get(i, defaults))
             self._add_station(i, clocks)
         self._silent: set[int] = set()
         self._submitted: list[tuple[int, int, int, TxItem]] = []
         self._ready_ns = [0] * stations
         """By station: when its last item reaches the radio."""
         self._received: list[tuple[int, int, int, int, RxItem]] = []
-
-    def _set_modes(self, station: int, own: StationConfig) -> None:
-        width_mhz = self._config.bandwidth_mhz
-        self._broadcast_modes.append(phy_mode(own.broadcast_mode or self._config.broadcast_mode, width_mhz))
-        data_mode = own.data_mode or self._config.data_mode
-        if data_mode == "adaptive":
-            modes = channel_modes(width_mhz, vht=True)
-            uniforms = Uniforms(self._streams.generator(Model.RATE, station))
-            self._rates.append(AdaptiveRate(modes, uniforms))
-            self._data_modes.append(modes[0])
-        else:
-            self._rates.append(None)
-            self._data_modes.append(phy_mode(data_mode, width_mhz))
 
     def _add_station(self, station: int, clocks: list[Clock]) -> None:
         config = self._config
@@ -140,17 +135,7 @@ class Emulator:
             nlos_generator=self._streams.generator(Model.NLOS_BIAS, station),
             on_result=self._on_ranged,
         )
-        access: dict[str, AccessParameters] = EDCA if config.access == "edca" else dict.fromkeys(EDCA, DCF)
-        mac = Mac(
-            index=station,
-            queue=self.queue,
-            medium=self._medium,
-            access=access,
-            control_mode=phy_mode(config.control_mode, config.bandwidth_mhz),
-            queue_frames=config.queue_frames,
-            backoff=Uniforms(self._streams.generator(Model.BACKOFF, station)),
-            upper=_Host(self, station, ftm),
-        )
+        mac = self._channel.join(station, _Host(self, station, ftm))
         ftm.attach(mac)
         self._ftm.append(ftm)
         self._macs.append(mac)
@@ -186,8 +171,9 @@ class Emulator:
 
         The stations are at ``pos_ned_m`` (n, 3) at ``at_us``, move at ``vel_ned_m_s`` (n, 3) and have the
         attitudes ``q_ned_frd`` (n, 4), wxyz; without those they are level. Returns (station, item) in order
-        of (time, source, seq, station), where the source of a result is the peer or destination. Raises
-        ValueError for arrays of another shape or that are not finite, or a time that is past.
+        of (time, source, seq, station), where the source of a result is the peer or destination, and then a
+        `Survey` for each vehicle among these stations. Raises ValueError for arrays of another shape or that
+        are not finite, or a time that is past.
         """
         positions, velocities = (np.asarray(each, dtype=np.float64) for each in (pos_ned_m, vel_ned_m_s))
         for each in (positions, velocities):
@@ -209,9 +195,15 @@ class Emulator:
             self.queue.at(ready_ns, self._on_ready, (station, item))
         self._submitted.clear()
         self.queue.run_until(to_ns)
-        received = sorted(self._received, key=lambda entry: entry[:4])
+        if not self._received:
+            return []
+        self._received.sort(key=lambda entry: entry[:4])
+        received = [(station, item) for _, _, _, station, item in self._received]
         self._received.clear()
-        return [(station, item) for _, _, _, station, item in received]
+        for station in sorted({station for station, _ in received if station < self._vehicles}):
+            busy_ns = self._channel.surveyed_ns(station)
+            received.append((station, Survey(ended_ns=to_ns, busy_ns=busy_ns)))
+        return received
 
     @property
     def next_event_us(self) -> int:
@@ -245,7 +237,7 @@ class Emulator:
         job = Job(
             kind=FrameKind.DATA,
             destination=GROUP,
-            mode=self._broadcast_modes[station],
+            mode=self._modes[station].broadcast,
             frame_bytes=len(item.payload) + UDP_OVERHEAD_BYTES + DATA_OVERHEAD_BYTES,
             expires_ns=self.queue.now_ns + 1_000 * config.queue_lifetime_us,
             retry_limit=config.rts_retry_limit,
@@ -269,8 +261,8 @@ class Emulator:
         job = Job(
             kind=FrameKind.DATA,
             destination=item.destination,
-            mode=self._data_modes[station],
-            rates=self._rates[station],
+            mode=self._modes[station].data,
+            rates=self._modes[station].rates,
             frame_bytes=frame_bytes,
             expires_ns=self.queue.now_ns + 1_000 * config.queue_lifetime_us,
             retry_limit=config.retry_limit,
@@ -297,7 +289,10 @@ class Emulator:
     def deliver(
         self, station: int, transmission: Transmission, payload: bytes, power_mw: float, end_ns: int
     ) -> None:
-        """Put a datagram that has reached a station among its deliveries."""
+        """Put a datagram that has reached a station among its deliveries, unless its host loses it."""
+        if self._host_loses(station):
+            self._tally.lost_by_hosts += 1
+            return
         frame = transmission.frame
         rssi_dbm = 10.0 * log10(power_mw)
         item = Delivery(
@@ -305,7 +300,16 @@ class Emulator:
         )
         self._received.append((end_ns, frame.source, frame.seq, station, item))
 
+    def _host_loses(self, station: int) -> bool:
+        return bool(self._host_losses) and self._host_losses[station].draw() < self._config.drop_fraction
+
     def _on_ranged(self, ranging: Ranging) -> None:
+        if ranging.status == "ok":
+            offset_m = self._range_offsets_m.get(ranging.initiator)
+            if offset_m is not None:
+                ranging = msgspec.structs.replace(ranging, distance_m=ranging.distance_m + offset_m)
+            if self._host_loses(ranging.initiator):
+                ranging = lost(ranging)
         self._tally.count_session(ranging)
         if ranging.initiator in self._silent:
             return
@@ -338,10 +342,21 @@ class Emulator:
         """Attenuate every frame that starts from now on by this; None is the configured value."""
         self._links.set_extra_attenuation_db(value)
 
+    def set_range_offsets(self, offsets_m: Mapping[int, float]) -> None:
+        """Have stations measure too far by so much, in sessions of theirs that end from now on.
+
+        Stations that are not named measure as they are. Raises ValueError for one that does not exist, or an
+        offset that is not finite.
+        """
+        for station, offset_m in offsets_m.items():
+            if not 0 <= station < self._stations or not isfinite(offset_m):
+                raise ValueError(f"station {station} cannot measure {offset_m} m too far")
+        self._range_offsets_m = dict(offsets_m)
+
     @property
     def busy_ns(self) -> int:
-        """Time since the start for which the medium carried at least one transmission."""
-        return self._medium.busy_ns()
+        """Time since the start for which the medium carried at least one transmission; 0 if it is ideal."""
+        return self._channel.busy_ns()
 
     @property
     def counters(self) -> Counters:

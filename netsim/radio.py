@@ -48,6 +48,22 @@ class RadioLost(ConnectionError):
     """The emulator does not acknowledge; the text is one line."""
 
 
+class Deliveries:
+    """What has come in for a station and waits for its time."""
+
+    def __init__(self) -> None:
+        self._batches: deque[RxBatch] = deque()
+        self.put = self._batches.append
+        """Add a batch; each is released later than the one before."""
+
+    def take(self, now_us: int) -> list[RxItem]:
+        """What may be seen at ``now_us``, in order of (time, source, sequence)."""
+        items: list[RxItem] = []
+        while self._batches and self._batches[0].release_us <= now_us:
+            items.extend(self._batches.popleft().items)
+        return items
+
+
 class Inbox:
     """Takes a station's deliveries as they come in by Zenoh's threads, each once, and acknowledges them."""
 
@@ -80,8 +96,8 @@ class RadioClient:
 
     def __init__(self, *, endpoint: str, run_id: str, station: int) -> None:
         self._station = station
-        self._batches: deque[RxBatch] = deque()
-        self._inbox = Inbox(station, self._batches.append)
+        self._deliveries = Deliveries()
+        self._inbox = Inbox(station, self._deliveries.put)
         self._transport = Transport.connect(endpoint)
         try:
             self._transport.serve(receive_key(run_id, station), self._inbox.take)
@@ -102,10 +118,7 @@ class RadioClient:
 
     def receive(self, now_us: int) -> list[RxItem]:
         """What may be seen at ``now_us``, in order of (time, source, sequence)."""
-        items: list[RxItem] = []
-        while self._batches and self._batches[0].release_us <= now_us:
-            items.extend(self._batches.popleft().items)
-        return items
+        return self._deliveries.take(now_us)
 
     @property
     def malformed(self) -> int:

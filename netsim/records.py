@@ -73,6 +73,8 @@ class Counters(Struct, frozen=True, kw_only=True):
     """Broadcast datagrams that were never sent, by reason."""
     unicasts: dict[str, int]
     """Datagrams to one station, by what became of them."""
+    lost_by_hosts: int
+    """Datagrams that stations received and their hosts lost."""
     ftm: FtmCounters
 
 
@@ -81,6 +83,7 @@ class Tally:
 
     def __init__(self, stations: int) -> None:
         self.ftm_requested = 0
+        self.lost_by_hosts = 0
         self.drops: Counter[str] = Counter()
         self.unicasts: Counter[str] = Counter()
         self._frames: list[FrameRecord] = []
@@ -158,6 +161,7 @@ class Tally:
             broadcasts_lost_to_noise=tuple(self._lost),
             drops=dict(sorted(self.drops.items())),
             unicasts=dict(sorted(self.unicasts.items())),
+            lost_by_hosts=self.lost_by_hosts,
             ftm=FtmCounters(
                 requested=self.ftm_requested,
                 completed=self._ftm_ended["ok"],

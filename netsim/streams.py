@@ -25,6 +25,7 @@ class Model(IntEnum):
     INTERFERENCE = 9
     NLOS_BIAS = 10
     RATE = 11
+    HOST_LOSS = 12
 
 
 class Streams:

@@ -3,14 +3,10 @@
 Sans-IO. MAVLink messages from the own autopilot and items from the own radio go in, `OnboardOutput` comes
 out once per step. All times are on one clock that the formation shares.
 
-Take-off is the autopilot's own, for its spool-up and its landed-state logic are made for leaving the ground;
-but it holds the uncorrected position, which drifts with the GPS bias, so at `HAND_OVER_HEIGHT_M`, while it
-still climbs, the application takes over in offboard with a setpoint that goes on climbing at the same speed
-over the corrected position. Nobody takes off before the shape of the formation on the ground is known to
-`SHAPE_STD_M`, or the wait for that has been in vain for `LOCALISE_TIMEOUT_US`.
+`OwnState` keeps what the autopilot says, `Traffic` what is said on the radio, `CooperativeLocalisation` makes
+positions of both, `Guidance` makes setpoints of positions, and `Flight` decides on phases and commands.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -19,35 +15,24 @@ from msgspec import Struct
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common
 
-from autopilot.config import Devices, OnboardConfig, Site
-from autopilot.onboard.commands import ARM, OFFBOARD, CommandSender, take_off
-from autopilot.onboard.formation import Correction, Reference, separation_radius_limit_m
+from autopilot.config import AnyMotion, Devices, OnboardConfig, Site
+from autopilot.formation_plan import FormationPlan
+from autopilot.onboard import messages
+from autopilot.onboard.beacon import GpsError
+from autopilot.onboard.commands import CommandSender
+from autopilot.onboard.flight import Flight, Situation
+from autopilot.onboard.guidance import Guidance
 from autopilot.onboard.localisation import CooperativeLocalisation, LocalisationModel
+from autopilot.onboard.motion import Heard
 from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.phases import Phase
 from autopilot.onboard.traffic import SILENCE_US, Traffic
-from netsim.wire.messages import Delivery, FtmResult, RxItem, Sent, TxItem
+from netsim.wire.messages import Delivery, FtmResult, RxItem, Sent, Survey, TxItem
 
 Array = NDArray[np.float64]
 
 SETPOINT_PERIOD_US = 50_000
 HEARTBEAT_PERIOD_US = 1_000_000
-SHAPE_STD_M = 0.35
-LOCALISE_TIMEOUT_US = 10_000_000
-TAKE_OFF_HEIGHT_M = 2.5
-HAND_OVER_HEIGHT_M = 1.2
-FLOWN_HEIGHT_M = 0.5
-"""From here on a vehicle that is disarmed has landed, and is not sent up again."""
-HEARTBEAT_LAG_US = 1_500_000
-"""A HEARTBEAT (1 Hz) shows a change that a COMMAND_ACK announced after this at the latest."""
-OFFBOARD_MAIN_MODE = 6
-_SETPOINT_MASK = (
-    common.POSITION_TARGET_TYPEMASK_AX_IGNORE
-    | common.POSITION_TARGET_TYPEMASK_AY_IGNORE
-    | common.POSITION_TARGET_TYPEMASK_AZ_IGNORE
-    | common.POSITION_TARGET_TYPEMASK_YAW_IGNORE
-    | common.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
-)
 
 
 class OnboardOutput(Struct, frozen=True):
@@ -83,14 +68,15 @@ class OnboardApp:
     Args:
         station: this UAV's index in the formation and number on the radio; its MAVLink system id is one more.
         places_ned_m: N places (3,) of the formation, site NED; the UAVs start on level ground below them.
+        heading_deg: of the formation at these places.
+        motion: of the formation, once all are in their places; None stays.
         site: origin of the places' frame.
         config: settings.
         devices: what the UAV knows of its own.
         rng: source of the phases and jitters of beacons and requests.
 
     Attributes:
-        phase: where in the flight it is.
-        localisation: the filter, or None when flying on GPS alone.
+        localisation: the filter, or None when flying on GPS alone or on the truth.
 
     """
 
@@ -99,17 +85,16 @@ class OnboardApp:
         *,
         station: int,
         places_ned_m: Sequence[Sequence[float]],
+        heading_deg: float = 0.0,
+        motion: AnyMotion | None = None,
         site: Site,
         config: OnboardConfig,
         devices: Devices,
         rng: np.random.Generator,
     ) -> None:
         places = np.array(places_ned_m, float).reshape(-1, 3)
-        self.phase = Phase.WAITING
         self.localisation: CooperativeLocalisation | None = None
         self._station = station
-        self._count = len(places)
-        self._place_ned_m = places[station]
         self._config = config
         self._model = LocalisationModel(
             gps_bias_std_m=config.gps_bias_std_m,
@@ -118,27 +103,31 @@ class OnboardApp:
             range_floor_std_m=config.range_floor_std_m,
             gather_s=2.0 * config.ftm_period_s + 0.5,
         )
-        if config.localisation == "ftm" and self._count > 1:
+        if config.localisation == "ftm" and len(places) > 1:
             self.localisation = CooperativeLocalisation(own=station, places_ned_m=places, model=self._model)
         self._traffic = Traffic(
-            station=station, stations=self._count, config=config, devices=devices, rng=rng
+            station=station, stations=len(places), config=config, devices=devices, rng=rng
         )
-        self._separation_limit_m = separation_radius_limit_m(places, station)
+        self._guidance = Guidance(
+            station=station, plan=FormationPlan(places, heading_deg, motion), config=config
+        )
         self._commands = CommandSender(target_system=station + 1)
-        self._correction = Correction()
-        self._reference = Reference(climb_speed_m_s=config.climb_speed_m_s)
+        self._flight = Flight(
+            commands=self._commands,
+            on_station_tolerance_m=config.on_station_tolerance_m,
+            on_station_hold_s=config.on_station_hold_s,
+        )
         self._own = OwnState(site=site, gps_delay_s=devices.gps_delay_s)
-        # What this application is doing.
+        self._heard: dict[int, Heard] = {}
+        self._held_us: dict[int, int] = {}
+        """When a neighbour last knew its GPS error, which takes distances that hold its position."""
         self._now_us = -1
-        self._phase_since_us = 0
-        self._arrived_us: int | None = None
-        self._offboard_seen = False
-        self._has_flown = False
         self._supported = False
+        """Whether there is something better than the own GPS to go by."""
         self._setpoint_us = 0
         self._heartbeat_out_us = 0
-        self._heartbeat_phase: Phase | None = None
-        self._texts: list[common.MAVLink_message] = []
+        self._told: tuple[Phase, int | None] | None = None
+        """Phase and start of the motion in the last heartbeat."""
         self._due_us = 0
         """Nothing is to be done in a step that ends before this."""
 
@@ -148,18 +137,16 @@ class OnboardApp:
         """Take a message of the own autopilot; those of no use here are ignored."""
         match msg.get_type():
             case "LOCAL_POSITION_NED":
-                if self._own.time_us < 0:
-                    self._due_us = 0
-                if self._own.on_local_position(msg, now_us) and self.localisation is not None:
-                    odometry_ned_m, vel_ned_m_s = self._own.odometry_ned_m, self._own.vel_ned_m_s
-                    self.localisation.on_odometry(
-                        self._station, self._own.time_us, odometry_ned_m.tolist(), vel_ned_m_s.tolist()
-                    )
+                self._on_local_position(msg, now_us)
             case "GPS_RAW_INT":
                 if self._own.on_gps(msg) and self.localisation is not None and self._own.fix is not None:
+                    fix = self._own.fix
                     self.localisation.on_fix(
-                        self._station, self._own.fix.time_ms * 1_000, self._own.fix.pos_ned_m
+                        self._station, fix.time_ms * 1_000, fix.pos_ned_m, fix.std_h_m, fix.std_v_m
                     )
+            case "ATTITUDE_QUATERNION":
+                if self._guidance.wind is not None:
+                    self._guidance.wind.on_attitude((msg.q1, msg.q2, msg.q3, msg.q4))
             case "GPS_GLOBAL_ORIGIN":
                 self._own.on_origin(msg)
             case "HEARTBEAT":
@@ -167,6 +154,22 @@ class OnboardApp:
             case "COMMAND_ACK":
                 self._commands.on_ack(msg, now_us)
                 self._due_us = 0
+            case "HIL_STATE_QUATERNION":
+                if self._config.localisation == "truth":
+                    self._own.on_truth(msg)
+
+    def _on_local_position(self, msg: common.MAVLink_local_position_ned_message, now_us: int) -> None:
+        if self._own.time_us < 0:
+            self._due_us = 0
+        if not self._own.on_local_position(msg, now_us):
+            return
+        own, wind = self._own, self._guidance.wind
+        if self.localisation is not None:
+            self.localisation.on_odometry(
+                self._station, own.time_us, own.odometry_ned_m.tolist(), own.vel_ned_m_s.tolist()
+            )
+        if wind is not None:
+            wind.on_velocity(own.time_us, (msg.vx, msg.vy, msg.vz), flying=self._flight.in_formation)
 
     def on_radio(self, item: RxItem, now_us: int) -> None:
         """Take what the radio received or measured."""
@@ -175,39 +178,35 @@ class OnboardApp:
                 self._on_beacon(item, now_us)
             case FtmResult():
                 self._on_ranged(item, now_us)
+            case Survey():
+                self._traffic.take_survey(item)
             case Sent():  # of a datagram to one station, and this application sends none
                 pass
 
     def _on_ranged(self, item: FtmResult, now_us: int) -> None:
         distance = self._traffic.measured(item)
         if distance is not None and self.localisation is not None:
-            self.localisation.on_range(
-                self._station,
-                distance.peer,
-                distance.time_ms * 1_000,
-                distance.distance_m,
-                distance.std_m,
-                now_us=now_us,
-            )
+            self.localisation.on_distances(self._station, (distance,), now_us=now_us)
 
     def _on_beacon(self, item: Delivery, now_us: int) -> None:
         beacon = self._traffic.hear(item, now_us)
-        if beacon is None or self.localisation is None:
+        if beacon is None:
+            return
+        start_us = None if beacon.motion_start_ms is None else beacon.motion_start_ms * 1_000
+        self._heard[beacon.station] = (beacon.phase, start_us, now_us)
+        if beacon.gps_error is not None:
+            self._held_us[beacon.station] = now_us
+        if self.localisation is None:
             return
         self.localisation.on_odometry(
             beacon.station, beacon.time_us, beacon.odometry_ned_m, beacon.vel_ned_m_s
         )
-        if beacon.fix is not None and beacon.fix.time_ms * 1_000 <= now_us:
-            self.localisation.on_fix(beacon.station, beacon.fix.time_ms * 1_000, beacon.fix.pos_ned_m)
-        for distance in beacon.distances:
-            self.localisation.on_range(
-                beacon.station,
-                distance.peer,
-                distance.time_ms * 1_000,
-                distance.distance_m,
-                distance.std_m,
-                now_us=now_us,
+        fix = beacon.fix
+        if fix is not None and fix.time_ms * 1_000 <= now_us:
+            self.localisation.on_fix(
+                beacon.station, fix.time_ms * 1_000, fix.pos_ned_m, fix.std_h_m, fix.std_v_m
             )
+        self.localisation.on_distances(beacon.station, beacon.distances, now_us=now_us)
 
     # ---- output
 
@@ -218,32 +217,26 @@ class OnboardApp:
         self._now_us = now_us
         if now_us + step_us <= self._due_us:
             return NOTHING
+        mavlink: list[common.MAVLink_message] = []
         if now_us >= self._setpoint_us and self._own.time_us >= 0:
-            self._correct(now_us)
-            phase = self._next_phase(now_us)
-            if phase is not self.phase:
-                self.phase, self._phase_since_us = phase, now_us
-            mavlink = self._setpoint(now_us)
+            mavlink += self._fly(now_us)
             # On a grid, unless that has fallen behind.
             self._setpoint_us = max(self._setpoint_us + SETPOINT_PERIOD_US, now_us + 1)
-        else:
-            mavlink = []
         mavlink += self._commands.on_timer(now_us)
-        if self.phase is not self._heartbeat_phase or now_us >= self._heartbeat_out_us:
-            self._heartbeat_phase = self.phase
+        if self._told != (self.phase, self._guidance.start.start_us) or now_us >= self._heartbeat_out_us:
+            self._told = (self.phase, self._guidance.start.start_us)
             self._heartbeat_out_us = now_us + HEARTBEAT_PERIOD_US
-            mavlink.append(
-                common.MAVLink_heartbeat_message(
-                    common.MAV_TYPE_ONBOARD_CONTROLLER, common.MAV_AUTOPILOT_INVALID, 0, int(self.phase),
-                    common.MAV_STATE_ACTIVE, 3,
-                )
-            )  # fmt: skip
-        if self._texts:
-            mavlink += self._texts
-            self._texts = []
+            mavlink += messages.heartbeat(*self._told, now_us)
+        if self._flight.texts:
+            mavlink += map(messages.warning, self._flight.texts)
+            self._flight.texts.clear()
         radio: tuple[TxItem, ...] = ()
         if self._own.time_us >= 0:
-            radio = self._traffic.due(self._own, now_us, now_us + step_us, ranging=self._ranges)
+            radio = self._traffic.due(
+                self._own, now_us, now_us + step_us,
+                ranging=self._ranges, variance_m2=self._distance_variance_m2,
+                phase=self.phase, motion_start_ms=self._motion_start_ms, gps_error=self._gps_error,
+            )  # fmt: skip
         self._due_us = self.next_deadline_us()
         return OnboardOutput(mavlink, radio) if mavlink or radio else NOTHING
 
@@ -256,8 +249,9 @@ class OnboardApp:
         return min(self._setpoint_us, commands_us, self._heartbeat_out_us, radio_us)
 
     @property
-    def _ranges(self) -> bool:
-        return self.localisation is not None and self.phase is not Phase.WAITING
+    def phase(self) -> Phase:
+        """Where in the flight it is."""
+        return self._flight.phase
 
     @property
     def bad_beacons(self) -> int:
@@ -266,7 +260,11 @@ class OnboardApp:
 
     def troubles(self) -> dict[str, int]:
         """Counts of what went wrong so far and was coped with."""
-        counts = {"bad_beacons": self.bad_beacons, "commands_refused": self._commands.refusals}
+        counts = {
+            "bad_beacons": self.bad_beacons,
+            "beacons_missed": self._traffic.beacons_missed,
+            "commands_refused": self._commands.refusals,
+        }
         if self.localisation is not None:
             counts["localisation_restarts"] = self.localisation.restarts
             counts["ranges_downweighted"] = self.localisation.ranges_downweighted
@@ -275,19 +273,17 @@ class OnboardApp:
     @property
     def estimate(self) -> Estimate:
         """The present estimate; arrays are the caller's."""
-        correction_ned_m = np.zeros(3)
-        correction_ned_m[:2] = self._correction.ne_m
+        correction = self._guidance.correction
+        correction_ned_m = np.array((*correction.ne_m.tolist(), self._guidance.down_error_m))
         offset_ned_m = np.full(3, np.nan)
-        if self._correction.offset_ne_m is not None:
-            offset_ned_m[:] = (*self._correction.offset_ne_m.tolist(), 0.0)
+        if correction.offset_ne_m is not None:
+            offset_ned_m[:] = (*correction.offset_ne_m.tolist(), 0.0)
         if self.localisation is not None and self._supported:
             std_ned_m = self.localisation.std_ned_m()
         else:
             model = self._model
             std_ned_m = np.array((model.gps_bias_std_m, model.gps_bias_std_m, model.height_std_m))
-        return Estimate(
-            self._own.autopilot_ned_m - correction_ned_m, std_ned_m, correction_ned_m, offset_ned_m
-        )
+        return Estimate(self._guidance.believed_ned_m(self._own), std_ned_m, correction_ned_m, offset_ned_m)
 
     @property
     def shape_std_m(self) -> float:
@@ -298,130 +294,101 @@ class OnboardApp:
 
     # ---- flight
 
+    def _fly(self, now_us: int) -> list[common.MAVLink_message]:
+        """Go on with localisation, phase and motion, and give the setpoint that follows."""
+        guidance, flight, own = self._guidance, self._flight, self._own
+        self._correct(now_us)
+        place_ned_m = guidance.place_ned_m(now_us)
+        flight.update(
+            own,
+            Situation(
+                shape_std_m=self._shape_std_before_flight_m(now_us),
+                miss_m=float(np.linalg.norm(guidance.believed_ned_m(own) - place_ned_m)),
+                place_height_m=-float(place_ned_m[2]),
+            ),
+            now_us,
+        )
+        guidance.agree(now_us, on_station=self.phase is Phase.ON_STATION, neighbours=self._heard)
+        if own.origin_ned_m is None or not Phase.ARMING <= self.phase <= Phase.YIELDED:
+            return []
+        if flight.in_formation:
+            known = self.localisation if self._supported else None
+            setpoint = guidance.follow(own, known, now_us, SETPOINT_PERIOD_US * 1e-6)
+        else:
+            setpoint = guidance.wait(own)
+        return [messages.offboard_setpoint(setpoint, self._station + 1, now_us)]
+
     def _correct(self, now_us: int) -> None:
-        """Bring the correction up to date with what localisation knows."""
-        if self.localisation is None:
+        """Bring the correction up to date with what is known of the true position."""
+        own, guidance = self._own, self._guidance
+        offset_ne_m: Array | None = None
+        if self.localisation is not None:
+            self.localisation.update(now_us)
+            self._note_support(now_us)
+            if self._supported:
+                offset_ne_m = self.localisation.offset_ne_m()
+        elif own.truth_ned_m is not None:
+            offset_ne_m = own.truth_ned_m[:2] - own.odometry_at(own.truth_us)[:2]
+            guidance.down_error_m = float(own.odometry_at(own.truth_us)[2] - own.truth_ned_m[2])
+        else:
             return
-        self.localisation.update(now_us)
-        range_us = self.localisation.own_range_us
+        in_air = self._flight.in_air
+        drift_ne_m = own.autopilot_ned_m[:2] - own.odometry_ned_m[:2]
+        guidance.correction.update(drift_ne_m, offset_ne_m, SETPOINT_PERIOD_US * 1e-6, at_once=not in_air)
+        guidance.layers.update(now_us, supported=not in_air or self._held_together(now_us))
+
+    def _note_support(self, now_us: int) -> None:
+        """Judge whether distances hold the own position, and say when that changes in the air."""
+        localisation = self.localisation
+        if localisation is None:
+            return
+        range_us = localisation.own_range_us
         supported = (
-            bool(self.localisation.located[self._station])
+            bool(localisation.located[self._station])
             and range_us is not None
             and now_us - range_us < self._traffic.range_silence_us
         )
-        in_air = self.phase >= Phase.TAKE_OFF
-        if supported is not self._supported:
-            self._supported = supported
-            if in_air:
-                self._say("ranging is back" if supported else "ranging lost: correction frozen, then fading")
-        drift_ne_m = self._own.autopilot_ned_m[:2] - self._own.odometry_ned_m[:2]
-        offset_ne_m = self.localisation.offset_ne_m() if supported else None
-        self._correction.update(drift_ne_m, offset_ne_m, SETPOINT_PERIOD_US * 1e-6, at_once=not in_air)
-
-    def _next_phase(self, now_us: int) -> Phase:
-        """Decide the phase that the facts of now lead to, and want the command that it needs."""
-        known_us = self._phase_since_us + HEARTBEAT_LAG_US
-        disarmed = not self._own.armed and self._own.heartbeat_us > known_us
-        height_m = -float(self._own.local_ned_m[2])
-        match self.phase:
-            case Phase.WAITING if self._own.origin_ned_m is not None and self._own.fix is not None:
-                return Phase.ARMING if self.localisation is None else Phase.LOCALISING
-            case Phase.LOCALISING if self.localisation is not None:
-                if self.localisation.located.all() and self.localisation.shape_std_m(now_us) < SHAPE_STD_M:
-                    return Phase.ARMING
-                if now_us - self._phase_since_us > LOCALISE_TIMEOUT_US:
-                    self._say("formation not localised: taking off all the same")
-                    return Phase.ARMING
-            case Phase.ARMING:
-                self._commands.want(ARM, now_us)
-                if self._commands.accepted:
-                    return Phase.TAKE_OFF
-            case Phase.TAKE_OFF:
-                return self._taking_off(height_m, now_us, disarmed=disarmed)
-            case Phase.JOINING | Phase.ON_STATION:
-                return self._in_formation(now_us, disarmed=disarmed)
-            case Phase.YIELDED:
-                self._commands.want(None, now_us)
-                if self._own.main_mode == OFFBOARD_MAIN_MODE and not self._own.failsafe:
-                    return Phase.JOINING
-                return Phase.LANDED if disarmed else self.phase
-            case Phase.LANDED:
-                self._commands.want(None, now_us)
-        return self.phase
-
-    def _taking_off(self, height_m: float, now_us: int, *, disarmed: bool) -> Phase:
-        place_height_m = -float(self._place_ned_m[2])
-        take_off_height_m = min(TAKE_OFF_HEIGHT_M, place_height_m)
-        if disarmed:
-            return Phase.LANDED if self._has_flown else Phase.ARMING
-        if self._own.failsafe:
-            return self._yield("failsafe")
-        self._has_flown |= height_m > FLOWN_HEIGHT_M
-        if height_m < min(HAND_OVER_HEIGHT_M, 0.5 * take_off_height_m) and not self._commands.wants(OFFBOARD):
-            self._commands.want(take_off(self._own.origin_alt_m + take_off_height_m), now_us)
-            return Phase.TAKE_OFF
-        self._commands.want(OFFBOARD, now_us)
-        self._offboard_seen = False
-        return Phase.JOINING if self._commands.accepted else Phase.TAKE_OFF
-
-    def _in_formation(self, now_us: int, *, disarmed: bool) -> Phase:
-        if disarmed:
-            return Phase.LANDED
-        if self._own.failsafe:
-            return self._yield("failsafe")
-        if self._own.main_mode == OFFBOARD_MAIN_MODE:
-            self._offboard_seen = True
-        elif self._offboard_seen:
-            return self._yield("offboard left")
-        miss_m = math.dist(self._own_ned_m().tolist(), self._place_ned_m.tolist())
-        if miss_m > self._config.on_station_tolerance_m:
-            self._arrived_us = None
-        elif self._arrived_us is None:
-            self._arrived_us = now_us
-        elif now_us - self._arrived_us >= self._config.on_station_hold_s * 1e6:
-            return Phase.ON_STATION
-        return self.phase
-
-    def _yield(self, why: str) -> Phase:
-        """Leave the flying to whoever has it now, and ask for nothing more."""
-        self._offboard_seen = False
-        self._commands.want(None, self._now_us)
-        self._say(f"{why}: yielding")
-        return Phase.YIELDED
-
-    def _own_ned_m(self) -> Array:
-        """(3,) where the UAV believes itself to be, site NED."""
-        position_ned_m = self._own.autopilot_ned_m
-        position_ned_m[:2] -= self._correction.ne_m
-        return position_ned_m
-
-    def _setpoint(self, now_us: int) -> list[common.MAVLink_message]:
-        """Form the offboard setpoint; before offboard it is where the UAV is, for a smooth start."""
-        if self._own.origin_ned_m is None or not Phase.ARMING <= self.phase <= Phase.YIELDED:
-            return []
-        target_ne_m = np.zeros(2)
-        if self.phase in {Phase.JOINING, Phase.ON_STATION}:
-            self._reference.advance(self._place_ned_m, SETPOINT_PERIOD_US * 1e-6)
-            if self.localisation is not None and self._supported:
-                target_ne_m = self.localisation.separation_push_ne_m(
-                    now_us, radius_m=self._config.safety_radius_m, radius_limit_m=self._separation_limit_m,
-                    silence_us=SILENCE_US,
-                )  # fmt: skip
-        else:
-            climb_ned_m_s = np.array((0.0, 0.0, self._own.vel_ned_m_s[2]))
-            self._reference.reset(self._own_ned_m(), climb_ned_m_s)
-        target_ne_m = (
-            target_ne_m + self._reference.pos_ned_m[:2] + self._correction.ne_m - self._own.origin_ned_m[:2]
-        )
-        return [
-            common.MAVLink_set_position_target_local_ned_message(
-                now_us // 1_000, self._station + 1, 1, common.MAV_FRAME_LOCAL_NED, _SETPOINT_MASK,
-                float(target_ne_m[0]), float(target_ne_m[1]), float(self._reference.pos_ned_m[2]),
-                *self._reference.vel_ned_m_s.tolist(), 0.0, 0.0, 0.0, 0.0, 0.0,
+        if supported is not self._supported and self._flight.in_air:
+            self._flight.texts.append(
+                "ranging is back" if supported else "ranging lost: correction frozen, then fading"
             )
-        ]  # fmt: skip
+        self._supported = supported
 
-    def _say(self, text: str) -> None:
-        self._texts.append(
-            common.MAVLink_statustext_message(common.MAV_SEVERITY_WARNING, text.encode("ascii"))
+    def _held_together(self, now_us: int) -> bool:
+        """Whether distances hold this UAV, and those to whom it would have to give way."""
+        if self.localisation is None:
+            return True
+        return self._supported and all(
+            now_us - self._held_us.get(station, -SILENCE_US) < SILENCE_US
+            for station in self._guidance.layers.watched
         )
+
+    def _shape_std_before_flight_m(self, now_us: int) -> float:
+        """Error of the shape that take-off waits for; see `Situation`."""
+        if self.localisation is None:
+            return 0.0
+        if self.phase is not Phase.LOCALISING or not self.localisation.located.all():
+            return float("inf")
+        return self.localisation.shape_std_m(now_us)
+
+    @property
+    def _ranges(self) -> bool:
+        return self.localisation is not None and self.phase is not Phase.WAITING
+
+    @property
+    def _motion_start_ms(self) -> int | None:
+        start_us = self._guidance.start.start_us
+        return None if start_us is None else start_us // 1_000
+
+    def _distance_variance_m2(self, peer: int) -> float | None:
+        return (
+            None if self.localisation is None else self.localisation.distance_variance_m2(peer, self._now_us)
+        )
+
+    def _gps_error(self) -> GpsError | None:
+        """What the own receiver's error is estimated to be, for the beacon."""
+        if self.localisation is None or not self._supported:
+            return None
+        error_ned_m, std_m = self.localisation.gps_error(self._station)
+        north_m, east_m, down_m = error_ned_m.tolist()
+        return GpsError((north_m, east_m, down_m), std_m)

@@ -2,8 +2,10 @@
 
 The autopilot holds position in an estimate that follows its GPS bias. To stand truly at r it must be told
 ``r + correction``, the correction being its own position estimate less the true position as localisation
-knows it.
+knows it. Where truly it should be is a point that joins the formation's plan and then is the plan.
 """
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +23,15 @@ FADE_TIME_CONSTANT_S = 20.0
 JOIN_SPEED_M_S = 1.0
 ACCELERATION_M_S2 = 0.8
 """Of the moving setpoint: half of what tilt limits allow in the scenario's wind is left to the wind."""
+BRAKING = 2.0 / 3.0
+"""Part of the acceleration by which braking is planned: a third in reserve keeps the point from passing its
+target."""
+PLAN_SWING_M_S2 = 6.0
+"""Largest change of a plan's acceleration within a step: plans stay below 3 m/s^2 either way. A target that
+moves otherwise than its last motion says by more than that has jumped."""
+LAG_MAX_M = 1.0
+"""The point waits for a vehicle that is this far behind."""
+_STILL = np.zeros(3)
 
 
 class Correction:
@@ -77,39 +88,110 @@ class Correction:
 
 
 class Reference:
-    """A point that moves to its target at bounded speed and acceleration, horizontally and vertically apart.
+    """A point that joins a moving target, horizontally and vertically apart, and then is the target.
+
+    While it joins, its motion relative to the target has bounded speed and acceleration. Once it is within
+    what one step's acceleration closes, position, velocity and acceleration are the target's exactly, until
+    the target jumps.
 
     Attributes:
         pos_ned_m: (3,) where the vehicle should truly be.
-        vel_ned_m_s: (3,)
+        vel_ned_m_s: (3,) and how it should move.
+        acc_ned_m_s2: (3,) the change of that motion, the target's own included.
 
     """
 
     def __init__(self, *, climb_speed_m_s: float) -> None:
         self.pos_ned_m = np.zeros(3)
         self.vel_ned_m_s = np.zeros(3)
+        self.acc_ned_m_s2 = np.zeros(3)
         self._climb_speed_m_s = climb_speed_m_s
+        self._level_joined = False
+        self._height_joined = False
+
+    @property
+    def joined(self) -> bool:
+        """Whether it is the target."""
+        return self._level_joined and self._height_joined
 
     def reset(self, pos_ned_m: Array, vel_ned_m_s: Array) -> None:
         """Begin at a position and velocity."""
         self.pos_ned_m = pos_ned_m.copy()
         self.vel_ned_m_s = vel_ned_m_s.copy()
+        self.acc_ned_m_s2 = np.zeros(3)
+        self._level_joined = self._height_joined = False
 
-    def advance(self, target_ned_m: Array, dt_s: float) -> None:
-        """Move towards the target for dt_s."""
-        for axes, speed_m_s in ((slice(0, 2), JOIN_SPEED_M_S), (slice(2, 3), self._climb_speed_m_s)):
-            gap_m = target_ned_m[axes] - self.pos_ned_m[axes]
-            distance_m = float(np.sqrt(gap_m @ gap_m))
-            # Braking on v^2 = 2 a s with a third of the acceleration in reserve keeps the point from
-            # overshooting.
-            wanted_m_s = min(
-                speed_m_s, np.sqrt(4.0 / 3.0 * ACCELERATION_M_S2 * distance_m), distance_m / dt_s
-            )
-            change_m_s = gap_m * (wanted_m_s / max(distance_m, 1e-9)) - self.vel_ned_m_s[axes]
-            size_m_s = float(np.sqrt(change_m_s @ change_m_s))
-            limit_m_s = ACCELERATION_M_S2 * dt_s
-            self.vel_ned_m_s[axes] += change_m_s * min(1.0, limit_m_s / max(size_m_s, 1e-9))
-            self.pos_ned_m[axes] += self.vel_ned_m_s[axes] * dt_s
+    def advance(
+        self,
+        target_pos_ned_m: Array,
+        dt_s: float,
+        *,
+        target_vel_ned_m_s: Array = _STILL,
+        target_acc_ned_m_s2: Array = _STILL,
+        lag_m: float = 0.0,
+    ) -> None:
+        """Move on by ``dt_s`` (> 0).
+
+        Args:
+            target_pos_ned_m: (3,) where the target is after ``dt_s``, with its velocity and acceleration.
+            dt_s: since the last call.
+            target_vel_ned_m_s: (3,)
+            target_acc_ned_m_s2: (3,)
+            lag_m: horizontal distance of the vehicle from this point: while it is joining it slows from half
+                of `LAG_MAX_M` on, and stands relative to the target at the whole.
+
+        """
+        pace = min(max(2.0 - 2.0 * lag_m / LAG_MAX_M, 0.0), 1.0)
+        target = (target_pos_ned_m, target_vel_ned_m_s, target_acc_ned_m_s2)
+        self._level_joined = self._join(
+            slice(0, 2), target, pace * JOIN_SPEED_M_S, dt_s, joined=self._level_joined
+        )
+        self._height_joined = self._join(
+            slice(2, 3), target, self._climb_speed_m_s, dt_s, joined=self._height_joined
+        )
+
+    def _join(
+        self, axes: slice, target: tuple[Array, Array, Array], speed_m_s: float, dt_s: float, *, joined: bool
+    ) -> bool:
+        """Move on these axes by ``dt_s``; returns whether they are the target's."""
+        pos, vel, acc = (row[axes] for row in target)
+        # Against where the target was by its own motion, so that joining is the same however it moves.
+        vel_before = vel - acc * dt_s
+        gap_m = pos - vel * dt_s + acc * (0.5 * dt_s * dt_s) - self.pos_ned_m[axes]
+        apart_m_s = self.vel_ned_m_s[axes] - vel_before
+        distance_m = math.sqrt(gap_m @ gap_m)
+        near_m_s2 = PLAN_SWING_M_S2 if joined else ACCELERATION_M_S2
+        if (
+            distance_m <= 0.5 * near_m_s2 * dt_s * dt_s
+            and math.sqrt(apart_m_s @ apart_m_s) <= near_m_s2 * dt_s
+        ):
+            self.pos_ned_m[axes], self.vel_ned_m_s[axes], self.acc_ned_m_s2[axes] = pos, vel, acc
+            return True
+        # Braking on v^2 = 2 a s; the last step ends at the target.
+        wanted_m_s = min(
+            speed_m_s, math.sqrt(2.0 * BRAKING * ACCELERATION_M_S2 * distance_m), distance_m / dt_s
+        )
+        change_m_s = gap_m * (wanted_m_s / max(distance_m, 1e-9)) - apart_m_s
+        size_m_s = math.sqrt(change_m_s @ change_m_s)
+        change_m_s *= min(1.0, ACCELERATION_M_S2 * dt_s / max(size_m_s, 1e-9))
+        apart_m_s += change_m_s
+        self.pos_ned_m[axes] = pos - gap_m + apart_m_s * dt_s
+        self.vel_ned_m_s[axes] = vel + apart_m_s
+        self.acc_ned_m_s2[axes] = acc + change_m_s / dt_s
+        return False
+
+
+def joining_time_s(distance_m: float, speed_m_s: float) -> float:
+    """Time in which a `Reference` from rest comes to rest at a target so far away.
+
+    Speeding up with a, braking with `BRAKING` a: from rest over v to rest takes v / a (1 + 1 / BRAKING) and
+    half of v times that in distance; the rest goes at v, the speed limit or what the distance allows.
+    """
+    if distance_m <= 0.0:
+        return 0.0
+    change_s2_m = (1.0 + 1.0 / BRAKING) / ACCELERATION_M_S2
+    peak_m_s = min(speed_m_s, math.sqrt(2.0 * distance_m / change_s2_m))
+    return distance_m / peak_m_s + 0.5 * peak_m_s * change_s2_m
 
 
 def separation_radius_limit_m(places_ned_m: Array, own: int) -> float:

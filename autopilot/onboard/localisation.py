@@ -3,21 +3,24 @@
 A Kalman filter (`kernels`) over the offset between each UAV's odometry and its true position, and each UAV's
 GPS bias. GPS of all holds the formation as a whole, the distances hold its shape. Measurements come in any
 order and late; each is compared with the odometry of its own time, waits until both ends' odometry covers
-that time, and is used once.
+that time, and is used once. UAVs join the filter in a batch (`joining`), for it must begin near the truth.
 
-Distances alone do not tell a formation from its mirror image, and GPS errors are as large as the spacing, so
-a filter that linearised about GPS could lock onto a wrong arrangement. UAVs therefore join the filter in a
-batch: distances are held until enough of them are there, then solved together by Gauss-Newton iteration from
-the layout of the formation's places, below which the UAVs are put on the ground. The places serve as the
-starting point alone: no weight of theirs is in the result.
+Against what is wrong: every measurement's weight falls with its misfit; a UAV whose distances all misfit is
+solved for afresh, and one that only measures wrongly is not listened to (`trust`); a GPS whose error is
+estimated beyond what its receiver states is taken to have errors of that size, and after a step of it they
+are estimated anew.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from autopilot.onboard.beacon import Distance
+from autopilot.onboard.fixes import GROUP_US, FixGroup, FixMean
+from autopilot.onboard.joining import TO_COMPLEX, Flags, Problem, Range, laid_over, links
 from autopilot.onboard.kernels import (
     BIAS,
     KNOWN,
@@ -25,31 +28,31 @@ from autopilot.onboard.kernels import (
     Array,
     fuse_fix,
     fuse_range,
-    odometry_at,
     predict,
-    separation_push,
-    shape_variance,
+    relearn_bias,
 )
+from autopilot.onboard.tracks import Tracks
+from autopilot.onboard.trust import Trust
+from autopilot.onboard.uncertainty import bend, relative_stds, relative_variance, shape_variance
 
-TRACK_SAMPLES = 64
-"""Odometry samples kept per UAV: two seconds of the own ones at 30 Hz, six of a neighbour's at 10 Hz."""
 CLOCK_TOLERANCE_US = 10_000
 """A time stamp may be this far in the future; beyond, it is wrong."""
 PENDING_LIMIT_US = 1_000_000
 """A distance whose ends' odometry does not arrive within this is given up."""
-WEIGHT_WIDTHS_M = (2.0, 1.0, 0.5, 0.25, 0.0, 0.0)
-"""Extra standard deviation by which each Gauss-Newton pass judges outliers: wide at first."""
-MISFIT_MEMORY = 30
-"""Distances of a UAV over which the share of badly fitting ones is averaged."""
+DECAY_SHARE = 0.01
+"""Of the shortest time constant: the stride in which slow errors are propagated."""
 MISFIT_WEIGHT = 0.2
 """A distance that gets less weight than this fits badly: beyond about 4.6 sigma."""
-MISFIT_LIMIT = 0.7
-"""Above this share a UAV is not where the filter has it, and is solved for afresh. A UAV that itself
-measures wrongly spoils half of the distances that it is an end of, and a seventh of another's."""
-AGREE_WEIGHT, AGREE_LIMIT = 0.5, 0.3
-"""A UAV does not join when more than 0.3 of its distances get less weight than 0.5 (beyond 2.4 sigma, where
-1.4 % of right ones lie): a place that a bare majority agrees on exists even for distances that are all
-wrong."""
+PULLED_STD_M = 1.0
+"""By how much a UAV may be misplaced that has just been found to measure wrongly."""
+STEP_FIXES = 3
+"""So many means of fixes in succession that fit badly are a step of GPS."""
+BIAS_SIGMAS = 2.0
+"""A GPS bias that is estimated beyond this has a larger spread than its receiver states."""
+TURN_LIMIT_RAD = 0.2
+"""The fixed geometry of the derivatives is renewed when the formation has turned by this."""
+GEOMETRY_PERIOD_US = 1_000_000
+"""How often that is looked at."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +60,8 @@ class LocalisationModel:
     """What the filter assumes of its inputs; standard deviations are one sigma."""
 
     gps_bias_std_m: float = 1.5
-    """Per horizontal axis."""
+    """Per horizontal axis; a receiver that states a worse accuracy is taken at its word."""
+    gps_bias_vertical_std_m: float = 2.5
     gps_bias_time_constant_s: float = 60.0
     gps_white_std_m: float = 0.2
     """Per horizontal axis, of one fix."""
@@ -71,14 +75,17 @@ class LocalisationModel:
     """How long distances are gathered for those who do not answer before the others are solved for."""
 
 
-@dataclass(slots=True)
-class _Range:
-    initiator: int
-    responder: int
-    time_us: int
-    distance_m: float
-    variance_m2: float
-    odometry_between_m: Array
+class Others(NamedTuple):
+    """All N UAVs as one of them has them now; rows in their order, the own one included."""
+
+    pos_ned_m: Array
+    """(N, 3) site NED."""
+    vel_ned_m_s: Array
+    """(N, 3)"""
+    std_m: Array
+    """(N,) one sigma of the position relative to the own, horizontally, along the line."""
+    fresh: Flags
+    """(N,) bool: located, and heard of lately."""
 
 
 class CooperativeLocalisation:
@@ -94,6 +101,7 @@ class CooperativeLocalisation:
         located: (N,) bool, whose distances are fused.
         ranges_used, ranges_downweighted: counters.
         restarts: times that a UAV was found to be elsewhere than thought.
+        gps_steps: times that a GPS error was found to have changed at once.
         own_range_us: when the newest fused distance that involves the own UAV was measured, or None.
 
     """
@@ -109,53 +117,66 @@ class CooperativeLocalisation:
         self.ranges_used = 0
         self.ranges_downweighted = 0
         self.restarts = 0
+        self.gps_steps = 0
         self.own_range_us: int | None = None
         self._places_ned_m = np.array(places_ned_m, float)
         self._model = model
         self._drift_m2_s = model.odometry_drift_m_sqrt_s**2
+        self._floor_m2 = model.range_floor_std_m**2
         self._time_us = 0
-        self._track_times_us = np.zeros((count, TRACK_SAMPLES), np.int64)
-        self._track = np.zeros((count, TRACK_SAMPLES, 6))
-        self._track_pushed = [0] * count
-        self._newest = np.zeros((count, 6))
-        self._newest_odometry_us = np.full(count, -1, np.int64)
+        self._decay_owed_us = 0
+        self._decay_stride_us = int(
+            1e6 * DECAY_SHARE * min(model.gps_bias_time_constant_s, model.height_time_constant_s)
+        )
+        self._tracks = Tracks(count)
         self._newest_fix_us = [-1] * count
-        self._fix_less_odometry_m = np.zeros((count, 2))
+        self._fixes = [FixGroup() for _ in range(count)]
+        self._fix_less_odometry_m = np.zeros((count, 3))
+        self._bad_fixes = [0] * count
+        self._stated_var_m2 = np.full(count, model.gps_bias_std_m**2)
+        self._stated_vertical_var_m2 = np.full(count, model.gps_bias_vertical_std_m**2)
+        self._bias_var_m2 = self._stated_var_m2.copy()
         self._newest_range_us = [[-1] * count for _ in range(count)]
-        self._pending: list[_Range] = []
-        self._held: dict[tuple[int, int], _Range] = {}
+        self._pending: list[Range] = []
+        self._held: dict[tuple[int, int], Range] = {}
         self._held_since_us = 0
-        self._misfit = np.zeros(count)
+        self._trust = Trust(count)
         self._reference_ne_m = np.zeros((count, 2))
+        self._bend_m = np.zeros((count, count))
+        self._geometry_due_us = 0
+        self._scratch_m = np.empty(3)
 
     def on_odometry(
         self, station: int, time_us: int, odometry_ned_m: Sequence[float], vel_ned_m_s: Sequence[float]
     ) -> None:
         """Take odometry of a UAV (north, east integrated velocity, down the barometer's); old is ignored."""
-        if time_us <= self._newest_odometry_us[station]:
-            return
-        slot = self._track_pushed[station] % TRACK_SAMPLES
-        self._track_times_us[station, slot] = time_us
-        self._track[station, slot] = self._newest[station] = (*odometry_ned_m, *vel_ned_m_s)
-        self._track_pushed[station] += 1
-        self._newest_odometry_us[station] = time_us
+        self._tracks.push(station, time_us, odometry_ned_m, vel_ned_m_s)
 
-    def on_fix(self, station: int, time_us: int, pos_ned_m: Sequence[float]) -> None:
-        """Take a GPS position (site NED) at ``time_us``; used once, and only with odometry of that time."""
+    def on_fix(
+        self,
+        station: int,
+        time_us: int,
+        pos_ned_m: Sequence[float],
+        std_h_m: float | None = None,
+        std_v_m: float | None = None,
+    ) -> None:
+        """Take a GPS position (site NED) at ``time_us``; used once, and only with odometry of that time.
+
+        ``std_h_m`` (per axis) and ``std_v_m`` are what the receiver states; None: nothing.
+        """
         if time_us <= self._newest_fix_us[station]:
             return
-        odometry_m = np.empty(3)
-        if self._odometry_at(station, time_us, odometry_m) != KNOWN:
+        odometry_m = self._scratch_m
+        if self._tracks.at(station, time_us, odometry_m) != KNOWN:
             return
         self._newest_fix_us[station] = time_us
-        difference_m = np.array((pos_ned_m[0] - odometry_m[0], pos_ned_m[1] - odometry_m[1]))
-        self._fix_less_odometry_m[station] = difference_m
-        if not self.active[station]:
-            self._activate(station)
-            return
-        lag_s = self._advance(time_us)
-        variance_m2 = self._model.gps_white_std_m**2 + self._drift_m2_s * lag_s
-        fuse_fix(self.state, self.cov, station, difference_m, variance_m2)
+        if std_h_m is not None or std_v_m is not None:
+            self._take_stated(station, std_h_m or 0.0, std_v_m or 0.0)
+        mean = self._fixes[station].add(
+            time_us, pos_ned_m, odometry_m.tolist(), at_once=not self.active[station]
+        )
+        if mean is not None:
+            self._fuse_fixes(station, time_us, mean)
 
     def on_range(
         self, initiator: int, responder: int, time_us: int, distance_m: float, std_m: float, *, now_us: int
@@ -170,8 +191,17 @@ class CooperativeLocalisation:
         if not self._newest_range_us[initiator][responder] < time_us <= now_us + CLOCK_TOLERANCE_US:
             return
         self._newest_range_us[initiator][responder] = time_us
-        variance_m2 = std_m**2 + self._model.range_floor_std_m**2
-        self._pending.append(_Range(initiator, responder, time_us, distance_m, variance_m2, np.empty(3)))
+        variance_m2 = std_m**2 + self._floor_m2
+        self._pending.append(Range(initiator, responder, time_us, distance_m, variance_m2, np.empty(3)))
+
+    def on_distances(self, initiator: int, distances: Sequence[Distance], *, now_us: int) -> None:
+        """Take all that a beacon of ``initiator`` tells, as `on_range` does one by one, in less time."""
+        newest_us = self._newest_range_us[initiator]
+        for item in distances:
+            if item.peer < self.count and newest_us[item.peer] < item.time_ms * 1_000:
+                self.on_range(
+                    initiator, item.peer, item.time_ms * 1_000, item.distance_m, item.std_m, now_us=now_us
+                )
 
     def update(self, now_us: int) -> None:
         """Use what has become usable by now."""
@@ -179,27 +209,72 @@ class CooperativeLocalisation:
             self._pending = [item for item in self._pending if not self._take(item, now_us)]
         if self._held:
             self._locate(now_us)
+        if now_us >= self._geometry_due_us:
+            self._geometry_due_us = now_us + GEOMETRY_PERIOD_US
+            self._keep_geometry(now_us)
 
     def advance(self, now_us: int) -> None:
         """Propagate the covariance to now, for whoever wants to read it."""
-        self._advance(now_us)
+        self._advance(now_us, decay=True)
 
     def offset_ne_m(self) -> Array:
         """(2,) estimated true position less odometry of the own UAV: a view, north and east."""
         base = STATES * self.own
         return self.state[base : base + 2]
 
+    def offset_ned_m(self) -> Array:
+        """(3,) the same with down: less the barometer's height; a view."""
+        base = STATES * self.own
+        return self.state[base : base + 3]
+
     def positions_ned_m(self, now_us: int) -> Array:
         """(N, 3) estimated positions, site NED; neighbours' extrapolated by their velocity, 1 s at most."""
-        offsets_m = self.state.reshape(-1, STATES)[:, :3]
-        age_s = np.minimum((now_us - self._newest_odometry_us) * 1e-6, 1.0)
-        positions_ned_m: Array = self._newest[:, :3] + self._newest[:, 3:] * age_s[:, None] + offsets_m
-        return positions_ned_m
+        return self._tracks.now_ned_m(now_us) + self.state.reshape(-1, STATES)[:, :3]
 
     def std_ned_m(self) -> Array:
         """(3,) one sigma of the own position, the formation's place as a whole included."""
         base = STATES * self.own
         return np.sqrt(self.cov.diagonal()[base : base + 3])
+
+    def gps_error(self, station: int) -> tuple[Array, float]:
+        """Estimated error of a UAV's GPS, (3,) NED, m, and one sigma of each horizontal axis of it.
+
+        Horizontally the slow part alone; vertically that of the last fixes, against the barometer.
+        """
+        base = STATES * station
+        error_ned_m = np.zeros(3)
+        error_ned_m[:2] = self.state[base + BIAS : base + STATES]
+        if self.active[station]:
+            error_ned_m[2] = self._fix_less_odometry_m[station, 2] - self.state[base + 2]
+            variance = self.cov[base + BIAS, base + BIAS] + self.cov[base + BIAS + 1, base + BIAS + 1]
+        else:
+            variance = 2.0 * self._stated_var_m2[station]
+        return error_ned_m, float(np.sqrt(0.5 * variance))
+
+    def distance_variance_m2(self, peer: int, now_us: int) -> float | None:
+        """Variance with which the distance to a UAV is known now; None while either end is not located."""
+        if not (self.located[self.own] and self.located[peer]):
+            return None
+        tracks, offsets_m = self._tracks, self.state.reshape(-1, STATES)
+        line_m = tracks.newest[self.own, :3] - tracks.newest[peer, :3]
+        line_m += offsets_m[self.own, :3] - offsets_m[peer, :3]
+        if not line_m.any():
+            line_m[0] = 1.0
+        return float(relative_variance(self.cov, self.own, peer, line_m)) + self._walked_m2(now_us)
+
+    def relative_std_m(self, peer: int, now_us: int) -> float:
+        """One sigma of the horizontal position relative to a UAV, along the line; inf as long as unknown."""
+        if not (self.located[self.own] and self.located[peer]):
+            return math.inf
+        return float(self.others(now_us, fresh_us=now_us + 1).std_m[peer])
+
+    def others(self, now_us: int, *, fresh_us: int) -> Others:
+        """Everybody, as avoidance wants them; fresh is who was heard within ``fresh_us``."""
+        fresh = self.located & (self._tracks.newest_us >= now_us - fresh_us)
+        pos_ned_m = self.positions_ned_m(now_us)
+        std_m = np.empty(self.count)
+        relative_stds(self.cov, self.own, pos_ned_m, fresh, self._walked_m2(now_us), std_m)
+        return Others(pos_ned_m, self._tracks.newest[:, 3:], std_m, fresh)
 
     def shape_std_m(self, now_us: int) -> float:
         """Horizontal rms error to expect of the located UAVs' shape, aligned; inf with fewer than two."""
@@ -208,40 +283,75 @@ class CooperativeLocalisation:
             return float("inf")
         return float(np.sqrt(shape_variance(self.positions_ned_m(now_us), self.cov, members)))
 
-    def separation_push_ne_m(
-        self, now_us: int, *, radius_m: float, radius_limit_m: float, silence_us: int
-    ) -> Array:
-        """(2,) shift of the own setpoint that keeps it clear of neighbours heard within ``silence_us``."""
-        fresh = self.located & (self._newest_odometry_us >= now_us - silence_us)
-        push_ne_m = np.zeros(2)
-        if self.located[self.own]:
-            positions_ned_m = self.positions_ned_m(now_us)
-            separation_push(self.own, positions_ned_m, self.cov, fresh, radius_m, radius_limit_m, push_ne_m)
-        return push_ne_m
+    def _walked_m2(self, now_us: int) -> float:
+        """What the odometry of two has lost since the filter's time, per axis of their difference."""
+        return 2.0e-6 * self._drift_m2_s * max(now_us - self._time_us, 0)
 
-    def _odometry_at(self, station: int, time_us: int, out_ned_m: Array) -> int:
-        pushed = self._track_pushed[station]
-        times_us, samples = self._track_times_us[station], self._track[station]
-        return int(odometry_at(times_us, samples, pushed, time_us, out_ned_m))
-
-    def _advance(self, time_us: int) -> float:
+    def _advance(self, time_us: int, *, decay: bool = False) -> float:
         """Propagate to ``time_us`` if that is news; return how many seconds the filter is ahead of it."""
         ahead_us = self._time_us - time_us
-        if ahead_us < 0:
-            model = self._model
-            dt_s = -ahead_us * 1e-6 if self._time_us else 0.0
-            predict(
-                self.state, self.cov, self.active, dt_s, self._drift_m2_s,
-                model.height_std_m**2, model.height_time_constant_s,
-                model.gps_bias_std_m**2, model.gps_bias_time_constant_s,
-            )  # fmt: skip
-            self._time_us = time_us
+        if ahead_us >= 0 and not decay:
+            return ahead_us * 1e-6
+        step_us = max(-ahead_us, 0) if self._time_us else 0
+        self._decay_owed_us += step_us
+        decay_us = self._decay_owed_us if decay or self._decay_owed_us >= self._decay_stride_us else 0
+        self._decay_owed_us -= decay_us
+        model = self._model
+        predict(
+            self.state, self.cov, self.active, self._drift_m2_s * step_us * 1e-6, decay_us * 1e-6,
+            model.height_std_m**2, model.height_time_constant_s,
+            self._bias_var_m2, model.gps_bias_time_constant_s,
+        )  # fmt: skip
+        self._time_us = max(self._time_us, time_us)
         return max(ahead_us, 0) * 1e-6
+
+    def _take_stated(self, station: int, std_h_m: float, std_v_m: float) -> None:
+        """Take a receiver at its word when it is worse than the model; its bias is less known at once."""
+        model = self._model
+        self._stated_vertical_var_m2[station] = max(model.gps_bias_vertical_std_m, std_v_m) ** 2
+        variance_m2 = max(model.gps_bias_std_m, std_h_m) ** 2
+        added_m2 = variance_m2 - self._stated_var_m2[station]
+        self._stated_var_m2[station] = variance_m2
+        if added_m2 > 0.0:
+            self._bias_var_m2[station] = max(self._bias_var_m2[station], variance_m2)
+            if self.active[station]:
+                for at in range(STATES * station + BIAS, STATES * station + STATES):
+                    self.cov[at, at] += added_m2
+
+    def _fuse_fixes(self, station: int, time_us: int, mean: FixMean) -> None:
+        model = self._model
+        difference_m = self._fix_less_odometry_m[station]
+        difference_m[:] = mean.less_odometry_ned_m
+        if not self.active[station]:
+            self._activate(station)
+            return
+        self._advance(time_us)
+        # The mean is as old as its middle, since when both odometry and bias have moved on.
+        age_s = (self._time_us - mean.time_us) * 1e-6
+        moved_m2_s = self._drift_m2_s + 2.0 * self._bias_var_m2.item(station) / model.gps_bias_time_constant_s
+        variance_m2 = model.gps_white_std_m**2 / mean.count + moved_m2_s * age_s
+        periods = 2.0e6 * model.gps_bias_time_constant_s / max(mean.span_us, GROUP_US)
+        height_m2 = self._stated_vertical_var_m2.item(station) * max(periods, 1.0)
+        weight = fuse_fix(self.state, self.cov, station, difference_m, variance_m2, height_m2)
+        self._bad_fixes[station] = self._bad_fixes[station] + 1 if weight < MISFIT_WEIGHT else 0
+        if self._bad_fixes[station] >= STEP_FIXES and self.located[station]:
+            self._bad_fixes[station] = 0
+            self.gps_steps += 1
+            relearn_bias(self.state, self.cov, station, difference_m, variance_m2)
+        self._rate_gps(station)
+
+    def _rate_gps(self, station: int) -> None:
+        """Take the spread of a GPS bias from its estimate where that is beyond what the receiver states."""
+        base = STATES * station
+        bias_n_m, bias_e_m = self.state[base + BIAS : base + STATES].tolist()
+        seen_m2 = max(bias_n_m**2, bias_e_m**2) / BIAS_SIGMAS**2
+        self._bias_var_m2[station] = max(self._stated_var_m2[station], seen_m2)
 
     def _activate(self, station: int) -> None:
         """Begin a UAV with its GPS alone: offset = fix - bias - noise, the bias at its stationary spread."""
         base = STATES * station
-        bias_var_m2 = self._model.gps_bias_std_m**2
+        bias_var_m2 = self._stated_var_m2[station]
+        self._bias_var_m2[station] = bias_var_m2
         self.state[base : base + STATES] = 0.0
         self.cov[base : base + STATES, :] = 0.0
         self.cov[:, base : base + STATES] = 0.0
@@ -253,119 +363,106 @@ class CooperativeLocalisation:
         self.cov[base + 2, base + 2] = self._model.height_std_m**2
         self.active[station] = True
 
-    def _take(self, item: _Range, now_us: int) -> bool:
+    def _take(self, item: Range, now_us: int) -> bool:
         """Use or hold a distance; False when it must wait for odometry."""
-        newest_us = self._newest_odometry_us
-        if item.time_us > newest_us[item.initiator] or item.time_us > newest_us[item.responder]:
-            return now_us - item.time_us > PENDING_LIMIT_US
-        far_m = np.empty(3)
-        known = self._odometry_at(item.initiator, item.time_us, item.odometry_between_m)
-        if known == KNOWN:
-            known = self._odometry_at(item.responder, item.time_us, far_m)
-        if known != KNOWN:
+        i, j = item.initiator, item.responder
+        newest_us = self._tracks.newest_us
+        if item.time_us > newest_us[i] or item.time_us > newest_us[j]:
+            return bool(now_us - item.time_us > PENDING_LIMIT_US)
+        if self._tracks.between(i, j, item.time_us, item.odometry_between_m) != KNOWN:
             return True
-        if not (self.active[item.initiator] and self.active[item.responder]):
+        if not (self.active[i] and self.active[j]):
             return now_us - item.time_us > PENDING_LIMIT_US
-        item.odometry_between_m -= far_m
-        if self.located[item.initiator] and self.located[item.responder]:
+        if self.located[i] and self.located[j]:
             self._fuse(item)
         else:
             if not self._held:
                 self._held_since_us = now_us
-            self._held[item.initiator, item.responder] = item
+            self._held[i, j] = item
         return True
 
-    def _fuse(self, item: _Range) -> None:
+    def _fuse(self, item: Range) -> None:
         lag_s = self._advance(item.time_us)
+        bend_m = self._bend_m.item(item.initiator, item.responder)
+        trust = 0.0 if self._trust.distrusted[item.initiator] else 1.0
         weight = fuse_range(
             self.state, self.cov, self.state, self._reference_ne_m, item.initiator, item.responder,
-            item.odometry_between_m, item.distance_m, item.variance_m2 + 2.0 * self._drift_m2_s * lag_s, -1.0,
+            item.odometry_between_m, item.distance_m - bend_m,
+            item.variance_m2 + 2.0 * (self._drift_m2_s * lag_s + bend_m * bend_m), -1.0, trust,
         )  # fmt: skip
         self._count(item, weight)
+        if trust > 0.0 and self._trust.distrusted[item.initiator]:
+            # It has been pulled to where its own distances wanted it.
+            for at in range(STATES * item.initiator, STATES * item.initiator + 2):
+                self.cov[at, at] += PULLED_STD_M**2
         for station in (item.initiator, item.responder):
-            if self._misfit[station] > MISFIT_LIMIT:
+            if self._trust.elsewhere(station):
                 self._restart(station)
 
-    def _count(self, item: _Range, weight: float) -> None:
+    def _count(self, item: Range, weight: float) -> None:
         badly = weight < MISFIT_WEIGHT
         self.ranges_used += 1
         self.ranges_downweighted += badly
-        for station in (item.initiator, item.responder):
-            self._misfit[station] += (badly - self._misfit[station]) / MISFIT_MEMORY
-        if self.own in (item.initiator, item.responder) and not badly:
+        self._trust.note(item.initiator, item.responder, badly=badly)
+        if self.own in {item.initiator, item.responder} and not badly:
             self.own_range_us = max(item.time_us, self.own_range_us or 0)
 
     def _locate(self, now_us: int) -> None:
         """Bring in those whose distances have been held, once enough of them are there."""
-        linked = np.zeros((self.count, self.count), bool)
-        for i, j in self._held:
-            linked[i, j] = linked[j, i] = True
-        joining = self.active & ~self.located
-        complete = self.active.all() and (linked | np.eye(self.count, dtype=bool))[joining].all()
+        linked = links(self._held.values(), self.count) | np.eye(self.count, dtype=bool)
+        complete = self.active.all() and linked[~self.located].all()
         if not complete and now_us - self._held_since_us < self._model.gather_s * 1e6:
             return
-        # Three distances to others settle a point in the plane once its side of them is known from the
-        # layout.
-        enough = min(3, int(self.active.sum()) - 1)
-        joining &= linked[:, self.active].sum(axis=1) >= enough
         held = [item for _, item in sorted(self._held.items())]
         self._held.clear()
-        if held:
-            self._advance(max(item.time_us for item in held))
-        prior_state, prior_cov = self.state.copy(), self.cov.copy()
-        while joining.any():
-            members = self.located | joining
-            batch = [item for item in held if members[item.initiator] and members[item.responder]]
-            weights = self._solve(batch, joining, members)
-            badly = np.zeros((self.count, 2))
-            for item, weight in zip(batch, weights, strict=True):
-                for station in (item.initiator, item.responder):
-                    badly[station] += (weight < AGREE_WEIGHT, 1.0)
-            contradictory = joining & (badly[:, 0] > AGREE_LIMIT * badly[:, 1])
-            if not contradictory.any():
-                self.located = members
-                self._reference_ne_m[joining] = self.positions_ned_m(now_us)[joining, :2]
-                for item, weight in zip(batch, weights, strict=True):
-                    self._count(item, weight)
-                return
-            # Nowhere do the distances of these agree with each other: the rest is solved without them.
-            joining &= ~contradictory
-            self.state[:], self.cov[:] = prior_state, prior_cov
+        self._advance(max(item.time_us for item in held))
+        joined = Problem(
+            state=self.state, cov=self.cov, time_us=self._time_us, active=self.active, located=self.located,
+            places_ned_m=self._places_ned_m, odometry_ned_m=self._tracks.newest[:, :3],
+            drift_m2_s=self._drift_m2_s, bias_var_m2=self._stated_var_m2,
+        ).join(held)  # fmt: skip
+        if joined is None:
+            return
+        self.state[:], self.cov[:] = joined.solution.state, joined.solution.cov
+        self.located |= joined.joining
+        self._set_reference(now_us, joined.joining)
+        self._keep_geometry(now_us)
+        for station in np.flatnonzero(joined.joining).tolist():
+            self._trust.forget(station)
+            self._rate_gps(station)
+        for station in joined.liars:
+            self._trust.distrust(station)
+        for item, weight in zip(joined.batch, joined.solution.weights, strict=True):
+            self._count(item, weight)
 
-    def _solve(
-        self, batch: list[_Range], joining: NDArray[np.bool_], members: NDArray[np.bool_]
-    ) -> list[float]:
-        """Fuse the batch by Gauss-Newton: every pass starts from the prior, expanded about the last."""
-        prior_state, prior_cov = self.state.copy(), self.cov.copy()
-        linearised_at = self._from_layout(joining, members)
-        no_reference = np.zeros((self.count, 2))
-        weights: list[float] = []
-        for width_m in WEIGHT_WIDTHS_M:
-            self.state[:], self.cov[:] = prior_state, prior_cov
-            weights.clear()
-            for item in batch:
-                lag_s = (self._time_us - item.time_us) * 1e-6
-                variance_m2 = item.variance_m2 + 2.0 * self._drift_m2_s * lag_s
-                weight = fuse_range(
-                    self.state, self.cov, linearised_at, no_reference, item.initiator, item.responder,
-                    item.odometry_between_m, item.distance_m, variance_m2, width_m**2,
-                )  # fmt: skip
-                weights.append(weight)
-            linearised_at = self.state.copy()
-        return weights
+    def _set_reference(self, now_us: int, whose: Flags) -> None:
+        """Take the places, laid over where the formation is, for the fixed geometry of the derivatives.
 
-    def _from_layout(self, joining: NDArray[np.bool_], members: NDArray[np.bool_]) -> Array:
-        """State to start from: those who join stand as the places do, about where GPS has the whole."""
-        start = self.state.copy()
-        offsets_m = start.reshape(-1, STATES)
-        from_places_m = self._places_ned_m[:, :2] - self._newest[:, :2]
-        shift_m = (offsets_m[members, :2] - from_places_m[members]).mean(axis=0)
-        offsets_m[joining, :2] = from_places_m[joining] + shift_m
-        return start
+        The estimates would not do: across a line they are as wrong as GPS, and distances would seem to tell.
+        """
+        there_m = self.positions_ned_m(now_us)[:, :2]
+        before = self.located & ~whose
+        if before.sum() >= 2:
+            # They keep the heading that those before them have.
+            there_m[before] = self._reference_ne_m[before]
+        self._reference_ne_m[whose] = laid_over(
+            self._places_ned_m, there_m, before if before.sum() >= 2 else self.located
+        )[whose]
+
+    def _keep_geometry(self, now_us: int) -> None:
+        """Renew the fixed geometry when the formation has turned away from it, and what bending does."""
+        members = self.located
+        if members.sum() < 2:
+            return
+        there = self.positions_ned_m(now_us)[members, :2] @ TO_COMPLEX
+        then = self._reference_ne_m[members] @ TO_COMPLEX
+        if abs(np.angle(np.vdot(then - then.mean(), there - there.mean()))) > TURN_LIMIT_RAD:
+            self._set_reference(now_us, members)
+        bend(self._reference_ne_m, self.cov, np.flatnonzero(members), self._bend_m)
 
     def _restart(self, station: int) -> None:
         """Forget where a UAV is thought to be, for it does not fit: back to its GPS."""
         self.restarts += 1
-        self._misfit[station] = 0.0
+        self._trust.forget(station)
         self.located[station] = False
         self._activate(station)

@@ -26,7 +26,9 @@ class OwnState:
         local_ned_m: (3,) the autopilot's position from its own origin.
         origin_ned_m: (3,) the autopilot's origin in the site's frame, or None.
         origin_alt_m: its altitude above mean sea level, as the autopilot has it.
-        fix: newest GPS position.
+        fix: newest GPS position, with the accuracy that the receiver states.
+        truth_ned_m: (3,) where the simulator says that the vehicle is, down from where it stood at the first
+            such message; None unless it does. ``truth_us`` is its time.
         armed, failsafe, main_mode, heartbeat_us: by the newest HEARTBEAT and when that came.
 
     """
@@ -39,6 +41,8 @@ class OwnState:
         self.origin_ned_m: Array | None = None
         self.origin_alt_m = 0.0
         self.fix: Fix | None = None
+        self.truth_ned_m: Array | None = None
+        self.truth_us = -1
         self.armed = False
         self.failsafe = False
         self.main_mode = 0
@@ -46,6 +50,7 @@ class OwnState:
         self._site = site
         self._gps_delay_ms = round(gps_delay_s * 1e3)
         self._boot_offset_us: int | None = None
+        self._standing_down_m: float | None = None
 
     @property
     def autopilot_ned_m(self) -> Array:
@@ -82,13 +87,28 @@ class OwnState:
         if time_ms < 0 or (self.fix is not None and time_ms <= self.fix.time_ms):
             return False
         north_m, east_m, down_m = self._site_ned_m(msg.lat, msg.lon, msg.alt).tolist()
-        self.fix = Fix(time_ms, (north_m, east_m, down_m))
+        # Its eph and epv are dilutions of precision, without a unit; the accuracies are zero where unknown.
+        self.fix = Fix(time_ms, (north_m, east_m, down_m), msg.h_acc * 1e-3 or None, msg.v_acc * 1e-3 or None)
         return True
 
     def on_origin(self, msg: common.MAVLink_gps_global_origin_message) -> None:
         """Take a GPS_GLOBAL_ORIGIN."""
         self.origin_alt_m = msg.altitude * 1e-3
         self.origin_ned_m = self._site_ned_m(msg.latitude, msg.longitude, msg.altitude)
+
+    def on_truth(self, msg: common.MAVLink_hil_state_quaternion_message) -> None:
+        """Take a HIL_STATE_QUATERNION."""
+        truth_ned_m = self._site_ned_m(msg.lat, msg.lon, msg.alt)
+        if self._standing_down_m is None:
+            self._standing_down_m = float(truth_ned_m[2])
+        truth_ned_m[2] -= self._standing_down_m
+        self.truth_ned_m, self.truth_us = truth_ned_m, msg.time_usec
+
+    def odometry_at(self, time_us: int) -> Array:
+        """(3,) odometry at a time near the newest, by the velocity."""
+        ahead_s = (time_us - self.time_us) * 1e-6
+        odometry_ned_m: Array = self.odometry_ned_m + self.vel_ned_m_s * ahead_s
+        return odometry_ned_m
 
     def on_heartbeat(self, msg: common.MAVLink_heartbeat_message, now_us: int) -> None:
         """Take a HEARTBEAT; only an autopilot's counts."""

@@ -4,6 +4,7 @@ Keeps no position: the beacon's content is handed in, and what was heard or meas
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -12,8 +13,10 @@ from autopilot.onboard import beacon as wire
 from autopilot.onboard.commands import NEVER_US
 from autopilot.onboard.localisation import CLOCK_TOLERANCE_US
 from autopilot.onboard.own_state import OwnState
-from autopilot.onboard.ranging import RangingSchedule
-from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult, TxItem
+from autopilot.onboard.phases import Phase
+from autopilot.onboard.ranging import RangingPolicy, RangingSchedule, VarianceOf
+from autopilot.onboard.scheduled_ranging import ScheduledRanging
+from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult, Survey, TxItem
 
 BEACON_JITTER = 0.02
 """Half width of each beacon's random shift, in periods: two UAVs that tick together do not go on doing so."""
@@ -21,6 +24,8 @@ SILENCE_US = 3_000_000
 """A neighbour not heard for this long is neither ranged to nor kept clear of."""
 PRIOR_TRIPS = 8
 """How many round trips' evidence the device's stated accuracy is worth beside a session's own few."""
+SEQ_GAP_LIMIT = 1_000
+"""Beacons of one sender that were lost in a row, at most; a wider gap is a sender that began anew."""
 
 
 class Traffic:
@@ -29,6 +34,7 @@ class Traffic:
     Attributes:
         range_silence_us: distances older than this are news to nobody.
         bad_beacons: datagrams that were no beacon, or one that contradicts itself.
+        beacons_heard, beacons_missed: of those that neighbours heard so far have numbered.
 
     """
 
@@ -41,17 +47,20 @@ class Traffic:
         devices: Devices,
         rng: np.random.Generator,
     ) -> None:
-        self.range_silence_us = round((2.0 * config.ftm_period_s + 1.0) * 1e6)
         self.bad_beacons = 0
+        self.beacons_heard = 0
+        self.beacons_missed = 0
         self._station, self._stations = station, stations
         self._trip_std_m = devices.ftm_trip_std_m
         self._rng = rng
-        self._ranging = RangingSchedule(
-            station=station, stations=stations, period_us=round(config.ftm_period_s * 1e6), rng=rng
-        )
+        self._range_floor_var_m2 = config.range_floor_std_m**2
+        self._ranging = self._policy(config)
+        self.range_silence_us = self._ranging.silence_us
         self._distances: dict[int, wire.Distance] = {}
         self._heard_us: dict[int, int] = {}
+        self._heard_seq: dict[int, int] = {}
         self._seq = 0
+        self._beacon_seq = 0
         self._period_us = config.beacon_period_ms * 1_000
         self._slot_us: float | None = None
         self._beacon_us = 0
@@ -69,12 +78,20 @@ class Traffic:
             self.bad_beacons += 1
             return None
         self._heard_us[beacon.station] = now_us
+        gap = (beacon.seq - self._heard_seq.get(beacon.station, beacon.seq - 1)) % wire.SEQ_MODULUS
+        self._heard_seq[beacon.station] = beacon.seq
+        self.beacons_heard += 1
+        if 1 < gap <= SEQ_GAP_LIMIT:
+            self.beacons_missed += gap - 1
         return beacon
 
     def measured(self, item: FtmResult) -> wire.Distance | None:
         """Distance that a session gave, with its error; None if it failed."""
-        self._ranging.on_result(item.peer)
+        ended_us = item.ended_ns // 1_000
         if item.status != "ok" or item.round_trips < 1 or item.peer >= self._stations:
+            self._ranging.on_result(
+                item.peer, ended_us=ended_us, retry_after_us=item.retry_after_s * 1_000_000
+            )
             return None
         # Few trips tell their own scatter badly, so it is pooled with what the device is expected to have (a
         # scaled inverse chi-square prior).
@@ -82,19 +99,41 @@ class Traffic:
         trip_var_m2 = (PRIOR_TRIPS * self._trip_std_m**2 + degrees * item.distance_std_m**2) / (
             PRIOR_TRIPS + degrees
         )
-        std_m = math.sqrt(trip_var_m2 / item.round_trips)
+        var_m2 = trip_var_m2 / item.round_trips
+        self._ranging.on_result(item.peer, ended_us=ended_us, variance_m2=var_m2 + self._range_floor_var_m2)
+        std_m = math.sqrt(var_m2)
         distance = wire.Distance(item.peer, item.measured_ns // 1_000_000, item.distance_m, std_m)
         self._distances[item.peer] = distance
         return distance
 
-    def due(self, own: OwnState, now_us: int, until_us: int, *, ranging: bool) -> tuple[TxItem, ...]:
-        """All to hand to the radio in [now, until): beacons, and if ``ranging`` requests."""
+    def take_survey(self, item: Survey) -> None:
+        """Take the radio's count of how long it has found the medium busy."""
+        self._ranging.on_survey(item.ended_ns, item.busy_ns)
+
+    def due(
+        self,
+        own: OwnState,
+        now_us: int,
+        until_us: int,
+        *,
+        ranging: bool,
+        variance_m2: VarianceOf | None = None,
+        phase: Phase = Phase.WAITING,
+        motion_start_ms: int | None = None,
+        gps_error: Callable[[], wire.GpsError | None] | None = None,
+    ) -> tuple[TxItem, ...]:
+        """All to hand to the radio in [now, until): beacons, and if ``ranging`` requests.
+
+        ``variance_m2`` tells how well the distance to a peer is known and is asked when a request could be
+        made, ``gps_error`` the own receiver's error when a beacon is made; the rest goes into beacons as is.
+        """
         items: list[TxItem] = []
         if self._slot_us is None:
             self._slot_us = now_us + self._rng.uniform() * self._period_us
             self._beacon_us = int(self._slot_us)
         while self._beacon_us < until_us:
-            payload = wire.encode(self._beacon(own, now_us))
+            error = gps_error() if gps_error is not None else None
+            payload = wire.encode(self._beacon(own, now_us, phase, motion_start_ms, error))
             items.append(Broadcast(seq=self._next_seq(), at_us=max(self._beacon_us, now_us), payload=payload))
             self._slot_us += self._period_us
             self._beacon_us = int(
@@ -104,24 +143,42 @@ class Traffic:
             reachable = {peer for peer, heard_us in self._heard_us.items() if now_us - heard_us < SILENCE_US}
             items += [
                 FtmRequest(seq=self._next_seq(), at_us=at_us, peer=peer)
-                for at_us, peer in self._ranging.due(now_us, until_us, reachable)
+                for at_us, peer in self._ranging.due(now_us, until_us, reachable, variance_m2)
             ]
         return tuple(items)
 
     def next_deadline_us(self, *, ranging: bool) -> int:
         """When `due` next has something to say."""
-        return min(self._beacon_us, int(self._ranging.next_us) if ranging else NEVER_US)
+        return int(min(self._beacon_us, self._ranging.next_us if ranging else NEVER_US))
 
-    def _beacon(self, own: OwnState, now_us: int) -> wire.Beacon:
+    def _policy(self, config: OnboardConfig) -> RangingPolicy:
+        if config.ranging == "scheduled":
+            return ScheduledRanging(
+                station=self._station, stations=self._stations, slot_us=config.ranging_slot_ms * 1_000,
+                airtime=config.ranging_airtime,
+                measurement_var_m2=self._trip_std_m**2 + self._range_floor_var_m2,
+            )  # fmt: skip
+        return RangingSchedule(
+            station=self._station, stations=self._stations, period_us=round(config.ftm_period_s * 1e6),
+            rng=self._rng,
+        )  # fmt: skip
+
+    def _beacon(
+        self, own: OwnState, now_us: int, phase: Phase, start_ms: int | None, error: wire.GpsError | None
+    ) -> wire.Beacon:
         oldest_ms = (now_us - self.range_silence_us) // 1_000
         fresh = [item for item in self._distances.values() if item.time_ms >= oldest_ms]
         if len(fresh) > wire.MAX_RANGES:
             fresh.sort(key=lambda item: item.time_ms)
         odo_n, odo_e, odo_d = own.odometry_ned_m.tolist()
         vel_n, vel_e, vel_d = own.vel_ned_m_s.tolist()
+        seq = self._beacon_seq
+        self._beacon_seq = (seq + 1) % wire.SEQ_MODULUS
         return wire.Beacon(
-            self._station, own.time_us, (odo_n, odo_e, odo_d), (vel_n, vel_e, vel_d), own.fix,
-            tuple(fresh[-wire.MAX_RANGES:]),
+            station=self._station, seq=seq, time_us=own.time_us, phase=phase,
+            odometry_ned_m=(odo_n, odo_e, odo_d), vel_ned_m_s=(vel_n, vel_e, vel_d),
+            motion_start_ms=start_ms, fix=own.fix, gps_error=error,
+            distances=tuple(fresh[-wire.MAX_RANGES:]),
         )  # fmt: skip
 
     def _next_seq(self) -> int:

@@ -73,6 +73,12 @@ APPLICATION_HZ: dict[int, float] = {
 }
 """What the on-board application in this process listens to, at a companion's rates, beside the heartbeat."""
 
+APPLICATION_WITH_ATTITUDE_HZ = {
+    **APPLICATION_HZ,
+    common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: COMPANION_HZ[common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION],
+}
+"""With what it needs to learn the wind."""
+
 ON_NEW_DATA = frozenset({common.MAVLINK_MSG_ID_GPS_RAW_INT})
 """Sent when there is something new, at most at the stream's rate."""
 

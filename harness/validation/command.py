@@ -1,6 +1,7 @@
 """What the command lines of the validations share. Exit status: 0 all is met, 1 it is not, 2 bad input."""
 
-from collections.abc import Iterable, Mapping
+import contextlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import NoReturn, TextIO, TypeVar
 
@@ -36,21 +37,34 @@ def chosen(program: str, only: str, names: Iterable[str], messages: Console) -> 
     return wanted
 
 
-def run_with_progress(
-    plan: P, subjects: Mapping[str, Subject[P]], *, out: Path | None, messages: Console
-) -> list[Section]:
-    """Do it all, with a line of progress for every subject; figures go to ``images`` in ``out``."""
+@contextlib.contextmanager
+def progress_lines(
+    messages: Console,
+) -> Iterator[tuple[Callable[[str, int, int], None], Callable[[str], None]]]:
+    """Show a bar for everything that is named, or where no bar is drawn a line now and then.
+
+    Gives two functions: one is told a name, how much of it is done and how much there is, the other a line
+    that stays.
+    """
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=messages) as progress:
         tasks: dict[str, TaskID] = {}
 
-        def note(subject: str, done: int, total: int) -> None:
-            if subject not in tasks:
-                tasks[subject] = progress.add_task(subject, total=total)
-            progress.update(tasks[subject], completed=done)
-            if done == total and not messages.is_terminal:  # where no bar is drawn
-                progress.console.print(f"{subject}: {total} done")
+        def note(name: str, done: int, total: int) -> None:
+            if name not in tasks:
+                tasks[name] = progress.add_task(name, total=total)
+            progress.update(tasks[name], completed=done)
+            if done == total and not messages.is_terminal:
+                progress.console.print(f"{name}: {total} done")
 
+        yield note, lambda line: progress.console.print(line, markup=False)
+
+
+def run_with_progress(
+    plan: P, subjects: Mapping[str, Subject[P]], *, out: Path | None, messages: Console
+) -> list[Section]:
+    """Do it all, with a line of progress for every subject; figures go to ``images`` in ``out``."""
+    with progress_lines(messages) as (note, _):
         images = None if out is None else out / "images"
         return run_subjects(plan, subjects, images=images, progress=note)
 

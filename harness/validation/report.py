@@ -102,7 +102,7 @@ def show(console: Console, sections: Sequence[Section], *, px4: bool = True) -> 
             name, value, requirement, _ = check.cells
             met = "[green]yes[/]" if check.passed else "[bold red]no[/]"
             table.add_row(name, value, requirement, met, *((check.px4,) if px4 else ()))
-        console.print(table)
+        console.print(table if section.checks else f"[bold]{section.title}[/]")
         for more in section.tables:
             detail = RichTable(title=more.caption, title_justify="left", title_style="italic")
             for column in more.columns:

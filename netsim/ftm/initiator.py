@@ -41,6 +41,20 @@ class Ranging(Struct, frozen=True, kw_only=True):
     """With ``rejected`` by a responder: for how long it does not want to be asked again."""
 
 
+def lost(ranging: Ranging) -> Ranging:
+    """Return what is left of a result that the initiator's host has lost: that there was one."""
+    return Ranging(
+        initiator=ranging.initiator,
+        peer=ranging.peer,
+        seq=ranging.seq,
+        status="lost",
+        ended_ns=ranging.ended_ns,
+        measured_ns=ranging.ended_ns,
+        true_distance_m=ranging.true_distance_m,
+        measurements=ranging.measurements,
+    )
+
+
 class _Arrival(Struct):
     token: int
     t2_ps: int

@@ -15,8 +15,7 @@ from netsim.frames import DATA_OVERHEAD_BYTES, FrameKind
 from netsim.ftm.elements import Measurement, Request, format_and_bandwidth
 from netsim.ftm.stamps import Clock, arrival_std_ps, frequency_ratio_std, round_trip_std_ps
 from netsim.kernel import EventQueue
-from netsim.mac.jobs import Job, Outcome
-from netsim.mac.station import Station
+from netsim.mac.jobs import Job, Outcome, Sender
 from netsim.phy.medium import Transmission
 from netsim.phy.modes import PhyMode, phy_mode
 from netsim.phy.propagation import SPEED_OF_LIGHT_M_S, Trajectories, thermal_noise_mw
@@ -67,7 +66,7 @@ class Port:
         self.environment = environment
         self.queue = environment.queue
         self.clock = clocks[station]
-        self.mac: Station
+        self.mac: Sender
         self._clocks = clocks
         self._carrier_hz = config.frequency_mhz * 1e6
         self._lifetime_ns = 1_000 * config.queue_lifetime_us

@@ -19,6 +19,8 @@ How a request ends, once, with a result over all bursts:
 - ``dropped``: the request never left the queue, or the radio fell silent.
 - ``timeout``: anything else without a round trip by the request's time-out, which a grant moves by the time
   to the beginning of the last burst, or by the end of the session.
+- ``lost``: at least one round trip, and the initiator's host has lost what the radio said of it
+  (``drop_fraction``, `netsim.emulator`).
 
 Left out: location reports. A responder obeys a request to stop; no initiator here sends one.
 """
@@ -29,14 +31,14 @@ import numpy as np
 
 from netsim.config import RadioConfig
 from netsim.ftm.elements import Measurement, Request
-from netsim.ftm.initiator import Initiator, Ranging
+from netsim.ftm.initiator import Initiator, Ranging, lost
 from netsim.ftm.port import Environment, Port
 from netsim.ftm.responder import Responder
 from netsim.ftm.stamps import Clock
-from netsim.mac.station import Station
+from netsim.mac.jobs import Sender
 from netsim.phy.medium import Transmission
 
-__all__ = ["Environment", "FtmRadio", "Ranging"]
+__all__ = ["Environment", "FtmRadio", "Ranging", "lost"]
 
 
 class FtmRadio:
@@ -72,7 +74,7 @@ class FtmRadio:
         self._initiator = Initiator(self._port, nlos=nlos, on_result=on_result)
         self._responder = Responder(self._port)
 
-    def attach(self, mac: Station) -> None:
+    def attach(self, mac: Sender) -> None:
         """Give it the MAC to send through."""
         self._port.mac = mac
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from enum import StrEnum
+from typing import Protocol
 
 from netsim.frames import FrameKind
 from netsim.mac.rates import RateControl
@@ -69,3 +70,13 @@ class Job:
         """The last transmission of the frame itself."""
         self.ack: Transmission | None = None
         """The acknowledgement that ended it."""
+
+
+class Sender(Protocol):
+    """One station's way to the air."""
+
+    def enqueue(self, category: str, job: Job, /) -> None:
+        """Take a frame for transmission in an access category; its job tells how that ends, at once too."""
+
+    def silence(self) -> None:
+        """End for good: nothing is sent, answered or heard any more."""

@@ -7,14 +7,14 @@ not outvote two hundred frames; and a mode that keeps failing is sampled more an
 collision count as losses, for an acknowledgement that stays away says no more.
 """
 
-from typing import Annotated, Protocol, get_args
+from typing import Annotated, NamedTuple, Protocol, get_args
 
 from msgspec import Meta, Struct
 
-from netsim.config import BandwidthMhz, Mode
+from netsim.config import BandwidthMhz, Mode, RadioConfig, StationConfig
 from netsim.frames import ACK_BYTES
 from netsim.phy.modes import PhyMode, phy_mode, response_mode
-from netsim.streams import Uniforms
+from netsim.streams import Model, Streams, Uniforms
 
 OVERHEAD_NS = 34_000 + 67_500 + 16_000
 """Share of an exchange that no mode shortens: DIFS, the mean of the smallest backoff, SIFS."""
@@ -197,3 +197,25 @@ class AdaptiveRate:
             known.samples += 0.5
             return None
         return sample
+
+
+class DatagramModes(NamedTuple):
+    """What one station sends its datagrams in."""
+
+    broadcast: PhyMode
+    data: PhyMode
+    """To one station; the first of all, if it is learnt which is best."""
+    rates: AdaptiveRate | None
+    """None where the mode is fixed."""
+
+
+def datagram_modes(config: RadioConfig, own: StationConfig, streams: Streams) -> DatagramModes:
+    """Return what a station's settings, or else everybody's, ask for."""
+    width_mhz = config.bandwidth_mhz
+    broadcast = phy_mode(own.broadcast_mode or config.broadcast_mode, width_mhz)
+    data_mode = own.data_mode or config.data_mode
+    if data_mode != "adaptive":
+        return DatagramModes(broadcast, phy_mode(data_mode, width_mhz), None)
+    modes = channel_modes(width_mhz, vht=True)
+    rates = AdaptiveRate(modes, Uniforms(streams.generator(Model.RATE, own.station)))
+    return DatagramModes(broadcast, modes[0], rates)

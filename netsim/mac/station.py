@@ -163,7 +163,7 @@ class Station(ChannelAccess):
             self._sequence += 1
             job.sequence = self._sequence
         awaits = job.destination != GROUP
-        nav_ns = _answer_ns(job)
+        nav_ns = answer_ns(job)
         if contender.txop_ns and len(contender.jobs) > 1:
             next_ns = self._queue.now_ns + _data_ns(job) + SIFS_NS + self._exchange_ns(contender.jobs[1])
             if next_ns <= self._txop_end_ns:
@@ -341,7 +341,7 @@ class Station(ChannelAccess):
             self._send(frame)
 
 
-def _answer_ns(job: Job) -> int:
+def answer_ns(job: Job) -> int:
     """Time from the end of a frame to the end of its ACK."""
     if job.destination == GROUP:
         return 0
@@ -350,4 +350,4 @@ def _answer_ns(job: Job) -> int:
 
 def _data_ns(job: Job) -> int:
     """Time from the beginning of a frame to the end of its ACK."""
-    return job.mode.duration_ns(job.frame_bytes) + _answer_ns(job)
+    return job.mode.duration_ns(job.frame_bytes) + answer_ns(job)

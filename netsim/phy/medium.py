@@ -121,9 +121,7 @@ class Medium:
             overlaps.extend(self._bursts)
         self._active.append(transmission)
         self._carry(transmission)
-        sender = self.receivers[source]
-        sender.sending_until_ns = end_ns
-        sender.lock = None
+        self.receivers[source].send(now, end_ns)
         delays_ns = row.delays_ns
         sensed_mw = self._sensed_mw
         for receiver in self._others[source]:
@@ -138,6 +136,7 @@ class Medium:
                 receiver.occupy(arrival_ns, end_ns + delays_ns[r])
             else:
                 # what `occupy` comes down to on an idle medium
+                receiver.ended_busy_ns += receiver.busy_until_ns - receiver.busy_from_ns
                 receiver.idle_before_ns = receiver.busy_until_ns
                 receiver.busy_from_ns = arrival_ns
                 receiver.busy_until_ns = end_ns + delays_ns[r]
@@ -276,7 +275,9 @@ class Medium:
                 self._blame(transmission, r, None)
             if receiver.attentive:
                 receiver.listener.on_air_changed()
-        self.receivers[frame.source].listener.on_sent(transmission)
+        sender = self.receivers[frame.source]
+        sender.sent()
+        sender.listener.on_sent(transmission)
         self._on_ended(transmission)
 
     def _blame(self, transmission: Transmission, r: int, draw: float | None) -> None:

@@ -61,9 +61,13 @@ class Receiver:
     """One station's receiver: what it is locked on to and how long it senses the medium busy."""
 
     __slots__ = (
+        "_sending_from_ns",
+        "_sensed_at_start_ns",
+        "_sent_alone_ns",
         "attentive",
         "busy_from_ns",
         "busy_until_ns",
+        "ended_busy_ns",
         "idle_before_ns",
         "index",
         "listener",
@@ -89,10 +93,17 @@ class Receiver:
         """The last busy period; it may begin later than now by the propagation delay."""
         self.idle_before_ns = 0
         """End of the busy period before that one."""
+        self.ended_busy_ns = 0
+        """Length of all busy periods before the last."""
+        self._sending_from_ns = -1
+        self._sensed_at_start_ns = 0
+        self._sent_alone_ns = 0
+        """Time of the own transmissions that have ended in which nothing was sensed."""
 
     def occupy(self, from_ns: int, until_ns: int) -> None:
         """Sense the medium busy over an interval that begins now, or later by the propagation delay."""
         if from_ns > self.busy_until_ns:
+            self.ended_busy_ns += self.busy_until_ns - self.busy_from_ns
             self.idle_before_ns = self.busy_until_ns
             self.busy_from_ns = from_ns
         elif from_ns < self.busy_from_ns:
@@ -103,3 +114,39 @@ class Receiver:
             self.busy_until_ns = until_ns
         if self.attentive:
             self.listener.on_busy(from_ns)
+
+    def send(self, from_ns: int, until_ns: int) -> None:
+        """Send from now on: what is being received is given up."""
+        self.lock = None
+        self._sending_from_ns = from_ns
+        self.sending_until_ns = until_ns
+        if self.busy_until_ns <= from_ns:
+            # what `_sensed_ns` comes down to on an idle medium
+            self._sensed_at_start_ns = self.ended_busy_ns + self.busy_until_ns - self.busy_from_ns
+        else:
+            self._sensed_at_start_ns = self._sensed_ns(from_ns)
+
+    def sent(self) -> None:
+        """Note that the own transmission is over, after it has ended everywhere."""
+        if self.busy_until_ns <= self._sending_from_ns:
+            self._sent_alone_ns += self.sending_until_ns - self._sending_from_ns
+        else:
+            self._sent_alone_ns += self._sending_alone_ns(self.sending_until_ns)
+        self._sending_from_ns = self.sending_until_ns
+
+    def surveyed_ns(self, at_ns: int) -> int:
+        """Time up to ``at_ns``, which is now, for which the medium was sensed busy or the station sent."""
+        return self._sensed_ns(at_ns) + self._sent_alone_ns + self._sending_alone_ns(at_ns)
+
+    def _sensed_ns(self, at_ns: int) -> int:
+        """Time up to ``at_ns`` for which the medium was sensed busy; the last but one period may be on."""
+        if at_ns >= self.busy_from_ns:
+            return self.ended_busy_ns + min(at_ns, self.busy_until_ns) - self.busy_from_ns
+        return self.ended_busy_ns - max(0, self.idle_before_ns - at_ns)
+
+    def _sending_alone_ns(self, at_ns: int) -> int:
+        """Time up to ``at_ns`` of the own transmission under way in which nothing was sensed."""
+        until_ns = min(at_ns, self.sending_until_ns)
+        if until_ns <= self._sending_from_ns:
+            return 0
+        return until_ns - self._sending_from_ns - (self._sensed_ns(until_ns) - self._sensed_at_start_ns)

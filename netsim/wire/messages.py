@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-VERSION = 4
+VERSION = 5
 """First field of every message; a change of any message's fields raises it."""
 MAX_PAYLOAD_BYTES = 1472
 """Largest UDP payload that fits one 1500-byte IP packet."""
@@ -25,6 +25,7 @@ TimeUs = Annotated[int, Meta(ge=0, le=2**53)]
 """Some 285 years: what is later is no time, and its nanoseconds would not fit the logs."""
 TimeNs = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Seq = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+RangeOffset = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Rows = bytes
 """A matrix of little-endian float64, row after row, one row per station: `pack_rows`, `unpack_rows`."""
 
@@ -88,7 +89,7 @@ class FtmResult(Struct, frozen=True, kw_only=True, array_like=True, tag="r"):
     """That of the `FtmRequest`."""
     status: str
     """``ok``, ``timeout``, ``no_response``, ``rejected``, ``incapable`` or ``dropped``: see
-    `netsim.ftm.session`."""
+    `netsim.ftm.session`; or ``lost``, if the radio has measured and the host lost what it said."""
     measured_ns: TimeNs
     """Mean time of the round trips that were used; when the session ended if there were none."""
     ended_ns: TimeNs
@@ -120,13 +121,24 @@ class Sent(Struct, frozen=True, kw_only=True, array_like=True, tag="s"):
     """Transmissions of the frame, RTS not counted."""
 
 
-RxItem = Delivery | FtmResult | Sent
+class Survey(Struct, frozen=True, kw_only=True, array_like=True, tag="v"):
+    """How occupied this station has found the channel, as the busy-time counter of a driver tells it."""
+
+    ended_ns: TimeNs
+    """Up to when it counted."""
+    busy_ns: TimeNs
+    """Time since the start for which this station sensed energy on the medium or was itself sending; what NAV
+    alone reserves is not busy."""
+
+
+RxItem = Delivery | FtmResult | Sent | Survey
 
 
 class RxBatch(Struct, frozen=True, kw_only=True, array_like=True):
     """All that one station gets from one interval of the air. Answered by `Ack`.
 
-    Items are in order of (time, source, seq). The application may see them at ``release_us`` and not before.
+    Items are in order of (time, source, seq), and a vehicle's last is a `Survey`; for that alone there is no
+    batch. The application may see them at ``release_us`` and not before.
     """
 
     version: int = VERSION
@@ -164,6 +176,9 @@ class Advance(Struct, frozen=True, kw_only=True, array_like=True):
     """Stations that are gone: their radios send and answer nothing."""
     extra_attenuation_db: Annotated[float, Meta(ge=0.0, le=1_000.0)] | None = None
     """From now on, this attenuation on every link instead of the scenario's."""
+    range_offsets_m: tuple[tuple[Station, RangeOffset], ...] = ()
+    """From now on, by how much stations' radios measure too far, each in the sessions that it began; none is
+    in force that is not named."""
 
 
 class Advanced(Struct, frozen=True, kw_only=True, array_like=True):

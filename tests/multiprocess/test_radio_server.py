@@ -29,6 +29,7 @@ from netsim.wire.messages import (
     Delivery,
     FtmRequest,
     FtmResult,
+    Survey,
     decode,
     encode,
     pack_rows,
@@ -139,12 +140,16 @@ def test_a_broadcast_and_a_distance_come_to_those_they_are_for_and_not_before_th
         heard = [client.receive(11_999) for client in clients]
         assert heard == [[], [], []]  # the interval up to 8000 us is released at 12000 us
         for station in (1, 2):
-            (delivery,) = clients[station].receive(64_000)
+            delivery, survey = clients[station].receive(64_000)
             assert isinstance(delivery, Delivery)
             assert (delivery.source, delivery.seq, delivery.payload) == (0, 1, b"hello")
             assert 5_000_000 < delivery.received_ns < 8_000_000
-        (result,) = clients[0].receive(64_000)
+            assert isinstance(survey, Survey)
+            assert survey.ended_ns == 8_000_000
+        result, survey = clients[0].receive(64_000)
         assert isinstance(result, FtmResult)
+        # a request and eight measurement frames with their ACKs last longer than the 44 us of the broadcast
+        assert survey.busy_ns > 9 * 44_000
         assert (result.status, result.seq, result.peer) == ("ok", 2, 1)
         assert result.distance_m == pytest.approx(8.5, abs=1.0)
 
@@ -155,7 +160,7 @@ def test_what_belongs_to_a_later_step_waits_even_if_it_comes_first(radio):
         sender.send(8000, [Broadcast(seq=1, at_us=8000, payload=b"x")])
         radio.advance(8000)
         assert radio.advance(12_000).to_us == 12_000
-        (delivery,) = receiver.receive(16_000)
+        delivery, _ = receiver.receive(16_000)
         assert delivery.received_ns > 8_000_000
 
 
@@ -199,6 +204,7 @@ def test_hostile_bytes_change_nothing_and_are_counted(radio):
             {"q_ned_frd": askew},
             {"q_ned_frd": pack_rows(np.full((3, 4), 1e200))},
             {"silent": (3,)},
+            {"range_offsets_m": ((3, 1.0),)},
             {"extra_attenuation_db": -1e6},
             {"extra_attenuation_db": float("nan")},
         ):
@@ -207,7 +213,7 @@ def test_hostile_bytes_change_nothing_and_are_counted(radio):
             assert asker.ask(encode(request)).answer() is None
         assert radio.advance(8000).to_us == 8000
         assert client.malformed == 4
-    assert radio.stop()["malformed"] == 18
+    assert radio.stop()["malformed"] == 19
 
 
 def test_a_station_that_is_gone_does_not_hold_up_the_others(radio):
@@ -215,7 +221,7 @@ def test_a_station_that_is_gone_does_not_hold_up_the_others(radio):
         radio.client(2).close()
         sender.send(4000, [Broadcast(seq=1, at_us=4000, payload=b"x")])
         assert radio.advance(8000).unresponsive == (2,)
-        assert len(receiver.receive(12_000)) == 1
+        assert len(receiver.receive(12_000)) == 2  # and a survey
         sender.send(8000, [Broadcast(seq=2, at_us=8000, payload=b"x")])
         assert radio.advance(12_000, silent=(2,)).unresponsive == ()
 
@@ -228,12 +234,12 @@ def test_a_station_that_sleeps_through_a_delivery_gets_it_once_when_it_wakes(rad
         sender.send(4000, [Broadcast(seq=1, at_us=4000, payload=b"x")])
         assert radio.advance(8000).unresponsive == (2,)
         assert radio.advance(8000).unresponsive == (2,)  # asked again, and simulated no second time
-        assert len(awake.receive(12_000)) == 1
+        assert len(awake.receive(12_000)) == 2  # and a survey
         os.kill(sleeper.pid, signal.SIGCONT)
         assert radio.advance(8000).unresponsive == ()
         sleeper.stdin.write(b"12000\n")
         sleeper.stdin.flush()
-        assert sleeper.stdout.readline() == b"1\n"
+        assert sleeper.stdout.readline() == b"2\n"
         # and one that is called gone is waited for no longer
         os.kill(sleeper.pid, signal.SIGSTOP)
         sender.send(8000, [Broadcast(seq=2, at_us=8000, payload=b"x")])
@@ -247,7 +253,7 @@ def test_a_cut_channel_delivers_nothing(radio):
         for to_us in range(8000, 300_000, 4000):
             radio.advance(to_us, extra_attenuation_db=200.0)
         assert receiver.receive(400_000) == []
-        (result,) = sender.receive(400_000)
+        result, _ = sender.receive(400_000)
         assert result.status in {"no_response", "timeout"}
 
 

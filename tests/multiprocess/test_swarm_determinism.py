@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from harness.faults import MotorLoss
+from harness.one_process import OneProcessSwarm
 from harness.report import LOGS
 from harness.swarm import Swarm
 
@@ -66,3 +68,30 @@ def test_equal_runs_are_equal_byte_for_byte_and_two_at_once_do_not_disturb_each_
     assert all(
         other[name] != value for name, value in hashes(tmp_path / "alone").items() if "events" not in name
     )
+
+
+def fly_with_troubles(swarm):
+    """Everything that a program can do to a flight, at exact times; what the vehicles' ends leave included."""
+    with swarm:
+        swarm.run(until_s=4.0)
+        swarm.degrade_channel(30.0)
+        swarm.inject(MotorLoss(uav=1, motor=2, start_s=2.0, effectiveness=0.8))
+        swarm.run(until_s=5.5)
+        swarm.kill(3)
+        swarm.restore_channel()
+        swarm.run(until_s=UNTIL_S)
+        return swarm.summary(draw=False)
+
+
+def test_one_process_writes_the_bytes_of_many(tmp_path):
+    kinds = {"many": Swarm, "one": OneProcessSwarm}
+    results = {
+        name: fly_with_troubles(kind(ARTICLE, agents=4, seed=5, out=tmp_path / name, wall_limit_s=280.0))
+        for name, kind in kinds.items()
+    }
+    assert hashes(tmp_path / "one") == hashes(tmp_path / "many")
+    assert results["one"]["log_sha256"] == results["many"]["log_sha256"]
+    assert results["one"]["deterministic"]
+    assert b"vehiclelost" in (tmp_path / "one" / "events.jsonl").read_bytes()
+    assert results["one"]["ftm"]["completed"] > 30
+    assert results["one"]["frames"]["delivered"] > 100

@@ -29,8 +29,10 @@ EXAMPLES = {
     "baro_bias": {"offset_m": 8.0},
     "motor": {"motor": 2, "effectiveness": 0.25},
     "motor_stop": {"motor": 3},
+    "radio_attenuation": {"uav": "all", "attenuation_db": 60.0},
+    "ranging_bias": {"offset_m": 5.0},
 }
-SENSOR_FAULTS = [name for name in EXAMPLES if not name.startswith("motor")]
+SENSOR_FAULTS = [name for name in EXAMPLES if not name.startswith(("motor", "radio", "ranging"))]
 
 
 def fault_of(name, **fields):

@@ -8,14 +8,14 @@ from netsim.config import RadioConfig
 from netsim.emulator import Emulator
 from netsim.phy.medium import Transmission
 from netsim.phy.path_loss import Doubles
-from netsim.wire.messages import Broadcast, FtmRequest, RxItem, TxBatch, TxItem
+from netsim.wire.messages import Broadcast, FtmRequest, RxItem, Survey, TxBatch, TxItem, Unicast
 
 STEP_US = 4_000
 Place = tuple[float, float, float]
 
 
 class Swarm:
-    """Stations that hand items over; ``run`` advances in steps and gathers the arrivals.
+    """Stations that hand items over; ``run`` advances in steps and gathers arrivals, and surveys for itself.
 
     They stand still, or ``motion`` gives places and velocities of all, both (n, 3), at a time in seconds.
     """
@@ -41,6 +41,7 @@ class Swarm:
         )
         self.now_us = 0
         self.received: list[tuple[int, RxItem]] = []
+        self.surveys: list[tuple[int, Survey]] = []
         self._seqs = [0] * count
 
     def submit(self, station: int, *items: TxItem) -> None:
@@ -54,6 +55,11 @@ class Swarm:
         self.submit(station, FtmRequest(seq=self._next(station), at_us=at_us, peer=peer))
         return self._seqs[station]
 
+    def unicast(self, station: int, destination: int, at_us: int, payload: bytes = b"x" * 100) -> int:
+        seq = self._next(station)
+        self.submit(station, Unicast(seq=seq, at_us=at_us, destination=destination, payload=payload))
+        return seq
+
     def _next(self, station: int) -> int:
         self._seqs[station] += 1
         return self._seqs[station]
@@ -64,9 +70,13 @@ class Swarm:
             places, velocities = self.places, np.zeros_like(self.places)
             if self._motion is not None:
                 places, velocities = self._motion(1e-6 * self.now_us)
-            arrived += self.emulator.advance(
+            for station, item in self.emulator.advance(
                 to_us=self.now_us + STEP_US, at_us=self.now_us, pos_ned_m=places, vel_ned_m_s=velocities
-            )
+            ):
+                if isinstance(item, Survey):
+                    self.surveys.append((station, item))
+                else:
+                    arrived.append((station, item))
             self.now_us += STEP_US
         self.received += arrived
         return arrived

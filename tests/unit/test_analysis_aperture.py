@@ -5,6 +5,8 @@ from scipy.spatial.transform import Rotation
 
 from antenna.config import AntennaConfig
 from antenna.geometry import ElementsTouch, grid, vertical_snapshot
+from autopilot.config import RacetrackMotion
+from autopilot.formation_plan import FormationPlan
 from harness.analysis import antenna_from_ned, antenna_snapshot, figure_patterns, gain_series, ideal_pattern
 from harness.flight import Flight
 
@@ -13,13 +15,14 @@ UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 PLACES_NED_M = grid(8, 4, 8.5, 2.5) @ antenna_from_ned(0.0) + [0.0, 0.0, -10.0]
 
 
-def _flight(pos_ned_m, alive, desired_pos_ned_m=PLACES_NED_M):
+def _flight(pos_ned_m, alive, desired_pos_ned_m=PLACES_NED_M, heading_rad=None):
     instants, vehicles = alive.shape
     return Flight(
         time_us=np.arange(instants, dtype=np.int64) * 500_000 + 7_000_000,
         pos_ned_m=pos_ned_m,
         q_ned_frd=np.broadcast_to(UPRIGHT, (instants, vehicles, 4)),
         desired_pos_ned_m=np.broadcast_to(desired_pos_ned_m, pos_ned_m.shape),
+        heading_rad=np.zeros(instants) if heading_rad is None else heading_rad,
         alive=alive,
     )
 
@@ -30,7 +33,7 @@ def _flight(pos_ned_m, alive, desired_pos_ned_m=PLACES_NED_M):
 )
 def test_antenna_frame_turns_clockwise_with_the_heading(heading_deg, east, north):
     """World's east and north as x and y of a frame whose y points along the heading."""
-    to_antenna = antenna_from_ned(heading_deg)
+    to_antenna = antenna_from_ned(np.radians(heading_deg))
     np.testing.assert_allclose(to_antenna @ [0.0, 1.0, 0.0], [*east, 0.0], atol=1e-15)
     np.testing.assert_allclose(to_antenna @ [1.0, 0.0, 0.0], [*north, 0.0], atol=1e-15)
     np.testing.assert_allclose(to_antenna @ [0.0, 0.0, 1.0], [0.0, 0.0, -1.0], atol=1e-15)
@@ -49,9 +52,10 @@ def test_dipoles_lean_with_their_vehicles():
 def test_snapshot_of_the_ideal_flight_is_the_ideal_array_whatever_the_heading():
     rng = np.random.default_rng(1)
     for heading_deg in (0.0, 37.0, -120.0):
-        places_ned_m = grid(8, 4, 8.5, 2.5) @ antenna_from_ned(heading_deg) + rng.normal(0.0, 50.0, 3)
+        heading_rad = np.radians(heading_deg)
+        places_ned_m = grid(8, 4, 8.5, 2.5) @ antenna_from_ned(heading_rad) + rng.normal(0.0, 50.0, 3)
         attitudes = np.tile(Rotation.from_euler("Z", 0.3).as_quat(scalar_first=True), (8, 1))
-        snapshot = antenna_snapshot(places_ned_m, attitudes, places_ned_m, heading_deg, 10.0)
+        snapshot = antenna_snapshot(places_ned_m, attitudes, places_ned_m, heading_rad, 10.0)
         ideal = vertical_snapshot(grid(8, 4, 8.5, 2.5), 10.0)
         np.testing.assert_allclose(snapshot.centres_m, ideal.centres_m, atol=1e-9)
         np.testing.assert_allclose(snapshot.axes, ideal.axes, atol=1e-12)
@@ -79,7 +83,7 @@ def test_gain_follows_the_flight_and_leaves_gaps_where_there_is_no_antenna():
     alive[3, 1] = False
     alive[4, 5] = False
     pos_ned_m[4, 5] = np.nan
-    series = gain_series(_flight(pos_ned_m, alive), 0.0, CONFIG)
+    series = gain_series(_flight(pos_ned_m, alive), CONFIG)
 
     np.testing.assert_array_equal(series.time_us, [7_000_000, 7_500_000, 9_000_000, 9_500_000])
     assert [(m.time_us, m.reason) for m in series.missing] == [
@@ -99,10 +103,29 @@ def test_gain_follows_the_flight_and_leaves_gaps_where_there_is_no_antenna():
 
 
 @pytest.mark.nec2
+def test_the_beam_turns_with_the_formation():
+    """Round a racetrack in formation the gain is what it is at rest: the array is, in the antenna's frame."""
+    pytest.importorskip("PyNEC", reason="the optional extra coflight[nec2] is not installed")
+    plan = FormationPlan(PLACES_NED_M, 0.0, RacetrackMotion())
+    since_s = np.array([0.0, 20.0, 35.0, 50.0])
+    desired_ned_m, heading_rad = plan.places(since_s), plan.headings(since_s)
+    assert np.ptp(heading_rad) > 1.0
+    flight = _flight(desired_ned_m, np.ones((4, 8), bool), desired_ned_m, heading_rad)
+    ideal_dbi = ideal_pattern(PLACES_NED_M, 0.0, CONFIG).max_gain_dbi
+    series = gain_series(flight, CONFIG)
+    np.testing.assert_allclose(series.max_gain_dbi, ideal_dbi, atol=1e-3)
+    for snapshot in series.snapshots:
+        np.testing.assert_allclose(snapshot.centres_m, grid(8, 4, 8.5, 2.5), atol=1e-9)
+    # fed for a heading that it does not have, it is another antenna
+    wrong = _flight(desired_ned_m, np.ones((4, 8), bool), desired_ned_m, np.zeros(4))
+    assert gain_series(wrong, CONFIG).max_gain_dbi[3] < ideal_dbi - 1.0
+
+
+@pytest.mark.nec2
 def test_figure_shows_the_median_instant_beside_the_ideal_on_a_finer_grid():
     pytest.importorskip("PyNEC", reason="the optional extra coflight[nec2] is not installed")
     pos_ned_m = PLACES_NED_M + np.random.default_rng(4).normal(0.0, 0.5, (3, 8, 3))
-    series = gain_series(_flight(pos_ned_m, np.ones((3, 8), bool)), 0.0, CONFIG)
+    series = gain_series(_flight(pos_ned_m, np.ones((3, 8), bool)), CONFIG)
     ideal, flown = figure_patterns(series, PLACES_NED_M, 0.0, CONFIG)
     assert flown.max_gain_dbi == pytest.approx(np.median(series.max_gain_dbi), abs=0.001)
     assert ideal.max_gain_dbi == pytest.approx(13.262, abs=0.001)
@@ -117,7 +140,7 @@ def test_formation_that_cannot_exist_has_no_ideal_pattern():
 
 
 def test_series_without_patterns_has_no_median():
-    series = gain_series(_flight(np.zeros((2, 8, 3)), np.zeros((2, 8), bool)), 0.0, CONFIG)
+    series = gain_series(_flight(np.zeros((2, 8, 3)), np.zeros((2, 8), bool)), CONFIG)
     assert len(series.missing) == 2
     assert series.max_gain_dbi.shape == (0,)
     with pytest.raises(ValueError, match="no median"):

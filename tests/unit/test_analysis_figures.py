@@ -5,6 +5,8 @@ from matplotlib.image import imread
 
 from antenna.geometry import grid, vertical_snapshot
 from antenna.patterns import directions_deg, make_pattern
+from autopilot.config import RacetrackMotion
+from autopilot.formation_plan import FormationPlan
 from harness import figures
 from harness.flight import Flight
 from harness.formation_error import formation_error
@@ -21,6 +23,7 @@ def _flight(vehicles=8, instants=40):
         pos_ned_m=places_ned_m + rng.normal(0.0, 0.5, (instants, vehicles, 3)),
         q_ned_frd=np.tile([1.0, 0.0, 0.0, 0.0], (instants, vehicles, 1)),
         desired_pos_ned_m=np.broadcast_to(places_ned_m, (instants, vehicles, 3)),
+        heading_rad=np.zeros(instants),
         alive=alive,
     )
 
@@ -40,6 +43,24 @@ def test_flight_is_drawn_with_lost_vehicles_and_with_many(tmp_path, vehicles):
     figures.save_formation_error(tmp_path / "error.png", flight.time_us, formation_error(flight))
     _assert_drawn(tmp_path / "tracks.png")
     _assert_drawn(tmp_path / "error.png")
+
+
+def test_flight_of_a_formation_that_moves_is_drawn(tmp_path):
+    plan = FormationPlan(grid(8, 4, 8.5, 2.5) - [0.0, 0.0, 20.0], 0.0, RacetrackMotion())
+    since_s = np.linspace(-10.0, 130.0, 400)
+    desired_ned_m = plan.places(since_s)
+    alive = np.ones((400, 8), bool)
+    alive[200:, 1] = False
+    flight = Flight(
+        time_us=(np.arange(400) * 350_000).astype(np.int64),
+        pos_ned_m=desired_ned_m + np.random.default_rng(1).normal(0.0, 0.2, desired_ned_m.shape),
+        q_ned_frd=np.tile([1.0, 0.0, 0.0, 0.0], (400, 8, 1)),
+        desired_pos_ned_m=desired_ned_m,
+        heading_rad=plan.headings(since_s),
+        alive=alive,
+    )
+    figures.save_tracks(tmp_path / "tracks.png", flight)
+    _assert_drawn(tmp_path / "tracks.png")
 
 
 def test_error_of_a_lone_vehicle_is_drawn_without_a_shape(tmp_path):

@@ -10,6 +10,7 @@ def _arrays(instants=10, vehicles=3):
         "pos_ned_m": np.zeros((instants, vehicles, 3)),
         "q_ned_frd": np.tile([1.0, 0.0, 0.0, 0.0], (instants, vehicles, 1)),
         "desired_pos_ned_m": np.broadcast_to(np.zeros((vehicles, 3)), (instants, vehicles, 3)),
+        "heading_rad": np.zeros(instants),
         "alive": np.ones((instants, vehicles), bool),
     }
 
@@ -22,6 +23,7 @@ def _arrays(instants=10, vehicles=3):
         ("pos_ned_m", np.zeros((10, 2, 3))),
         ("q_ned_frd", np.zeros((10, 3, 3))),
         ("desired_pos_ned_m", np.zeros((3, 3))),
+        ("heading_rad", np.zeros((10, 3))),
         ("alive", np.ones((10, 3))),
     ],
 )

@@ -2,6 +2,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from autopilot.config import RacetrackMotion
+from autopilot.formation_plan import FormationPlan
 from harness.flight import Flight
 from harness.formation_error import formation_error
 
@@ -20,6 +22,7 @@ def _flight(pos_ned_m, alive=None, desired_ned_m=PLACES_NED_M):
         pos_ned_m=pos_ned_m,
         q_ned_frd=np.tile([1.0, 0.0, 0.0, 0.0], (instants, vehicles, 1)),
         desired_pos_ned_m=np.broadcast_to(desired_ned_m, pos_ned_m.shape),
+        heading_rad=np.zeros(instants),
         alive=np.ones((instants, vehicles), bool) if alive is None else alive,
     )
 
@@ -39,6 +42,22 @@ def test_rigid_motion_is_absolute_error_and_no_shape_error(yaw_deg):
 def test_clockwise_from_above_is_positive_yaw():
     east_of_north = _turned(np.array([[1.0, 0.0, 0.0]]), np.pi / 2)
     np.testing.assert_allclose(east_of_north, [[0.0, 1.0, 0.0]], atol=1e-15)
+
+
+def test_errors_of_a_formation_that_moves_are_those_from_where_it_should_be():
+    """One that is 2 s late on its racetrack has its shape, is 6 m behind, and has yet to turn."""
+    plan = FormationPlan(PLACES_NED_M, 0.0, RacetrackMotion(radius_m=30.0))
+    since_s = np.linspace(10.0, 130.0, 200)
+    late_ned_m = plan.places(since_s - 2.0)
+    flight = _flight(late_ned_m, desired_ned_m=plan.places(since_s))
+    error = formation_error(flight)
+    assert error.shape.rms_m == pytest.approx(0.0, abs=1e-9)
+    behind_rad = plan.headings(since_s - 2.0) - plan.headings(since_s)
+    np.testing.assert_allclose(np.sin(error.yaw_rad - behind_rad), 0.0, atol=1e-12)
+    # the centre's way of 6 m is at least its chord over 6 / 30 rad
+    distance_m = np.linalg.norm(late_ned_m.mean(axis=1) - flight.desired_pos_ned_m.mean(axis=1), axis=1)
+    assert distance_m.max() == pytest.approx(6.0, abs=1e-6)
+    assert distance_m.min() >= 2.0 * 30.0 * np.sin(0.1) - 1e-6
 
 
 def test_tilted_formation_keeps_its_tilt_as_shape_error():

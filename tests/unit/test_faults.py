@@ -384,6 +384,30 @@ def test_noises_that_overlap_add_up_by_their_variances(healthy):
     np.testing.assert_allclose(first, second, atol=1e-6)
 
 
+def radio_at(state, time_us):
+    state.advance(time_us)
+    return state.extra_attenuation_db, dict(state.range_offsets_m)
+
+
+def test_radio_faults_are_in_force_in_their_time_and_add_up():
+    state = faults_of(
+        fault_of("radio_attenuation", attenuation_db=20.0),
+        fault_of("radio_attenuation", attenuation_db=180.0, start_s=1.5),
+        fault_of("ranging_bias", offset_m=5.0),
+        fault_of("ranging_bias", uav="all", offset_m=-2.0, start_s=1.5),
+    )
+    assert radio_at(state, BEGIN_US - STEP_US) == (None, {})
+    assert radio_at(state, BEGIN_US) == (20.0, {HIT: 5.0})
+    assert radio_at(state, 1_500_000) == (200.0, {0: -2.0, HIT: 3.0, 2: -2.0})
+    assert radio_at(state, END_US) == (180.0, dict.fromkeys(range(N), -2.0))
+    assert radio_at(state, 2_500_000) == (None, {})
+
+
+@pytest.mark.parametrize("name", ["radio_attenuation", "ranging_bias"])
+def test_radio_faults_leave_the_sensors_alone(healthy, name):
+    assert not differences(healthy, fly(fault_of(name)))
+
+
 def test_every_kind_has_an_example_here():
     tags = {member.__struct_config__.tag for member in AnyFault.__args__}
     assert tags == EXAMPLES.keys()

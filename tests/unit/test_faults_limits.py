@@ -5,12 +5,13 @@ import math
 import msgspec
 import numpy as np
 import pytest
-from faults_fixtures import BEGIN_US, N, fault_of, fly
+from faults_fixtures import BEGIN_US, N, fault_of, faults_of, fly
 
 from autopilot.mavlink.codec import Parser
 from harness import faults as catalogue
 from harness.faults import AnyFault, validated
 from harness.hil import SensorEncoder
+from netsim.wire.messages import Advance, decode, encode
 
 
 def test_a_fault_made_in_a_program_is_checked_before_it_is_sent():
@@ -33,6 +34,8 @@ LIMITS = {
     "mag_yaw": {"heading_error_deg": 180.0},
     "baro_bias": {"offset_m": 5000.0},
     "motor": {"effectiveness": 1.0},
+    "radio_attenuation": {"attenuation_db": 300.0},
+    "ranging_bias": {"offset_m": 1000.0},
     "gps_loss": {"start_s": 1e6, "duration_s": 1e6},
 }
 FIELDS = [(name, field, most) for name, limits in LIMITS.items() for field, most in limits.items()]
@@ -73,6 +76,12 @@ def test_a_duration_below_a_step_and_noise_that_is_none_are_refused():
     fault_of("gps_noise", position_std_m=0.0)
 
 
+def test_the_channel_is_attenuated_for_all_or_not_at_all():
+    assert catalogue.RadioAttenuation(attenuation_db=20.0).uav == "all"
+    with pytest.raises(msgspec.ValidationError, match='uav: expected "all"'):
+        fault_of("radio_attenuation", uav=1)
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_the_worst_of_all_faults_together_can_be_sent(sign):
     """300 of each: 3000 km and 17 km/s per axis, 1500 km of pressure altitude. Integers and air saturate."""
@@ -98,3 +107,20 @@ def test_the_worst_of_all_faults_together_can_be_sent(sign):
     limit_hpa = 10.0 if sign > 0.0 else 1200.0
     assert len(pressures_hpa) > 20
     np.testing.assert_allclose(pressures_hpa, limit_hpa, atol=2.0)
+
+
+def test_the_worst_of_all_radio_faults_together_can_be_sent():
+    """2000 of each: 600 000 dB and 2000 km, of which 1000 dB and 1000 km arrive."""
+    worst = [
+        fault_of("radio_attenuation", attenuation_db=300.0),
+        fault_of("ranging_bias", uav="all", offset_m=-1000.0),
+    ]
+    state = faults_of(*worst * 2000)
+    state.advance(BEGIN_US)
+    request = Advance(
+        to_us=0, release_us=0, at_us=0, pos_ned_m=b"", vel_ned_m_s=b"", q_ned_frd=b"",
+        extra_attenuation_db=state.extra_attenuation_db, range_offsets_m=tuple(state.range_offsets_m.items()),
+    )  # fmt: skip
+    assert decode(Advance, encode(request)) == request
+    assert request.extra_attenuation_db == 1000.0
+    assert request.range_offsets_m == tuple((uav, -1e6) for uav in range(N))

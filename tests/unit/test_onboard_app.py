@@ -16,6 +16,15 @@ ALONE = ((0.0, 0.0, -8.0),)
 GPS = OnboardConfig(localisation="gps")
 
 
+def beacon_of(station, time_us):
+    """Bytes of a beacon with nothing in it."""
+    zero = (0.0, 0.0, 0.0)
+    beacon = wire.Beacon(
+        station=station, seq=0, time_us=time_us, phase=Phase.WAITING, odometry_ned_m=zero, vel_ned_m_s=zero
+    )
+    return wire.encode(beacon)
+
+
 def world(places=PAIR, *, seed=1, **kwargs):
     return SwarmWorld(places_ned_m=places, seed=seed, **kwargs)
 
@@ -208,9 +217,9 @@ def test_beacons_are_a_period_apart_with_jitter_and_stations_are_out_of_step():
     [
         lambda _: b"",
         lambda _: b"\xff" * 128,
-        lambda now_us: wire.encode(wire.Beacon(0, now_us, (0.0,) * 3, (0.0,) * 3, None, ())),
-        lambda now_us: wire.encode(wire.Beacon(200, now_us, (0.0,) * 3, (0.0,) * 3, None, ())),
-        lambda _: wire.encode(wire.Beacon(1, 2**62, (0.0,) * 3, (0.0,) * 3, None, ())),
+        lambda now_us: beacon_of(0, now_us),
+        lambda now_us: beacon_of(200, now_us),
+        lambda _: beacon_of(1, 2**62),
     ],
     ids=["empty", "noise", "own number", "no such station", "from the future"],
 )

@@ -296,7 +296,7 @@ def test_compiled_and_interpreted_kernels_agree():
     results = []
     for function in (kernels.fuse_range, getattr(kernels.fuse_range, "py_func", kernels.fuse_range)):
         state, cov = filter_.state.copy(), filter_.cov.copy()
-        weight = function(state, cov, state, PLACES[:, :2].copy(), 4, 0, odometry_m, 2.7, 0.01, -1.0)
+        weight = function(state, cov, state, PLACES[:, :2].copy(), 4, 0, odometry_m, 2.7, 0.01, -1.0, 1.0)
         results.append((weight, state, cov))
     assert results[0][0] == pytest.approx(results[1][0], rel=1e-12)
     assert results[0][1] == pytest.approx(results[1][1], rel=1e-9, abs=1e-12)

@@ -9,6 +9,7 @@ import pytest
 from scipy.optimize import brentq
 from typer.testing import CliRunner
 
+from autopilot.onboard.beacon import HEADER_BYTES, RANGE_BYTES
 from harness.scenario import load
 from harness.validation.command import BAD_INPUT, FINE
 from harness.validation.radio import (
@@ -355,7 +356,7 @@ def test_the_articles_traffic_comes_about_without_a_flight_and_again():
     assert sum(isinstance(item, Broadcast) for item in items) == pytest.approx(8 * 10 * seconds, abs=8)
     assert 8 * 7 * (seconds - 1.0) <= sum(isinstance(item, FtmRequest) for item in items) <= 8 * 7 * seconds
     # the beacons carry distances, so sessions have come about
-    assert max(len(item.payload) for item in items if isinstance(item, Broadcast)) == 51 + 11 * 7
+    assert max(len(item.payload) for item in items if isinstance(item, Broadcast)) == HEADER_BYTES + 7 * RANGE_BYTES
     frames, run = play(scenario, steps)
     assert (frames, run) == play(scenario, steps)
     # RTS, CTS and data of every beacon; request, eight measurement frames and their ACKs of every session

@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from autopilot.formation_plan import FormationPlan
 from autopilot.vehicle import Vehicle
 from harness.scenario import Scenario, ScenarioError, load
 
@@ -52,6 +53,109 @@ def test_fewer_agents_take_the_first_places_and_more_extend_the_grid():
     ten = load(ARTICLE, ["agents=10"]).places_ned_m()
     assert np.allclose(np.diff(ten, axis=0)[:7], np.diff(eight, axis=0))
     assert len(np.unique(ten[:, 0].round(9))) == 3
+
+
+def _antenna_frame_m(scenario):
+    """(x, y, z): right of the heading, along it, up."""
+    heading_rad = np.radians(scenario.formation.heading_deg)
+    north_m, east_m, down_m = scenario.places_ned_m().T
+    c, s = np.cos(heading_rad), np.sin(heading_rad)
+    return np.stack([east_m * c - north_m * s, north_m * c + east_m * s, -down_m], axis=1)
+
+
+@pytest.mark.parametrize("heading_deg", [0.0, 30.0, -200.0])
+@pytest.mark.parametrize("agents", [1, 2, 5])
+def test_a_line_is_abreast(agents, heading_deg):
+    shape = ["formation.shape=line", "formation.spacing_m=3.5", f"formation.heading_deg={heading_deg}"]
+    places_m = _antenna_frame_m(load(ARTICLE, [*shape, f"agents={agents}"]))
+    x_m = 3.5 * (np.arange(agents) - (agents - 1) / 2.0)
+    np.testing.assert_allclose(places_m, np.stack([x_m, 0.0 * x_m, 10.0 + 0.0 * x_m], axis=1), atol=1e-12)
+
+
+def test_a_ring_begins_ahead_and_goes_on_clockwise():
+    shape = ["formation.shape=ring", "formation.radius_m=6.0", "formation.heading_deg=70"]
+    places_m = _antenna_frame_m(load(ARTICLE, [*shape, "agents=6"]))
+    np.testing.assert_allclose(np.linalg.norm(places_m[:, :2], axis=1), 6.0)
+    gaps_m = np.linalg.norm(places_m - np.roll(places_m, 1, axis=0), axis=1)
+    np.testing.assert_allclose(gaps_m, 6.0)  # a hexagon's side is its radius
+    np.testing.assert_allclose(places_m[0], [0.0, 6.0, 10.0], atol=1e-12)
+    assert places_m[1, 0] > 0.0
+
+
+def _with_file(folder, text, *settings):
+    (folder / "v.csv").write_text(text)
+    lines = ["agents = 3", "[formation]", 'shape = "file"', 'file = "v.csv"', *settings]
+    (folder / "v.toml").write_text("\n".join(lines))
+    return load(folder / "v.toml")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "x_m,y_m,z_m\n-4,-3,0\n0,0.5,1.5\n4,-3.0,0\n",
+        "\ufeffz_m; y_m; x_m\r\n0; -3; -4\r\n\r\n1.5; 5e-1; 0\r\n0; -3; 4\r\n100; 0; 0".replace(";", ","),
+    ],
+)
+def test_places_from_a_file_go_into_the_scenario(tmp_path, text):
+    """The processes that read the scenario again have no file beside it; rows that no UAV needs are left."""
+    scenario = _with_file(tmp_path, text, "heading_deg = 90.0", "height_m = 20.0")
+    expected_m = [[-4.0, -3.0, 20.0], [0.0, 0.5, 21.5], [4.0, -3.0, 20.0]]
+    np.testing.assert_allclose(_antenna_frame_m(scenario), expected_m, atol=1e-12)
+    (tmp_path / "v.csv").unlink()
+    again = msgspec.json.decode(msgspec.json.encode(scenario), type=Scenario)
+    np.testing.assert_array_equal(again.places_ned_m(), scenario.places_ned_m())
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("x_m,y_m\n0,0\n1,b\n", "v.csv:3: y_m: expected a number, not 'b'"),
+        ("x_m,y_m\n0,0\n\n1,\n", "v.csv:4: y_m: expected a number, not ''"),
+        ("x_m,y_m\n0,nan\n", "v.csv:2: y_m: nan is not within 10000 m"),
+        ("x_m,y_m\n0,-1e9\n", "v.csv:2: y_m: -1e9 is not within 10000 m"),
+        ("x_m,y_m\n0,0,0\n", "v.csv:2: expected 2 columns, not 3"),
+        ("x_m,height_m\n0,0\n", "v.csv:1: expected the columns x_m,y_m or x_m,y_m,z_m, not x_m,height_m"),
+        ("x_m,y_m,y_m\n0,0,0\n", "v.csv:1: expected the columns"),
+        ('x_m,y_m\n"0,0\n', "v.csv:2: unexpected end of data"),
+        ("x_m,y_m\n0,0\n0,5\n", "v.toml: formation.file: 2 places for 3 vehicles"),
+        ("", "v.toml: formation.file: 0 places for 3 vehicles"),
+        ("x_m,y_m\n0,0\n0,5\n0,5.7\n", "v.toml: formation: places 0.70 m apart"),
+        (
+            "x_m,y_m,z_m\n0,0,0\n0,5,-8.5\n5,0,0\n",
+            "v.toml: formation.points_m[1]: 1.50 m over the site, where 2 m is the least",
+        ),
+    ],
+)
+def test_what_is_wrong_with_a_file_of_places_is_named(tmp_path, text, says):
+    with pytest.raises(ScenarioError) as caught:
+        _with_file(tmp_path, text)
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_and_a_binary_file_of_places_are_named(tmp_path):
+    _with_file(tmp_path, "x_m,y_m\n0,0\n0,5\n5,0\n")
+    with pytest.raises(ScenarioError, match=r"formation\.file: .*w\.csv: cannot be read: No such file"):
+        load(tmp_path / "v.toml", ["formation.file=w.csv"])
+    (tmp_path / "w.csv").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ScenarioError, match=r"w\.csv: cannot be read: it is no text"):
+        load(tmp_path / "v.toml", ["formation.file=w.csv"])
+    with pytest.raises(ScenarioError, match=r"formation\.file: no file for 8 vehicles"):
+        load(ARTICLE, ["formation.shape=file"])
+    # another shape does not look at it
+    assert (
+        len(load(tmp_path / "v.toml", ["formation.file=x.csv", "formation.shape=ring"]).places_ned_m()) == 3
+    )
+
+
+def test_a_vehicle_is_told_how_its_formation_moves():
+    scenario = load(ROOT / "scenarios" / "racetrack.toml", ["formation.heading_deg=40"])
+    told = scenario.vehicle(2, run_id="test", radio_endpoint=None, log_path=None)
+    assert told.motion == scenario.formation.motion
+    assert told.heading_deg == 40.0
+    own = FormationPlan(np.array(told.places_ned_m), told.heading_deg, told.motion).own(2, 50.0)
+    np.testing.assert_allclose(own.pos_ned_m, scenario.plan().at(50.0).pos_ned_m[2])
+    assert load(ARTICLE).vehicle(0, run_id="test", radio_endpoint=None, log_path=None).motion is None
 
 
 def test_overrides_take_numbers_strings_words_and_new_tables():
@@ -115,6 +219,24 @@ def test_overrides_take_numbers_strings_words_and_new_tables():
         ),
         ("antenna.wavelength_m=0.5", "formation: places 0.12 m apart"),
         ("agents=0", "agents: expected `int` >= 1"),
+        ("formation.shape=wedge", "formation.shape: invalid enum value 'wedge'"),
+        ("formation.motion.speed_m_s=3", "formation.motion: object missing required field `kind`"),
+        (
+            "formation.motion.kind=circle",
+            "formation.motion.kind: invalid value 'circle', expected one of track, racetrack",
+        ),
+        (
+            'formation.motion={kind="track", radius_m=5.0}',
+            "formation.motion: unknown key `radius_m`",
+        ),
+        (
+            'formation.motion={kind="racetrack", speed_m_s=8.0}',
+            "formation.motion.radius_m: UAV 0, 12.8 m off the centre, would come to 3.9 m/s^2 in a turn of",
+        ),
+        (
+            'formation.motion={kind="track", length_m=inf}',
+            "formation.motion.length_m: expected a finite number",
+        ),
         ("ports.simulator_tcp=65530", "ports.simulator_tcp: 65530 + 7 vehicles is over 65535"),
         ("wind.kind=breeze", "wind.kind: invalid enum value 'breeze'"),
         ("wind.mean_m_s=3", 'wind: mean_m_s: no effect where kind is "force"'),

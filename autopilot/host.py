@@ -1,0 +1,123 @@
+"""A vehicle with what it flies on: its simulator's link in bytes, its radio, and what it writes down.
+
+`Host.step` is all that a vehicle's process does in a step, except for the ground's links and for how bytes
+and radio are carried: over sockets (``autopilot.__main__``), or by plain calls in one process.
+"""
+
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Protocol
+
+from pymavlink.dialects.v20 import common
+
+from autopilot import parameter_file
+from autopilot.config import VehicleConfig
+from autopilot.mavlink.codec import Message
+from autopilot.mavlink.hil import HilEncoder, HilParser, HilSensor
+from autopilot.recording import VEHICLE_RECORD, record
+from autopilot.vehicle import GROUND_STATION, Vehicle, is_clock
+from netsim.radio import BATCH_HANDED_OVER
+from netsim.record_log import RecordLog
+from netsim.wire.messages import RxItem, TxItem
+
+Links = list[tuple[int, Message]]
+"""Messages of the links to the outside, each with its link's number."""
+
+
+class Radio(Protocol):
+    """A vehicle's way to the channel: see `netsim.radio.RadioClient`."""
+
+    def send(self, now_us: int, items: Sequence[TxItem]) -> None:
+        """Hand over transmissions."""
+
+    def receive(self, now_us: int) -> list[RxItem]:
+        """What may be seen at ``now_us``."""
+
+
+class Host:
+    """One vehicle; close it. Without a radio it flies alone.
+
+    Raises OSError for a log, and what `Vehicle` raises.
+    """
+
+    def __init__(self, config: VehicleConfig, radio: Radio | None) -> None:
+        self._config = config
+        self.name = f"uav {config.instance}"
+        self.vehicle = Vehicle(config)
+        self._radio = radio
+        self._parser = HilParser(HilSensor)
+        self._encoder = HilEncoder(system=config.instance + 1, component=1)
+        self._waiting: list[Message] = []
+        self._log = None if config.log_path is None else RecordLog(config.log_path, VEHICLE_RECORD)
+
+    def push(self, data: bytes) -> Iterator[list[Message]]:
+        """The steps that the next bytes from the simulator complete: a HIL_SENSOR and what came before it."""
+        for message in self._parser.push(data):
+            self._waiting.append(message)
+            if is_clock(message):
+                complete, self._waiting = self._waiting, []
+                yield complete
+
+    def step(
+        self,
+        simulator_messages: list[Message],
+        *,
+        link_messages: Links,
+        link_active: tuple[bool, ...],
+    ) -> tuple[bytes, Links]:
+        """One step; returns what goes back to the simulator, and what goes out on the links."""
+        now_us: int = simulator_messages[-1].time_usec
+        output = self.vehicle.step(
+            sim_messages=simulator_messages,
+            link_messages=link_messages,
+            radio_items=self._radio.receive(now_us) if self._radio is not None else (),
+            link_active=link_active,
+        )
+        actuators = output.actuators
+        if output.save_parameters:
+            self._save_parameters()
+        if output.radio and self._radio is not None:
+            self._radio.send(now_us, output.radio)
+            actuators = actuators._replace(flags=actuators.flags | BATCH_HANDED_OVER)
+        if self._log is not None and now_us % self._config.record_period_us == 0:
+            self._log.append([record(self.vehicle)])
+        answer = b"".join(self._encoder.encode(message) for message in (*output.simulator, actuators))
+        return answer, output.links
+
+    @property
+    def bad_bytes(self) -> int:
+        """Bytes from the simulator that belonged to no message."""
+        return self._parser.bad_bytes
+
+    def close(self) -> None:
+        """Write the rest of the log; harmless when repeated."""
+        if self._log is not None:
+            self._log.close()
+
+    def _save_parameters(self) -> None:
+        """Write the parameter file; a disk that will not have it is no reason to fall out of the sky."""
+        path, system = self._config.params_path, self._config.instance + 1
+        if path is None:
+            return
+        try:
+            parameter_file.save(Path(path), self.vehicle.parameters, system_id=system)
+        except OSError as error:
+            sys.stderr.write(f"{self.name}: parameters not saved: {error}\n")
+
+
+def warnings(links: Links) -> Iterator[str]:
+    """What the ground station is warned of, for whoever looks on without one."""
+    for to, message in links:
+        if (
+            to == GROUND_STATION
+            and message.get_msgId() == common.MAVLINK_MSG_ID_STATUSTEXT
+            and message.severity <= common.MAV_SEVERITY_WARNING
+        ):
+            yield _text(message)
+
+
+def _text(message: Message) -> str:
+    """Text of a STATUSTEXT that is made here: its bytes are what pymavlink makes of them on the wire."""
+    text = message.text
+    return text.decode("ascii", "replace") if isinstance(text, bytes) else str(text)

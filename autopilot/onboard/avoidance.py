@@ -1,0 +1,223 @@
+"""Keeping clear of each other, by what is estimated of everybody's position and how well.
+
+A control barrier in the manner of Wang, Ames and Egerstedt, "Safety barrier certificates for collisions-free
+multirobot systems" (IEEE T-RO 2017), on the velocity that the autopilot's position loop will be asked for:
+with distance d, reach r and the unit vector n from the neighbour, the gap h = d - r may close at `CLOSING_1_S` h
+at most, of which each of the two takes half, both measured against the formation's own motion. Where the
+neighbour comes nearer than its half allows, because it knows less or obeys somebody else, the own side takes
+the rest. The velocity wanted is changed by as little as these half-planes need (a quadratic programme in the
+plane), so that nothing at all changes while everybody keeps its part.
+
+The loop follows a velocity with a lag, so the gap is taken `LEAD_S` ahead by the present closing speed. With lag
+tau the gap then obeys tau h'' + (1 + a L) h' + a h = 0, which for L = tau never swings.
+
+Nothing here acts vertically: what is above is left to height layers, and the pair parts sideways.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+CLOSING_1_S = 1.0
+"""Above MPC_XY_P (0.95), so that who returns to its place from a fifth of the spacing is not held back."""
+LEAD_S = 0.6
+"""Lag of the velocity loop (1 / MPC_XY_VEL_P_ACC), and the attitude's."""
+SIGMAS = 2.0
+"""Standard deviations of the relative position that are added to the radius."""
+HEIGHT_STD_M = 0.3
+"""Of a difference of two barometric heights."""
+SPACING_SHARE = 0.6
+"""Largest part of two places' distance that their UAVs' reach may be: at their places, and with errors of a
+fifth of the spacing, UAVs do not push each other."""
+AWAY_SHARE = 0.5
+"""That limit grows by this part of the way that the own UAV still has to its place."""
+GIVE_MAX_M_S = 4.0
+"""Largest change of velocity on behalf of one neighbour."""
+FRESH_US = 1_000_000
+"""A neighbour heard within this is where its velocity has brought it since."""
+KEEP_US = 10_000_000
+"""One that is heard no more is taken to follow the plan, where it was beside it, for so long."""
+GROWTH_M_S = 0.2
+"""Growth of the standard deviation of such a one: by wind, and by odometry's drift."""
+ROOM_SHARE = 0.8
+"""Part of a neighbour's speed away that is followed at once: a queue moves on, and a circle turns, as one."""
+PASSES = 30
+NEAR_M = 1e-3
+AS = 1.0
+
+
+@njit(cache=True)
+def _nearest(normals: Array, bounds: Array, count: int, wanted_ne: Array, out_ne: Array) -> None:
+    """Find the velocity nearest to ``wanted_ne`` with normals . v >= bounds; fills out_ne (2,).
+
+    Hildreth's dual ascent over the first ``count`` rows. No row's multiplier exceeds `GIVE_MAX_M_S`: where the
+    rows contradict each other, they are broken by as little as that allows.
+    """
+    multipliers = np.zeros(count)
+    out_ne[:] = wanted_ne
+    for _ in range(PASSES):
+        largest = 0.0
+        for k in range(count):
+            missing = bounds[k] - normals[k, 0] * out_ne[0] - normals[k, 1] * out_ne[1]
+            step = min(max(multipliers[k] + missing, 0.0), GIVE_MAX_M_S) - multipliers[k]
+            multipliers[k] += step
+            out_ne[0] += step * normals[k, 0]
+            out_ne[1] += step * normals[k, 1]
+            largest = max(largest, abs(step))
+        if largest < 1e-4:
+            return
+
+
+@njit(cache=True)
+def keep_clear(
+    own: int, pos_ned_m: Array, vel_ned_m_s: Array, counts: NDArray[np.bool_], std_m: Array, limits_m: Array,
+    radius_m: float, frame_ned_m_s: Array, wanted_ne_m_s: Array, goal_ned_m: Array, change_ne_m_s: Array,
+) -> None:  # fmt: skip
+    """Find what to add to the horizontal velocity wanted; fills change_ne_m_s (2,).
+
+    Args:
+        own: row of the own UAV in the arrays that follow.
+        pos_ned_m: (N, 3) estimated, at present.
+        vel_ned_m_s: (N, 3)
+        counts: (N,) whom to keep clear of.
+        std_m: (N,) one sigma of the position relative to the own, horizontally, along the line.
+        limits_m: (N,) largest reach.
+        radius_m: reach without uncertainty.
+        frame_ned_m_s: (3,) velocity of the formation's plan at the own place.
+        wanted_ne_m_s: (2,) velocity that the position loop would ask for.
+        goal_ned_m: (3,) where it leads to.
+        change_ne_m_s: (2,) the result.
+
+    """
+    n = pos_ned_m.shape[0]
+    normals, bounds = np.empty((n, 2)), np.empty(n)
+    count, worst, worst_by, worst_reach_m = 0, -1, 0.0, 0.0
+    change_ne_m_s[:] = 0.0
+    for j in range(n):
+        if j == own or not counts[j]:
+            continue
+        north, east = pos_ned_m[own, 0] - pos_ned_m[j, 0], pos_ned_m[own, 1] - pos_ned_m[j, 1]
+        down = pos_ned_m[own, 2] - pos_ned_m[j, 2]
+        level_m = math.hypot(north, east)
+        apart_m = max(math.hypot(level_m, down), NEAR_M)
+        closing_m_s = 0.0
+        for a, way_m in enumerate((north, east, down)):
+            closing_m_s -= (vel_ned_m_s[own, a] - vel_ned_m_s[j, a]) * way_m / apart_m
+        std = math.hypot(std_m[j] * level_m, HEIGHT_STD_M * down) / apart_m
+        reach_m = min(radius_m + SIGMAS * std, limits_m[j])
+        gap_m = apart_m - LEAD_S * max(closing_m_s, 0.0) - reach_m
+        if level_m < NEAR_M:
+            # One above the other: which way does not matter, as long as the two choose opposite ones.
+            north, east, level_m = (1.0, 0.0, 1.0) if own < j else (-1.0, 0.0, 1.0)
+        north, east = north / level_m, east / level_m
+        whole = north * frame_ned_m_s[0] + east * frame_ned_m_s[1]
+        its = north * vel_ned_m_s[j, 0] + east * vel_ned_m_s[j, 1]
+        half = whole + min(its - whole, 0.0) * ROOM_SHARE - 0.5 * CLOSING_1_S * gap_m
+        rest = its - CLOSING_1_S * gap_m
+        normals[count, 0], normals[count, 1] = north, east
+        bounds[count] = max(half, rest)
+        missing = bounds[count] - north * wanted_ne_m_s[0] - east * wanted_ne_m_s[1]
+        if missing > worst_by:
+            worst, worst_by, worst_reach_m = j, missing, reach_m
+        count += 1
+    if worst < 0:
+        return
+    found_ne = np.empty(2)
+    _nearest(normals, bounds, count, wanted_ne_m_s, found_ne)
+    ahead_n, ahead_e = wanted_ne_m_s[0] - frame_ned_m_s[0], wanted_ne_m_s[1] - frame_ned_m_s[1]
+    speed_m_s = math.hypot(ahead_n, ahead_e)
+    if speed_m_s > 1e-6:
+        # What is blocked ahead goes to the right: with everybody doing so, nobody stands face to face for
+        # long. Not where the neighbour stands on the goal itself, or around it one would go for ever.
+        ahead_n, ahead_e = ahead_n / speed_m_s, ahead_e / speed_m_s
+        blocked = (wanted_ne_m_s[0] - found_ne[0]) * ahead_n + (wanted_ne_m_s[1] - found_ne[1]) * ahead_e
+        beside_m = math.hypot(goal_ned_m[0] - pos_ned_m[worst, 0], goal_ned_m[1] - pos_ned_m[worst, 1])
+        aside = min(max(beside_m / worst_reach_m - 1.0, 0.0), 1.0) * min(max(blocked, 0.0), speed_m_s)
+        if aside > 0.0:
+            turned = np.array(
+                [
+                    wanted_ne_m_s[0] - aside * (ahead_e + AS * ahead_n),
+                    wanted_ne_m_s[1] + aside * (ahead_n - AS * ahead_e),
+                ]
+            )
+            _nearest(normals, bounds, count, turned, found_ne)
+    change_ne_m_s[0] = found_ne[0] - wanted_ne_m_s[0]
+    change_ne_m_s[1] = found_ne[1] - wanted_ne_m_s[1]
+
+
+class Avoidance:
+    """One UAV's keeping clear of the others.
+
+    Args:
+        own: this UAV.
+        places_ned_m: (N, 3) the formation's places.
+        radius_m: distance to keep, before uncertainty and within what the places allow.
+
+    """
+
+    def __init__(self, *, own: int, places_ned_m: Array, radius_m: float) -> None:
+        count = len(places_ned_m)
+        self._own = own
+        self._radius_m = radius_m
+        self._spacing_m = np.sqrt(((places_ned_m - places_ned_m[own]) ** 2).sum(axis=1))
+        others_m = np.delete(self._spacing_m, own)
+        self._nearest_m = float(others_m.min()) if len(others_m) else math.inf
+        self._seen_us = np.full(count, -KEEP_US, np.int64)
+        self._beside_m = np.zeros((count, 3))
+        self._std_m = np.zeros(count)
+
+    def velocity_change_ne_m_s(
+        self,
+        now_us: int,
+        *,
+        pos_ned_m: Array,
+        vel_ned_m_s: Array,
+        std_m: Array,
+        fresh: NDArray[np.bool_],
+        plan_pos_ned_m: Array,
+        plan_vel_ned_m_s: Array,
+        goal_ned_m: Array,
+        wanted_ne_m_s: Array,
+    ) -> Array:
+        """(2,) velocity, NED north and east, to add to the setpoint's; exactly zero while nobody is in the way.
+
+        Args:
+            now_us: of all that follows; (N, .) arrays have a row for every UAV of the formation.
+            pos_ned_m: (N, 3) estimated positions, extrapolated to now.
+            vel_ned_m_s: (N, 3)
+            std_m: (N,) one sigma of the position relative to the own, horizontally, along the line.
+            fresh: (N,) who was heard within `FRESH_US` and is known to be there. Others are kept clear of for
+                `KEEP_US` after that, as if they followed the plan.
+            plan_pos_ned_m: (N, 3) the places now.
+            plan_vel_ned_m_s: (N, 3) and how they move.
+            goal_ned_m: (3,) the own reference.
+            wanted_ne_m_s: (2,) horizontal velocity that the autopilot's position loop will ask for: its gain
+                times the way to the reference, and the reference's velocity.
+
+        """
+        own = self._own
+        pos, vel, std = pos_ned_m, vel_ned_m_s, std_m
+        counts = fresh
+        self._seen_us[fresh] = now_us
+        self._beside_m[fresh] = pos_ned_m[fresh] - plan_pos_ned_m[fresh]
+        self._std_m[fresh] = std_m[fresh]
+        silent = ~fresh & (self._seen_us > now_us - KEEP_US)
+        silent[own] = False
+        if silent.any():
+            pos, vel, std, counts = pos.copy(), vel.copy(), std.copy(), fresh | silent
+            pos[silent] = plan_pos_ned_m[silent] + self._beside_m[silent]
+            vel[silent] = plan_vel_ned_m_s[silent]
+            std[silent] = self._std_m[silent] + GROWTH_M_S * 1e-6 * (now_us - self._seen_us[silent])
+        away_ne_m = pos_ned_m[own, :2] - plan_pos_ned_m[own, :2]
+        away_m = max(math.sqrt(away_ne_m @ away_ne_m) - (1.0 - SPACING_SHARE) / 2.0 * self._nearest_m, 0.0)
+        limits_m = SPACING_SHARE * self._spacing_m + AWAY_SHARE * away_m
+        change_ne_m_s = np.empty(2)
+        keep_clear(
+            own, pos, vel, counts, std, limits_m, self._radius_m, plan_vel_ned_m_s[own], wanted_ne_m_s,
+            goal_ned_m, change_ne_m_s,
+        )  # fmt: skip
+        return change_ne_m_s

@@ -1,0 +1,108 @@
+"""Height layers: what keeps UAVs apart that no longer know well enough where each other is.
+
+Without distances the horizontal errors of two UAVs go their own ways, by the root of two times what one GPS
+receiver errs, and places 2.5 m apart meet within minutes: for errors of 1.5 m per axis and 60 s, passing
+within 0.6 m happens about 0.8 exp(-s^2 / (4 sigma^2)) times a minute at spacing s (diffusion into a disc), so
+once in two and a half minutes at 2.5 m, once in two hours at three relative sigma and once in two days at four.
+Barometers err by centimetres in that time. So places within four relative sigma get layers of height, and who
+is without support for long goes to its own.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from autopilot.onboard.formation import COAST_S, joining_time_s
+
+Array = NDArray[np.float64]
+
+REACH_SIGMAS = 4.0
+"""Places within so many standard deviations of the relative position are kept apart."""
+SEPARATION_HEIGHT_M = 2.0
+"""Three standard deviations of two barometers' difference (0.3 m each), the vehicle's height of 0.2 m, and
+errors of holding it."""
+GROUND_CLEARANCE_M = 2.0
+"""No layer is lower than this above the ground."""
+BACK_S = 5.0
+"""Support for so long, and a layer is left: by then the correction has been brought back (0.5 m/s) after all
+that a fade may have moved it."""
+
+
+def layers(
+    places_ned_m: Array, gps_std_m: float, *, separation_m: float = SEPARATION_HEIGHT_M
+) -> NDArray[np.int64]:
+    """(N,) layer of every place, in separations upwards: 0, 1, -1, 2, -2 ...
+
+    Greedy in the order of the UAVs, so that everybody finds the same: the nearest to 0 that leaves every
+    earlier place within reach a separation apart in height. A place never goes below `GROUND_CLEARANCE_M`.
+    """
+    count = len(places_ned_m)
+    found = np.zeros(count, np.int64)
+    heights_m = -places_ned_m[:, 2].astype(float)
+    reach_m = REACH_SIGMAS * math.sqrt(2.0) * gps_std_m
+    for k in range(count):
+        way_m = places_ned_m[:k, :2] - places_ned_m[k, :2]
+        within = (way_m**2).sum(axis=1) < reach_m**2
+        taken_m = heights_m[:k][within]
+        layer = 0
+        while True:
+            height_m = heights_m[k] + layer * separation_m
+            low = layer < 0 and height_m < GROUND_CLEARANCE_M
+            if not low and (np.abs(taken_m - height_m) > separation_m - 1e-6).all():
+                break
+            layer = -layer if layer > 0 else 1 - layer
+        found[k], heights_m[k] = layer, height_m
+    return found
+
+
+class HeightLayers:
+    """Which height above its place one UAV keeps.
+
+    Args:
+        own: this UAV.
+        places_ned_m: (N, 3) the formation's places.
+        gps_std_m: horizontal error of everybody's GPS, per axis, one sigma.
+        climb_speed_m_s: at which a layer is reached.
+
+    Attributes:
+        height_m: to keep above the place; steps, for a `Reference` to make smooth.
+        layer_m: of the own layer.
+        watched: stations in reach that never leave height 0. When one of them is without support, it is this
+            UAV that has to go.
+
+    """
+
+    def __init__(
+        self, *, own: int, places_ned_m: Array, gps_std_m: float, climb_speed_m_s: float = 1.5
+    ) -> None:
+        places = layers(places_ned_m, gps_std_m)
+        way_m = places_ned_m[:, :2] - places_ned_m[own, :2]
+        reach_m = REACH_SIGMAS * math.sqrt(2.0) * gps_std_m
+        stays = (places == 0) & ((way_m**2).sum(axis=1) < reach_m**2)
+        self.height_m = 0.0
+        self.layer_m = SEPARATION_HEIGHT_M * float(places[own])
+        self.watched = tuple(np.flatnonzero(stays).tolist()) if places[own] else ()
+        way_s = joining_time_s(abs(self.layer_m), climb_speed_m_s)
+        self._patience_us = round(max(COAST_S - way_s, 0.0) * 1e6)
+        self._since_us: int | None = None
+        """Since when it has been otherwise than ``height_m`` supposes."""
+
+    def update(self, now_us: int, *, supported: bool) -> float:
+        """Return the height to keep, metres above the place.
+
+        ``supported``: distances hold the position of this UAV and of those it watches, or it is on the
+        ground. Without, odometry holds it for `COAST_S`: the layer is reached by then.
+        """
+        if self.layer_m == 0.0:
+            return 0.0
+        at_layer = self.height_m != 0.0
+        if supported is not at_layer:
+            self._since_us = None
+            return self.height_m
+        if self._since_us is None:
+            self._since_us = now_us
+        if now_us - self._since_us >= (BACK_S * 1e6 if at_layer else self._patience_us):
+            self.height_m = 0.0 if at_layer else self.layer_m
+            self._since_us = None
+        return self.height_m

@@ -1,0 +1,43 @@
+"""The MAVLink messages that the application makes."""
+
+from pymavlink.dialects.v20 import common
+
+from autopilot.onboard.guidance import Setpoint
+from autopilot.onboard.phases import Phase
+
+START_NAME = b"start_ms"
+"""NAMED_VALUE_INT: when the formation's motion begins, milliseconds on the formation's clock."""
+_AUTOPILOT_COMPONENT = 1
+_NO_YAW = common.POSITION_TARGET_TYPEMASK_YAW_IGNORE | common.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
+_NO_ACCELERATION = (
+    common.POSITION_TARGET_TYPEMASK_AX_IGNORE
+    | common.POSITION_TARGET_TYPEMASK_AY_IGNORE
+    | common.POSITION_TARGET_TYPEMASK_AZ_IGNORE
+)
+
+
+def offboard_setpoint(setpoint: Setpoint, target_system: int, now_us: int) -> common.MAVLink_message:
+    """SET_POSITION_TARGET_LOCAL_NED of a position, its velocity and, if there is one, its acceleration."""
+    acceleration = setpoint.acc_ned_m_s2
+    mask = _NO_YAW if acceleration is not None else _NO_YAW | _NO_ACCELERATION
+    return common.MAVLink_set_position_target_local_ned_message(
+        now_us // 1_000, target_system, _AUTOPILOT_COMPONENT, common.MAV_FRAME_LOCAL_NED, mask,
+        *setpoint.pos_ned_m.tolist(), *setpoint.vel_ned_m_s.tolist(),
+        *((0.0, 0.0, 0.0) if acceleration is None else acceleration.tolist()), 0.0, 0.0,
+    )  # fmt: skip
+
+
+def heartbeat(phase: Phase, start_us: int | None, now_us: int) -> list[common.MAVLink_message]:
+    """HEARTBEAT with the phase as its custom mode, and when the formation's motion begins, once agreed."""
+    beat = common.MAVLink_heartbeat_message(
+        common.MAV_TYPE_ONBOARD_CONTROLLER, common.MAV_AUTOPILOT_INVALID, 0, int(phase),
+        common.MAV_STATE_ACTIVE, 3,
+    )  # fmt: skip
+    if start_us is None:
+        return [beat]
+    return [beat, common.MAVLink_named_value_int_message(now_us // 1_000, START_NAME, start_us // 1_000)]
+
+
+def warning(text: str) -> common.MAVLink_message:
+    """STATUSTEXT for whoever looks on."""
+    return common.MAVLink_statustext_message(common.MAV_SEVERITY_WARNING, text.encode("ascii"))

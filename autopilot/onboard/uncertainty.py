@@ -1,0 +1,119 @@
+"""What the covariance of the localisation (`kernels`) says of shape and distances; nothing here changes it."""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from autopilot.onboard.kernels import STATES, Array, Times
+
+
+@njit(cache=True)
+def relative_variance(cov: Array, i: int, j: int, line_m: Array) -> float:
+    """Variance, m^2, of the offset of UAV i less that of j along ``line_m`` (3,), of any length over 0."""
+    bi, bj = STATES * i, STATES * j
+    total = 0.0
+    for a in range(3):
+        for b in range(3):
+            block = cov[bi + a, bi + b] + cov[bj + a, bj + b] - cov[bi + a, bj + b] - cov[bj + a, bi + b]
+            total += line_m[a] * line_m[b] * block
+    variance: float = max(total, 0.0) / (line_m[0] ** 2 + line_m[1] ** 2 + line_m[2] ** 2)
+    return variance
+
+
+@njit(cache=True)
+def relative_stds(
+    cov: Array, own: int, pos_ned_m: Array, whose: NDArray[np.bool_], added_m2: float, out_m: Array
+) -> None:
+    """One sigma of each position relative to UAV ``own``, horizontally along the line; fills out_m (N,).
+
+    pos_ned_m (N, 3); added_m2 comes to each variance; those that are not in ``whose`` (N,), and the own: 0.
+    """
+    line_m = np.zeros(3)
+    out_m[:] = 0.0
+    for j in range(pos_ned_m.shape[0]):
+        if j == own or not whose[j]:
+            continue
+        line_m[0], line_m[1] = pos_ned_m[own, 0] - pos_ned_m[j, 0], pos_ned_m[own, 1] - pos_ned_m[j, 1]
+        if line_m[0] == 0.0 and line_m[1] == 0.0:
+            line_m[0] = 1.0
+        out_m[j] = np.sqrt(relative_variance(cov, own, j, line_m) + added_m2)
+
+
+@njit(cache=True)
+def shape_variance(pos_ned_m: Array, cov: Array, members: Times) -> float:
+    """Mean squared horizontal error to expect of the shape, m^2, after the best rigid alignment.
+
+    The trace of the covariance of all horizontal positions less its parts along the two translations and the
+    rotation about the vertical, which are what an alignment to first order removes. pos_ned_m (N, 3);
+    members (m,) indices of the UAVs that count.
+    """
+    m = members.shape[0]
+    centre_n, centre_e = 0.0, 0.0
+    for j in members:
+        centre_n += pos_ned_m[j, 0] / m
+        centre_e += pos_ned_m[j, 1] / m
+    spread = 0.0
+    for j in members:
+        spread += (pos_ned_m[j, 0] - centre_n) ** 2 + (pos_ned_m[j, 1] - centre_e) ** 2
+    total = 0.0
+    shift_n, shift_e, turn = 0.0, 0.0, 0.0
+    for i in members:
+        bi = STATES * i
+        total += cov[bi, bi] + cov[bi + 1, bi + 1]
+        turn_n, turn_e = -(pos_ned_m[i, 1] - centre_e), pos_ned_m[i, 0] - centre_n
+        for j in members:
+            bj = STATES * j
+            shift_n += cov[bi, bj] / m
+            shift_e += cov[bi + 1, bj + 1] / m
+            other_n, other_e = -(pos_ned_m[j, 1] - centre_e), pos_ned_m[j, 0] - centre_n
+            turn += turn_n * (cov[bi, bj] * other_n + cov[bi, bj + 1] * other_e)
+            turn += turn_e * (cov[bi + 1, bj] * other_n + cov[bi + 1, bj + 1] * other_e)
+    if spread > 0.0:
+        total -= turn / spread
+    mean: float = max(total - shift_n - shift_e, 0.0) / m
+    return mean
+
+
+@njit(cache=True)
+def bend(pos_ne_m: Array, cov: Array, members: Times, out_m: Array) -> None:
+    """By how much, on average, unknown bending of the shape lengthens distances; fills out_m (N, N), metres.
+
+    Two UAVs whose places across the line between them are known to sigma are farther apart than along it by
+    sigma^2 / 2 d, with a standard deviation of sqrt(2) times that: the second order of the distance. A
+    turn of the formation as a whole lengthens nothing, so its part is taken out of sigma. Matters in a line,
+    whose distances say nothing of what is across it. pos_ne_m (N, 2); members (m,) those concerned.
+    """
+    m = members.shape[0]
+    out_m[:] = 0.0
+    centre_n, centre_e = 0.0, 0.0
+    for j in members:
+        centre_n += pos_ne_m[j, 0] / m
+        centre_e += pos_ne_m[j, 1] / m
+    spread = 0.0
+    for j in members:
+        spread += (pos_ne_m[j, 0] - centre_n) ** 2 + (pos_ne_m[j, 1] - centre_e) ** 2
+    if spread < 1e-6:
+        return
+    # Covariance of each position with the turn of the whole, and the variance of that.
+    with_turn = np.zeros((out_m.shape[0], 2))
+    turn_rad2 = 0.0
+    for i in members:
+        for a in range(2):
+            row = cov[STATES * i + a]
+            for j in members:
+                with_turn[i, a] -= row[STATES * j] * (pos_ne_m[j, 1] - centre_e) / spread
+                with_turn[i, a] += row[STATES * j + 1] * (pos_ne_m[j, 0] - centre_n) / spread
+        turn_rad2 -= with_turn[i, 0] * (pos_ne_m[i, 1] - centre_e) / spread
+        turn_rad2 += with_turn[i, 1] * (pos_ne_m[i, 0] - centre_n) / spread
+    across = np.zeros(3)
+    for i in members:
+        for j in members:
+            across[0], across[1] = pos_ne_m[j, 1] - pos_ne_m[i, 1], pos_ne_m[i, 0] - pos_ne_m[j, 0]
+            apart_m = np.hypot(across[0], across[1])
+            if i == j or apart_m < 0.1:
+                continue
+            turned = 0.0
+            for a in range(2):
+                turned += across[a] * (with_turn[i, a] - with_turn[j, a])
+            variance = relative_variance(cov, i, j, across) - 2.0 * turned + apart_m**2 * turn_rad2
+            out_m[i, j] = max(variance, 0.0) / (2.0 * apart_m)

@@ -1,0 +1,64 @@
+"""All flights of an experiment, by case and seed, as its tables and figures ask for them."""
+
+from collections.abc import Callable, Mapping
+
+from msgspec import Struct
+
+from harness.codesign.cases import Case, Plan
+from harness.codesign.measures import Measures
+from harness.codesign.results import Flown
+from harness.codesign.statistics import Interval, mean_interval, ratio_interval
+
+
+class Book(Struct, frozen=True, kw_only=True):
+    """What was flown of a plan."""
+
+    plan: Plan
+    flights: Mapping[tuple[str, int], Flown]
+    """By case's name and seed"""
+
+    def measures(self, case: Case) -> list[Measures | None]:
+        """Of every seed, in their order; None of those that were not flown or are broken."""
+        flights = (self.flights.get((case.name, seed)) for seed in range(1, self.plan.seeds + 1))
+        return [None if flown is None else flown.measures for flown in flights]
+
+    def flown(self, case: Case) -> list[Measures]:
+        """Of the seeds that have one."""
+        return [each for each in self.measures(case) if each is not None]
+
+    def values(self, case: Case, what: str) -> list[float | None]:
+        """One of the numbers of `Measures` of every seed."""
+        return [None if each is None else getattr(each, what) for each in self.measures(case)]
+
+    def mean(self, case: Case, what: str) -> Interval:
+        """Its mean over the seeds that have it."""
+        return mean_interval(self.values(case, what))
+
+    def ratio(self, above: Case, below: Case, what: str) -> Interval:
+        """Ratio of the means of two cases over the seeds that both have."""
+        return ratio_interval(self.values(above, what), self.values(below, what))
+
+    def count(self, case: Case, condition: Callable[[Measures], bool]) -> int:
+        """Flights of which something holds."""
+        return sum(map(condition, self.flown(case)))
+
+    def collided(self, case: Case) -> int:
+        """Flights with a collision."""
+        return self.count(case, lambda flight: flight.collisions > 0)
+
+    def formed(self, case: Case) -> int:
+        """Flights that reached their formation."""
+        return self.count(case, lambda flight: flight.formed_s is not None)
+
+    def of_flights(self, number: int, case: Case) -> str:
+        """As ``number of flights``."""
+        return f"{number} of {len(self.flown(case))}"
+
+    def least(self, case: Case, what: str) -> str:
+        """Smallest over the flights, in metres."""
+        known = [value for value in self.values(case, what) if value is not None]
+        return f"{min(known):.2f}" if known else "–"
+
+    def broken(self) -> list[Flown]:
+        """Flights without numbers."""
+        return [flown for flown in self.flights.values() if flown.broken is not None]

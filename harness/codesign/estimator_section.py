@@ -1,0 +1,146 @@
+"""The localisation filter alone: studies of `harness.codesign.study`, kept on disk, and judged."""
+
+import hashlib
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+
+import msgspec
+from msgspec import Struct
+
+from harness.codesign.cases import Plan, wind_agents
+from harness.codesign.results import START_METHOD, sources_state
+from harness.codesign.simulated import Trouble
+from harness.codesign.study import LocalisationResult, localisation_study
+from harness.validation.report import Check, Section, Table
+
+OVER_BOUND_MOST = 1.5
+"""Relative position error over the Cramer-Rao bound at the article's geometry"""
+RUNS_PER_SEED = 10
+_SEED = 5
+_STUDIED = ("study.py", "simulated.py", "bounds.py", "batch.py")
+
+
+class Setting(Struct, frozen=True):
+    """One study."""
+
+    agents: int
+    loss: float
+    scheduled: bool
+    batch: bool
+    """With the batch optimum, which takes most of the time"""
+
+
+ARTICLE_SETTING = Setting(agents=8, loss=0.0, scheduled=False, batch=True)
+SETTINGS = (
+    ARTICLE_SETTING,
+    Setting(agents=8, loss=0.3, scheduled=False, batch=False),
+    Setting(agents=8, loss=0.0, scheduled=True, batch=False),
+    Setting(agents=4, loss=0.0, scheduled=False, batch=False),
+    Setting(agents=16, loss=0.0, scheduled=False, batch=False),
+)
+
+
+class Studied(Struct, frozen=True, kw_only=True):
+    """A study that is done, and the state of the sources that it is of."""
+
+    setting: Setting
+    runs: int
+    state: str
+    result: LocalisationResult
+
+
+def study(setting: Setting, runs: int) -> LocalisationResult:
+    """Do one of them, in the geometry of the article or what it is with other numbers of UAVs."""
+    return localisation_study(
+        wind_agents("ftm", setting.agents, 5).scenario(Plan(), 1).places_ned_m(),
+        runs=runs,
+        seed=_SEED,
+        trouble=Trouble(loss=setting.loss),
+        scheduled=setting.scheduled,
+        batch=setting.batch,
+    )
+
+
+def studies(
+    plan: Plan, data: Path, *, workers: int, done: Callable[[int, int], None]
+) -> dict[Setting, LocalisationResult]:
+    """Do those that are not on disk yet, ``RUNS_PER_SEED`` runs for each of the plan's seeds.
+
+    ``done`` is told how many are, and how many there are.
+    """
+    runs, state, path = RUNS_PER_SEED * plan.seeds, _state(), data / "studies.jsonl"
+    found: dict[Setting, LocalisationResult] = {}
+    for line in path.read_bytes().splitlines() if path.exists() else ():
+        try:
+            studied = msgspec.json.decode(line, type=Studied)
+        except msgspec.DecodeError:
+            continue
+        if studied.runs == runs and studied.state == state:
+            found[studied.setting] = studied.result
+    missing = [setting for setting in SETTINGS if setting not in found]
+    done(len(found), len(SETTINGS))
+    if not missing:
+        return found
+    with ProcessPoolExecutor(workers, mp_context=get_context(START_METHOD)) as pool:
+        waiting = {pool.submit(study, setting, runs): setting for setting in missing}
+        for future in as_completed(waiting):
+            found[waiting[future]] = future.result()
+            studied = Studied(setting=waiting[future], runs=runs, state=state, result=found[waiting[future]])
+            with path.open("ab") as file:
+                file.write(msgspec.json.encode(studied) + b"\n")
+            done(len(found), len(SETTINGS))
+    return found
+
+
+def judge_estimator(results: dict[Setting, LocalisationResult]) -> Section:
+    """Check the article's geometry, and list the others."""
+    article = results[ARTICLE_SETTING]
+    low, high = article.nees_band
+    return Section(
+        title="The estimator alone",
+        conditions=(
+            "The localisation filter on simulated measurements of known statistics, as one UAV of the "
+            "formation gets them, against the posterior Cramer-Rao bound of exactly those measurements and "
+            "against the batch optimum (least squares over the whole flight). Errors are horizontal, after "
+            "the best rigid alignment, rms over UAVs and runs; NEES is the same error squared over the "
+            "filter's covariance, mean of the runs, with the band that holds 95 of 100 such means of a "
+            "consistent filter.\n"
+        ),
+        checks=(
+            Check(
+                name="relative position error over the Cramer-Rao bound, article's geometry",
+                value=article.filter_over_bound, unit="", at_most=OVER_BOUND_MOST,
+            ),
+            Check(name="its NEES", value=article.nees, unit="", at_least=low, at_most=high),
+        ),
+        tables=(
+            Table(
+                caption="Errors in metres.",
+                columns=(
+                    "UAVs", "lost", "ranging", "runs", "bound", "filter", "over the bound", "batch", "NEES",
+                    "band",
+                ),
+                rows=tuple(_row(setting, results[setting]) for setting in SETTINGS),
+            ),
+        ),
+    )  # fmt: skip
+
+
+def _row(setting: Setting, result: LocalisationResult) -> tuple[str, ...]:
+    low, high = result.nees_band
+    return (
+        str(setting.agents), f"{setting.loss:.0%}", "scheduled" if setting.scheduled else "all pairs",
+        str(result.runs), f"{result.bound_m:.3f}", f"{result.filter_m:.3f}",
+        f"{result.filter_over_bound:.2f}",
+        "–" if result.batch_m is None else f"{result.batch_m:.3f}", f"{result.nees:.2f}",
+        f"{low:.2f} to {high:.2f}",
+    )  # fmt: skip
+
+
+def _state() -> str:
+    content = hashlib.sha256(sources_state().encode())
+    for name in _STUDIED:
+        content.update((Path(__file__).parent / name).read_bytes())
+    return content.hexdigest()[:16]

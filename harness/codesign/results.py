@@ -1,0 +1,211 @@
+"""Finished flights on disk, and a campaign that flies what is not there yet.
+
+One JSON line per flight, appended as soon as it has landed, so whatever ends a campaign costs the flights
+that were in the air. A line is of use while its digest is that of the flight as it would be flown now: the
+same scenario, the same faults, the same state of the sources.
+"""
+
+import ast
+import hashlib
+import multiprocessing
+import signal
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from functools import cache
+from pathlib import Path
+
+import msgspec
+from msgspec import Struct
+
+from harness.codesign.cases import Case, Plan
+from harness.codesign.measures import Measures
+from harness.faults import AnyFault
+from harness.scenario import Scenario
+
+START_METHOD = "spawn"
+"""Not forked: this process may have threads, and a worker shall be as a program of its own."""
+FLYING = "flying"
+"""Below the store's folder: one for each flight while it lasts"""
+ROOT = Path(__file__).parents[2]
+_FLOWN_PACKAGES = ("antenna", "netsim", "autopilot", "harness")
+_AFTERWARDS = ("validation", "codesign")
+"""Parts of the harness that fly nothing themselves, ..."""
+_MEASURED_BY = ("codesign/flights.py", "codesign/measures.py")
+"""... but for these, which make the numbers."""
+
+
+class Task(Struct, frozen=True, kw_only=True):
+    """A flight to be flown, as a worker is told."""
+
+    case: str
+    seed: int
+    digest: str
+    scenario: Scenario
+    faults: tuple[AnyFault, ...]
+    """Injected when the formation is reached"""
+    gains: bool
+    folder: str
+    """For the run while it lasts"""
+
+
+class Flown(Struct, frozen=True, kw_only=True):
+    """A flight that has ended: its numbers, or why there are none."""
+
+    case: str
+    seed: int
+    digest: str
+    measures: Measures | None = None
+    broken: str | None = None
+    """One line"""
+
+
+class Store:
+    """Flights in ``flights.jsonl`` of a folder, which is made."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.path = folder / "flights.jsonl"
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def append(self, flown: Flown) -> None:
+        """Write a flight down for good."""
+        with self.path.open("ab") as file:
+            if file.tell() and not self._ends_a_line():
+                file.write(b"\n")
+            file.write(msgspec.json.encode(flown) + b"\n")
+
+    def flights(self) -> list[Flown]:
+        """All that are there, oldest first; a line that a killed campaign has left unfinished is none."""
+        flights = []
+        if self.path.exists():
+            for line in self.path.read_bytes().splitlines():
+                try:
+                    flights.append(msgspec.json.decode(line, type=Flown))
+                except msgspec.DecodeError:  # also of a layout that has changed: it has another digest
+                    continue
+        return flights
+
+    def _ends_a_line(self) -> bool:
+        with self.path.open("rb") as file:
+            file.seek(-1, 2)
+            return file.read(1) == b"\n"
+
+
+@cache
+def sources_state(root: Path = ROOT) -> str:
+    """Hash of what the modules that fly say: neither comments nor docstrings nor layout are in it."""
+    paths = [path for package in _FLOWN_PACKAGES for path in sorted((root / package).rglob("*.py"))]
+    content = hashlib.sha256()
+    for path in paths:
+        name = path.relative_to(root).as_posix()
+        part = name.removeprefix("harness/")
+        if part.partition("/")[0] in _AFTERWARDS and part not in _MEASURED_BY:
+            continue
+        tree = ast.parse(path.read_bytes())
+        for node in ast.walk(tree):
+            body = getattr(node, "body", None)
+            if isinstance(body, list):
+                node.body = [each for each in body if not _is_text(each)]  # type: ignore[attr-defined]
+        content.update(name.encode() + b"\0" + ast.dump(tree).encode())
+    return content.hexdigest()
+
+
+def _is_text(node: ast.AST) -> bool:
+    value = getattr(node, "value", None) if isinstance(node, ast.Expr) else None
+    return isinstance(value, ast.Constant) and isinstance(value.value, str)
+
+
+def make_tasks(cases: Iterable[Case], plan: Plan, *, folder: Path, state: str | None = None) -> list[Task]:
+    """All flights of the cases, each once, seed by seed so that a part of a campaign has all cases.
+
+    ``state`` is that of the sources.
+    """
+    state = sources_state() if state is None else state
+    distinct = {case.name: case for case in cases}
+    tasks = []
+    for seed in range(1, plan.seeds + 1):
+        for case in distinct.values():
+            scenario = case.scenario(plan, seed)
+            content = msgspec.json.encode((state, scenario, case.faults, case.gains))
+            digest = hashlib.sha256(content).hexdigest()[:16]
+            tasks.append(
+                Task(
+                    case=case.name, seed=seed, digest=digest, scenario=scenario, faults=case.faults,
+                    gains=case.gains, folder=str(folder / FLYING / digest),
+                )
+            )  # fmt: skip
+    return tasks
+
+
+def known(tasks: Sequence[Task], store: Store, *, stale: bool = False) -> dict[tuple[str, int], Flown]:
+    """Flights of the tasks that are on disk, by case and seed, the latest of each.
+
+    ``stale`` takes those of other states of the sources and of other plans where there is none of this one.
+    """
+    digests = {(task.case, task.seed): task.digest for task in tasks}
+    found: dict[tuple[str, int], Flown] = {}
+    for flown in store.flights():
+        key = (flown.case, flown.seed)
+        if key not in digests:
+            continue
+        fits = flown.digest == digests[key]
+        if fits or (stale and (key not in found or found[key].digest != digests[key])):
+            found[key] = flown
+    return found
+
+
+def fly_tasks(
+    tasks: Sequence[Task],
+    store: Store,
+    fly: Callable[[Task], Flown],
+    *,
+    workers: int,
+    done: Callable[[Flown], None],
+) -> None:
+    """Fly them all in worker processes; each is in the store before ``done`` hears of it.
+
+    ``fly`` is a function of a module. A worker that dies takes those in the air with it: each of them is
+    flown again alone, and if that ends a worker once more it is the one that does so.
+    """
+
+    def finish(flown: Flown) -> None:
+        store.append(flown)
+        done(flown)
+
+    waiting = deque(tasks)
+    while waiting:
+        for task in _fly_while_whole(waiting, fly, workers, finish):
+            if list(_fly_while_whole(deque([task]), fly, 1, finish)):
+                finish(broken(task, "its process died"))
+
+
+def broken(task: Task, reason: str) -> Flown:
+    """Make what is written down of a flight without numbers."""
+    return Flown(case=task.case, seed=task.seed, digest=task.digest, broken=reason)
+
+
+def _fly_while_whole(
+    waiting: deque[Task], fly: Callable[[Task], Flown], workers: int, finish: Callable[[Flown], None]
+) -> list[Task]:
+    """Fly what is waiting, and take it out; returns those in the air when a worker died."""
+    flying: dict[Future[Flown], Task] = {}
+    context = multiprocessing.get_context(START_METHOD)
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin) as pool:
+        try:
+            while waiting or flying:
+                while waiting and len(flying) < workers:
+                    flying[pool.submit(fly, waiting[0])] = waiting[0]
+                    waiting.popleft()
+                for future in wait(flying, return_when=FIRST_COMPLETED).done:
+                    flown = future.result()
+                    del flying[future]
+                    finish(flown)
+        except BrokenProcessPool:
+            return list(flying.values())
+    return []
+
+
+def _begin() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C goes to all, and the parent alone speaks of it

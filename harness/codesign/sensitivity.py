@@ -1,0 +1,69 @@
+"""What position errors leave of the array's gain, by the table in tests/reference, whose README says how."""
+
+import csv
+import math
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from msgspec import Struct
+from scipy.interpolate import PchipInterpolator
+
+SENSITIVITY = Path(__file__).parents[2] / "tests" / "reference" / "antenna_sensitivity.csv"
+IDEAL_DBI = 13.26
+"""Of the ideal array with short dipoles by NEC2, whatever the wavelength"""
+
+
+class Expected(Struct, frozen=True):
+    """Maximum gain of independent Gaussian errors."""
+
+    mean_dbi: float
+    std_db: float
+
+
+@cache
+def _curves() -> tuple[Any, Any, float]:
+    with SENSITIVITY.open(encoding="utf-8", newline="") as file:
+        rows = {
+            float(row["sigma_m"]) / float(row["wavelength_m"]): (
+                float(row["mean_max_gain_dbi"]), float(row["std_db"]),
+            )
+            for row in csv.DictReader(file)
+        }  # fmt: skip
+    sigmas, values = zip((0.0, (IDEAL_DBI, 0.0)), *sorted(rows.items()), strict=True)
+    means, stds = np.array(values).T
+    return PchipInterpolator(sigmas, means), PchipInterpolator(sigmas, stds), sigmas[-1]
+
+
+def expected_gain(sigma_m: float, wavelength_m: float) -> Expected:
+    """Maximum gain of the 4 x 2 array whose elements err by ``sigma_m`` on each axis.
+
+    Only sigma over lambda matters; between the table's ratios its mean and deviation are interpolated by
+    monotone cubics, beyond its last one they are that one's.
+    """
+    if not math.isfinite(sigma_m) or sigma_m < 0.0 or not wavelength_m > 0.0:
+        raise ValueError(
+            f"sigma_m {sigma_m}, wavelength_m {wavelength_m}: expected a length and a wavelength"
+        )
+    mean, std, last = _curves()
+    ratio = min(sigma_m / wavelength_m, last)
+    return Expected(float(mean(ratio)), float(std(ratio)))
+
+
+def per_axis_sigma_m(shape_rms_m: float, vehicles: int) -> float:
+    """Standard deviation per horizontal axis of independent errors that leave this rms after alignment.
+
+    The alignment takes 3 of the 2 N degrees of freedom (a translation and a turn), so the mean square of a
+    vehicle's remaining horizontal distance is 2 sigma^2 (1 - 3 / (2 N)).
+    """
+    if vehicles < 2:
+        raise ValueError(f"{vehicles} vehicles: the alignment leaves nothing of fewer than two")
+    return shape_rms_m / math.sqrt(2.0 - 3.0 / vehicles)
+
+
+def vertical_sigma_m(vertical_rms_m: float, vehicles: int) -> float:
+    """The same of heights about their mean, which takes one of N degrees of freedom."""
+    if vehicles < 2:
+        raise ValueError(f"{vehicles} vehicles: the alignment leaves nothing of fewer than two")
+    return vertical_rms_m / math.sqrt(1.0 - 1.0 / vehicles)

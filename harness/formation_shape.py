@@ -1,0 +1,148 @@
+"""The ``[formation]`` table: the places of the antenna's elements, hung in the air over the site.
+
+Shapes are laid out in the antenna's frame: x to the right of the heading, the broadside axis; y along it, the
+end-fire axis; z up from the formation's height; the origin over the site's.
+"""
+
+import csv
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from msgspec import Meta, Struct
+from numpy.typing import NDArray
+
+from antenna.geometry import grid
+from autopilot.config import AnyMotion
+
+Array = NDArray[np.float64]
+Spacing = Annotated[float, Meta(gt=0.0, le=1000.0)]
+
+FARTHEST_M = 10_000.0
+LOWEST_M = 2.0
+"""Least height of a place over the site: below it, take-off and landing have no room."""
+Coordinate = Annotated[float, Meta(ge=-FARTHEST_M, le=FARTHEST_M)]
+COLUMNS = ("x_m", "y_m", "z_m")
+"""Of a file of places; the last may be left out."""
+
+
+class FormationFileError(ValueError):
+    """A file of places that cannot be used; the text is one line that names file, row and column."""
+
+
+class FormationConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The ``[formation]`` table; settings of other shapes than ``shape`` are not looked at."""
+
+    shape: Literal["grid", "line", "ring", "file"] = "grid"
+    columns: Annotated[int, Meta(ge=1, le=254)] = 4
+    """Of a grid: elements along the broadside axis."""
+    rows: Annotated[int, Meta(ge=1, le=254)] = 2
+    """Of a grid: elements along the end-fire axis."""
+    broadside_spacing_lambda: Spacing = 0.85
+    endfire_spacing_lambda: Spacing = 0.25
+    spacing_m: Spacing = 5.0
+    """Of a line along the broadside axis."""
+    radius_m: Spacing = 10.0
+    """Of a ring; the first place is ahead of the centre, the others follow clockwise."""
+    file: str | None = None
+    """CSV file of places beside the scenario: a header with x_m, y_m and perhaps z_m, then a row per UAV."""
+    points_m: tuple[tuple[Coordinate, Coordinate, Coordinate], ...] = ()
+    """What the file says: x, y, z of each place. It can be said here instead."""
+    height_m: Annotated[float, Meta(ge=LOWEST_M, le=500.0)] = 10.0
+    heading_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
+    """Compass direction of the end-fire axis, which is where the main lobe points."""
+    motion: AnyMotion | None = None
+    """How the whole flies once it is formed; none: it stands."""
+
+
+def places_ned_m(config: FormationConfig, agents: int, wavelength_m: float) -> Array:
+    """(agents, 3) places before the formation moves, in the site's NED frame.
+
+    Raises ValueError, with the field's path, if there are not so many or one is too low.
+    """
+    xyz_m = _places_m(config, agents, wavelength_m)
+    height_m = config.height_m + xyz_m[:, 2]
+    lowest = int(height_m.argmin())
+    if height_m[lowest] < LOWEST_M:
+        raise ValueError(
+            f"formation.points_m[{lowest}]: {height_m[lowest]:.2f} m over the site, "
+            f"where {LOWEST_M:g} m is the least"
+        )
+    c, s = math.cos(math.radians(config.heading_deg)), math.sin(math.radians(config.heading_deg))
+    x_m, y_m = xyz_m[:, 0], xyz_m[:, 1]
+    return np.stack([y_m * c - x_m * s, y_m * s + x_m * c, -height_m], axis=1)
+
+
+def _places_m(config: FormationConfig, agents: int, wavelength_m: float) -> Array:
+    """(agents, 3) places in the antenna's frame."""
+    match config.shape:
+        case "grid":  # the first of it, or a longer one
+            return grid(
+                max(agents, config.columns * config.rows),
+                config.columns,
+                config.broadside_spacing_lambda * wavelength_m,
+                config.endfire_spacing_lambda * wavelength_m,
+            )[:agents]
+        case "line":
+            return grid(agents, agents, config.spacing_m, config.spacing_m)
+        case "ring":
+            angle_rad = 2.0 * math.pi / agents * np.arange(agents)
+            ring_m = [config.radius_m * np.sin(angle_rad), config.radius_m * np.cos(angle_rad)]
+            return np.stack([*ring_m, np.zeros(agents)], axis=1)
+        case "file":
+            if len(config.points_m) < agents:
+                there = f"{len(config.points_m)} places" if config.points_m or config.file else "no file"
+                raise ValueError(f"formation.file: {there} for {agents} vehicles")
+            return np.array(config.points_m[:agents], float)
+
+
+def with_points(table: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Put what ``file``, a path relative to the folder, says into ``points_m`` of a table not yet checked.
+
+    Raises FormationFileError.
+    """
+    file = table.get("file")
+    if table.get("shape") != "file" or not isinstance(file, str):
+        return table
+    return {**table, "points_m": read_points(folder / file)}
+
+
+def read_points(path: Path) -> tuple[tuple[float, float, float], ...]:
+    """Read a file of places; raises FormationFileError."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is no text"
+        raise FormationFileError(f"{path}: cannot be read: {reason}") from None
+    rows = csv.reader(text.splitlines(), strict=True, skipinitialspace=True)
+    points: list[tuple[float, float, float]] = []
+    header: list[str] | None = None
+    try:
+        for row in rows:
+            fields = [field.strip() for field in row]
+            if not any(fields):
+                continue
+            if header is None:
+                header = fields
+                if sorted(header) not in (sorted(COLUMNS), sorted(COLUMNS[:2])):
+                    raise ValueError(f"expected the columns x_m,y_m or x_m,y_m,z_m, not {','.join(header)}")  # noqa: TRY301  # one place that adds file and line
+                continue
+            if len(fields) != len(header):
+                raise ValueError(f"expected {len(header)} columns, not {len(fields)}")  # noqa: TRY301
+            values = {name: _coordinate(name, field) for name, field in zip(header, fields, strict=True)}
+            points.append((values["x_m"], values["y_m"], values.get("z_m", 0.0)))
+    except (ValueError, csv.Error) as error:
+        raise FormationFileError(f"{path}:{rows.line_num}: {error}") from None
+    return tuple(points)
+
+
+def _coordinate(name: str, field: str) -> float:
+    """Read a field; raises ValueError that names its column."""
+    try:
+        value = float(field)
+    except ValueError:
+        raise ValueError(f"{name}: expected a number, not {field[:20]!r}") from None
+    if not abs(value) <= FARTHEST_M:
+        raise ValueError(f"{name}: {field[:20]} is not within {FARTHEST_M:g} m")
+    return value

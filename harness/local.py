@@ -1,0 +1,177 @@
+"""Vehicles and air in the simulation's own process: the same bytes as over sockets, handed on by plain calls.
+
+Stand where `harness.lockstep` and a Zenoh session stand in a run of many processes.
+"""
+
+import contextlib
+import os
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Self
+
+import msgspec
+
+from autopilot.config import VehicleConfig
+from autopilot.host import Host, warnings
+from autopilot.mavlink.codec import Message
+from autopilot.mavlink.hil import HilActuatorControls
+from autopilot.recording import VEHICLE_RECORD
+from harness.lockstep import CLOSED, Voice
+from netsim.child import Warned
+from netsim.hosted import HostedEmulator
+from netsim.radio import Deliveries
+from netsim.record_log import BLOCK_ROWS
+from netsim.wire.messages import Advance, TxBatch, TxItem, decode, encode
+
+NOBODY_LISTENS = (False, False)
+"""On the links to the outside, of which there are none here."""
+
+
+class LocalRadio:
+    """A vehicle's radio: hands over transmissions and takes what arrived, as `netsim.radio.RadioClient`."""
+
+    def __init__(self, emulator: HostedEmulator, station: int) -> None:
+        self._emulator = emulator
+        self._station = station
+        self.deliveries = Deliveries()
+        self.receive = self.deliveries.take
+        """What may be seen at a time, in order of (time, source, sequence)."""
+
+    def send(self, now_us: int, items: Sequence[TxItem]) -> None:
+        """Hand over transmissions. Raises ValueError for what no station can send."""
+        if not self._emulator.submit(TxBatch(station=self._station, now_us=now_us, items=tuple(items))):
+            raise ValueError(f"station {self._station}: the 802.11 emulator refuses what is sent")
+
+
+class LocalCarrier:
+    """The time master's way to the emulator, in place of `netsim.transport.Transport`: asks at once."""
+
+    def __init__(self, emulator: HostedEmulator, radios: Sequence[LocalRadio]) -> None:
+        self._emulator = emulator
+        self._radios = radios
+        self._answer: bytes | None = None
+
+    def asker(self, _key: str, *, timeout_s: float) -> Self:  # noqa: ARG002  answers do not take time
+        """See `harness.air.Carrier`."""
+        return self
+
+    def ask(self, payload: bytes) -> Self:
+        """Have the emulator simulate and deliver what an `Advance` asks for.
+
+        Raises ValueError for one that it does not take.
+        """
+        request = decode(Advance, payload)
+        motion = None if request is None else self._emulator.motion(request)
+        if request is None or motion is None:
+            raise ValueError("the vehicles' motion cannot be told to the 802.11 emulator")
+        for station, batch in (self._emulator.advance(request, motion) or {}).items():
+            if station < len(self._radios):  # a guest is not here
+                self._radios[station].deliveries.put(batch)
+        self._answer = encode(self._emulator.advanced())
+        return self
+
+    def answer(self) -> bytes | None:
+        """What the emulator answered."""
+        return self._answer
+
+
+class LocalSeat(Voice):
+    """One vehicle's place at the simulator, and the vehicle itself."""
+
+    def __init__(self, config: VehicleConfig, radio: LocalRadio) -> None:
+        super().__init__(config.instance)
+        self.host = Host(config, radio)
+        self.alive = True
+        self.killed = False
+        """To be found dead in the next step."""
+        self.said = b""
+        """In the present step, and not yet taken in."""
+        self._log_path = config.log_path
+
+    def hear(self, data: bytes) -> list[tuple[int, str]]:
+        """Have the vehicle do its step on what the simulator sends; returns its warnings with their times."""
+        warned: list[tuple[int, str]] = []
+        for messages in self.host.push(data):
+            answer, links = self.host.step(messages, link_messages=[], link_active=NOBODY_LISTENS)
+            self.said += answer
+            if links:
+                warned += [(messages[-1].time_usec, text) for text in warnings(links)]
+        return warned
+
+    def end(self) -> None:
+        """End the vehicle; of one that was killed its log keeps whole blocks, as that of a killed process."""
+        self.alive = False
+        self.host.close()
+        if self.killed and self._log_path is not None:
+            block_bytes = BLOCK_ROWS * VEHICLE_RECORD.itemsize
+            os.truncate(self._log_path, Path(self._log_path).stat().st_size // block_bytes * block_bytes)
+
+
+class LocalVehicles:
+    """All vehicles of a run; see `harness.partners.Vehicles`.
+
+    ``on_message`` and ``on_lost`` are as `harness.lockstep.Lockstep`'s; ``emit`` is told of warnings, under
+    the vehicle's name. An error in a vehicle is raised by the step, and is the end of the run.
+    """
+
+    def __init__(
+        self,
+        configs: Iterable[VehicleConfig],
+        radios: Sequence[LocalRadio],
+        *,
+        on_message: Callable[[int, Message], None],
+        on_lost: Callable[[int, str], None],
+        emit: Callable[[str, msgspec.Struct], None],
+    ) -> None:
+        self._on_message, self._on_lost, self._emit = on_message, on_lost, emit
+        self.seats: list[LocalSeat] = []
+        try:
+            for config, radio in zip(configs, radios, strict=True):
+                self.seats.append(LocalSeat(config, radio))
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def living(self) -> int:
+        """How many vehicles are in the run."""
+        return sum(seat.alive for seat in self.seats)
+
+    def connect(self, wall_timeout_s: float, *, keep_waiting: Callable[[], bool]) -> None:
+        """Everybody is here."""
+
+    def send(self, frames: Iterable[bytes | None]) -> None:
+        """Give every living vehicle its sensors, upon which it does its step."""
+        for seat, frame in zip(self.seats, frames, strict=True):
+            seat.answer = None
+            if seat.alive and not seat.killed and frame is not None:
+                for time_us, text in seat.hear(frame):
+                    self._emit(seat.host.name, Warned(name=seat.host.name, time_us=time_us, text=text))
+
+    def answers(self, time_us: int) -> list[HilActuatorControls | None]:
+        """What every vehicle has answered to the sensors of ``time_us``; None: it is gone."""
+        for seat in reversed(self.seats):
+            if seat.killed and seat.alive:
+                self._lose(seat)
+            elif seat.said:
+                said, seat.said = seat.said, b""
+                for message in seat.take(said, time_us):
+                    self._on_message(seat.instance, message)
+        return [seat.answer for seat in self.seats]
+
+    def judge(self, instances: Iterable[int]) -> None:
+        """Nobody is ever waited for."""
+
+    def kill(self, instance: int) -> None:
+        """End a vehicle at once; the simulation finds it gone in the next step."""
+        self.seats[instance].killed = True
+
+    def close(self) -> None:
+        """End every vehicle; harmless when repeated."""
+        with contextlib.ExitStack() as stack:
+            for seat in self.seats:
+                stack.callback(seat.end)
+
+    def _lose(self, seat: LocalSeat) -> None:
+        seat.end()
+        self._on_lost(seat.instance, CLOSED)

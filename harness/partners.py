@@ -1,0 +1,66 @@
+"""What the simulation asks of its vehicles and of the air, however these are reached."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Protocol
+
+from autopilot.mavlink.hil import HilActuatorControls
+from harness.physics.truth import Truth
+
+
+class Seat(Protocol):
+    """One vehicle's place at the simulator."""
+
+    @property
+    def instance(self) -> int:
+        """Its number."""
+
+    @property
+    def alive(self) -> bool:
+        """Whether the vehicle is still in the run."""
+
+
+class Vehicles(Protocol):
+    """The step's rendezvous with the vehicles: see `harness.lockstep.Lockstep`."""
+
+    @property
+    def seats(self) -> Sequence[Seat]:
+        """One per vehicle."""
+
+    @property
+    def living(self) -> int:
+        """How many vehicles are in the run."""
+
+    def connect(self, wall_timeout_s: float, *, keep_waiting: Callable[[], bool]) -> None:
+        """Wait until every vehicle is there."""
+
+    def send(self, frames: Iterable[bytes | None]) -> None:
+        """Give every living vehicle its sensors."""
+
+    def answers(self, time_us: int) -> list[HilActuatorControls | None]:
+        """What every vehicle answers to the sensors of ``time_us``; None: it is gone."""
+
+    def judge(self, instances: Iterable[int]) -> None:
+        """Decide on vehicles that have not done their part of the step."""
+
+    def close(self) -> None:
+        """Part with the vehicles."""
+
+
+class Channel(Protocol):
+    """The time master's side of the radio channel: see `harness.air.Air`."""
+
+    extra_attenuation_db: float | None
+    range_offsets_m: Mapping[int, float]
+    busy_ns: int
+
+    def begin(self, time_us: int, step_us: int, truth: Truth, silent: tuple[int, ...]) -> None:
+        """Let the air go on over the step that begins now."""
+
+    def end(self) -> tuple[int, ...]:
+        """Wait until it has; returns the vehicles that have not taken their deliveries."""
+
+    def wait_on(self, silent: tuple[int, ...]) -> tuple[int, ...]:
+        """Go on waiting for those, less the silent."""
+
+    def handed_over(self) -> None:
+        """A vehicle gave its radio something to send."""

@@ -1,0 +1,202 @@
+"""The emulator as a run's processes know it: batches in, intervals on request, deliveries out, logs written.
+
+What is between `netsim.emulator` and whoever carries its messages: a Zenoh session (`netsim.server`), or
+plain calls in one process. Does no I/O but for its logs.
+"""
+
+import contextlib
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from netsim.capture.writer import Capture
+from netsim.config import ServerConfig
+from netsim.emulator import Emulator
+from netsim.logs import FRAME_LOG, SESSION_LOG
+from netsim.phy.medium import Transmission
+from netsim.record_log import RecordLog
+from netsim.wire.messages import Advance, Advanced, RxBatch, RxItem, Station, TxBatch, unpack_rows
+
+Doubles = NDArray[np.float64]
+
+
+class Motion(NamedTuple):
+    """Positions (n, 3), velocities (n, 3) and attitudes (n, 4), wxyz, of the stations."""
+
+    pos_ned_m: Doubles
+    vel_ned_m_s: Doubles
+    q_ned_frd: Doubles
+
+
+LEAD_US = 60_000_000
+"""How far ahead of the air a transmission's time may lie."""
+FARTHEST_M, FASTEST_M_S, NORM_TOLERANCE = 1e8, 1e5, 1e-3
+"""What a vehicle's state may be: limits against senseless numbers."""
+STREAM = 802
+"""Sets the emulator's random streams apart from those of the run's other processes."""
+
+
+class HostedEmulator:
+    """The emulator with what was handed over and not yet simulated, and its logs.
+
+    `submit` may be called from any thread, all else from one. Raises ValueError for settings that do not go
+    together; `open_logs` makes the files.
+    """
+
+    def __init__(self, config: ServerConfig) -> None:
+        self._config = config
+        radio = config.radio
+        self.stations = config.stations + len(radio.guests)
+        """Vehicles and guests."""
+        self._guests_pos_ned_m = np.array([guest.pos_ned_m for guest in radio.guests]).reshape(-1, 3)
+        self._emulator = Emulator(
+            config=radio,
+            stations=self.stations,
+            seed=np.random.SeedSequence([config.seed, STREAM]),
+            on_transmission=None if config.capture_path is None else self._on_transmission,
+        )
+        self._submitted: list[TxBatch] = []
+        self._silent: frozenset[Station] = frozenset()
+        self._reached_us = 0
+        self._capture: Capture | None = None
+        self._frame_log: RecordLog | None = None
+        self._session_log: RecordLog | None = None
+        self._files = contextlib.ExitStack()
+
+    def open_logs(self) -> None:
+        """Make the files that the settings name. Raises OSError."""
+        config, keep = self._config, self._files.enter_context
+        if config.frame_log_path is not None:
+            self._frame_log = keep(contextlib.closing(RecordLog(config.frame_log_path, FRAME_LOG)))
+        if config.session_log_path is not None:
+            self._session_log = keep(contextlib.closing(RecordLog(config.session_log_path, SESSION_LOG)))
+        if config.capture_path is not None:
+            capture = Capture(config.capture_path, config=config.radio, comment=f"seed {config.seed}")
+            self._capture = keep(contextlib.closing(capture))
+
+    def close(self) -> None:
+        """Write the rest of the logs; harmless when repeated."""
+        self._files.close()
+
+    @property
+    def counters(self) -> dict[str, Any]:
+        """The run's counters, by name."""
+        counters: dict[str, Any] = msgspec.to_builtins(self._emulator.counters)
+        return counters
+
+    def is_guest(self, station: Station) -> bool:
+        """Whether that station is another program's."""
+        return self._config.stations <= station < self.stations
+
+    def submit(self, batch: TxBatch) -> bool:
+        """Keep a station's batch until its interval; False for one that no station can have sent."""
+        if batch.station >= self.stations or self._too_early(batch):
+            return False
+        if batch.items:
+            self._submitted.append(_at_once(batch) if self.is_guest(batch.station) else batch)
+        return True
+
+    def _too_early(self, batch: TxBatch) -> bool:
+        """Whether a vehicle speaks of a time far ahead; guests have none."""
+        latest_us = max((item.at_us for item in batch.items), default=0)
+        return (
+            batch.station < self._config.stations
+            and max(batch.now_us, latest_us) > self._reached_us + LEAD_US
+        )
+
+    def _on_transmission(self, transmission: Transmission) -> None:
+        if self._capture is not None:
+            self._capture.append(transmission)
+
+    def motion(self, request: Advance) -> Motion | None:
+        """Where an `Advance` puts the vehicles; None unless it is all of them, somewhere, and ahead."""
+        vehicles = self._config.stations
+        pos_ned_m = unpack_rows(request.pos_ned_m, stations=vehicles, columns=3)
+        vel_ned_m_s = unpack_rows(request.vel_ned_m_s, stations=vehicles, columns=3)
+        q_ned_frd = unpack_rows(request.q_ned_frd, stations=vehicles, columns=4)
+        if pos_ned_m is None or vel_ned_m_s is None or q_ned_frd is None:
+            return None
+        motion = Motion(pos_ned_m, vel_ned_m_s, q_ned_frd)
+        norms = np.linalg.norm(q_ned_frd, axis=1)
+        # comparisons that what is not a number fails as well
+        somewhere = (np.abs(pos_ned_m) <= FARTHEST_M).all() and (np.abs(vel_ned_m_s) <= FASTEST_M_S).all()
+        upright = (np.abs(norms - 1.0) <= NORM_TOLERANCE).all()
+        named = (*request.silent, *(station for station, _ in request.range_offsets_m))
+        known = all(station < self.stations for station in named)
+        return motion if known and somewhere and upright and request.to_us >= self._reached_us else None
+
+    def _with_guests(self, motion: Motion) -> Motion:
+        """Motion of all stations: guests stand still, upright."""
+        guests = len(self._guests_pos_ned_m)
+        if guests == 0:
+            return motion
+        return Motion(
+            np.vstack([motion.pos_ned_m, self._guests_pos_ned_m]),
+            np.vstack([motion.vel_ned_m_s, np.zeros((guests, 3))]),
+            np.vstack([motion.q_ned_frd, np.tile([1.0, 0.0, 0.0, 0.0], (guests, 1))]),
+        )
+
+    def advance(self, request: Advance, motion: Motion) -> dict[Station, RxBatch] | None:
+        """Simulate what an `Advance` asks for and return its deliveries; None if that was done before."""
+        for station in frozenset(request.silent) - self._silent:
+            self._emulator.set_silent(station)
+        self._silent = frozenset(request.silent)
+        if request.to_us <= self._reached_us:
+            return None
+        deliveries = self._simulate(request, self._with_guests(motion))
+        self._reached_us = request.to_us
+        return deliveries
+
+    def advanced(self, unresponsive: tuple[Station, ...] = ()) -> Advanced:
+        """What the time master is told after `advance`."""
+        return Advanced(
+            to_us=self._reached_us,
+            quiet_until_us=self._emulator.next_event_us,
+            busy_ns=self._emulator.busy_ns,
+            unresponsive=unresponsive,
+        )
+
+    def _simulate(self, request: Advance, motion: Motion) -> dict[Station, RxBatch]:
+        # other threads append to the list while this runs, so what is taken is cut off by position first.
+        count = len(self._submitted)
+        batches = self._submitted[:count]
+        del self._submitted[:count]
+        later = [batch for batch in batches if batch.now_us >= request.to_us]
+        self._submitted.extend(later)
+        due = [batch for batch in batches if batch.now_us < request.to_us]
+        for batch in sorted(due, key=lambda batch: (batch.now_us, batch.station)):
+            self._emulator.submit(batch)
+        self._emulator.set_extra_attenuation_db(request.extra_attenuation_db)
+        self._emulator.set_range_offsets(dict(request.range_offsets_m))
+        arrivals: dict[Station, list[RxItem]] = {}
+        for station, item in self._emulator.advance(
+            to_us=request.to_us,
+            at_us=request.at_us,
+            pos_ned_m=motion.pos_ned_m,
+            vel_ned_m_s=motion.vel_ned_m_s,
+            q_ned_frd=motion.q_ned_frd,
+        ):
+            arrivals.setdefault(station, []).append(item)
+        self._write_logs()
+        if self._capture is not None:
+            self._capture.settle(1_000 * request.to_us)
+        return {
+            station: RxBatch(station=station, release_us=request.release_us, items=tuple(items))
+            for station, items in arrivals.items()
+            if station not in self._silent
+        }
+
+    def _write_logs(self) -> None:
+        frames, sessions = self._emulator.take_frames(), self._emulator.take_sessions()
+        if self._frame_log is not None:
+            self._frame_log.append(frames)
+        if self._session_log is not None:
+            self._session_log.append(sessions)
+
+
+def _at_once(batch: TxBatch) -> TxBatch:
+    """Batch of a guest, whose time is not the simulation's: whatever it says, it means now."""
+    items = tuple(msgspec.structs.replace(item, at_us=0) for item in batch.items)
+    return msgspec.structs.replace(batch, now_us=0, items=items)

@@ -1,0 +1,251 @@
+"""The ideal channel, against which the emulated one is measured: whatever is sent arrives at all in range.
+
+A frame goes on the air in the moment in which it is handed over, whatever else is on the air and whatever its
+own station is sending, and ends after its own time on the air. Who is in range of it by path loss, antennas
+and extra attenuation, at ``cca_preamble_dbm`` or more, has it after the flight time; so a cut channel is cut.
+A frame to one station is acknowledged SIFS later, and otherwise comes again at its time-out up to the retry
+limit. Ranging is `netsim.ftm` above these exchanges: its frames take their time, its stamps have their noise.
+
+Left out is what makes a channel less than ideal: contention, reservations (no RTS, no NAV), queues,
+collisions, noise, fading, shadowing, blocked lines of sight and interferers, whatever the settings say of
+them. The medium is never occupied.
+"""
+
+from collections.abc import Callable
+
+import msgspec
+
+from netsim.config import RadioConfig
+from netsim.frames import ACK_BYTES, GROUP, Frame, FrameKind
+from netsim.kernel import EventQueue
+from netsim.mac.access import SIFS_NS
+from netsim.mac.jobs import Job, Outcome
+from netsim.mac.station import RESPONSE_TIMEOUT_NS, Upper, answer_ns
+from netsim.phy.medium import Transmission
+from netsim.phy.modes import response_mode
+from netsim.phy.propagation import Links
+
+
+def undisturbed(config: RadioConfig) -> RadioConfig:
+    """Settings less all that disturbs links."""
+    return msgspec.structs.replace(
+        config, rician_k_db=None, shadowing_std_db=0.0, nlos_fraction=0.0, interferers=()
+    )
+
+
+class IdealChannel:
+    """All stations' radios on a channel without contention; see `netsim.channels.Channel`."""
+
+    def __init__(
+        self,
+        *,
+        config: RadioConfig,
+        queue: EventQueue,
+        links: Links,
+        on_ended: Callable[[Transmission], None],
+    ) -> None:
+        self.queue = queue
+        self.on_ended = on_ended
+        self._links = links
+        self._least_mw = 10.0 ** (config.cca_preamble_dbm / 10.0)
+        self._radios: list[IdealRadio] = []
+
+    def join(self, station: int, upper: Upper) -> "IdealRadio":
+        """Add a station; they come in the order of their numbers."""
+        radio = IdealRadio(station, self, upper)
+        self._radios.append(radio)
+        return radio
+
+    def busy_ns(self) -> int:
+        """Nothing ever keeps anybody waiting."""
+        return 0
+
+    def surveyed_ns(self, _station: int, /) -> int:
+        """Nor does any station find it busy."""
+        return 0
+
+    def start(self, frame: Frame) -> Transmission:
+        """Put a frame on the air now."""
+        row = self._links.row(frame.source, self.queue.now_ns)
+        return Transmission(frame, self.queue.now_ns, row, row.powers_mw)
+
+    def is_silent(self, station: int) -> bool:
+        """Whether a station's radio has ended."""
+        return self._radios[station].silent
+
+    def reach(self, transmission: Transmission, station: int) -> "IdealRadio | None":
+        """Radio of a station that a frame is meant for, and None if it is out of range; counts either."""
+        radio = self._radios[station]
+        if radio.silent:
+            return None
+        if transmission.powers_mw[station] < self._least_mw:
+            transmission.lost_to_noise.append(station)
+            return None
+        transmission.delivered.append(station)
+        return radio
+
+    def reach_all(self, transmission: Transmission) -> "list[IdealRadio]":
+        """Radios in range of a group frame."""
+        reached = [self.reach(transmission, i) for i in range(len(self._radios)) if i != transmission.source]
+        return [radio for radio in reached if radio is not None]
+
+
+class _Exchange:
+    """Attempts to bring one frame to one station."""
+
+    __slots__ = ("arrived", "job", "over")
+
+    def __init__(self, job: Job) -> None:
+        self.job = job
+        self.arrived = False
+        """The station has the frame, though its ACK may be missing."""
+        self.over = False
+
+
+class IdealRadio:
+    """MAC of one station: sends whatever it is given at once; see `netsim.mac.jobs.Sender`."""
+
+    def __init__(self, index: int, channel: IdealChannel, upper: Upper) -> None:
+        self.index = index
+        self.silent = False
+        self.upper = upper
+        self._channel = channel
+        self._queue = channel.queue
+        self._sequence = 0
+        self._exchanges: list[_Exchange] = []
+        """Those under way."""
+
+    def enqueue(self, _category: str, job: Job, /) -> None:
+        """Send a frame now; all categories are alike."""
+        if self.silent:
+            job.done(job, Outcome.OVERFLOW)
+            return
+        self._sequence += 1
+        job.sequence = self._sequence
+        if job.destination == GROUP:
+            transmission = self._send(job)
+            self._queue.at(
+                transmission.end_ns + transmission.longest_delay_ns, self._on_group_ended, (job, transmission)
+            )
+        elif job.expires_ns <= self._queue.now_ns or job.cancelled:
+            job.done(job, Outcome.EXPIRED)
+        else:
+            exchange = _Exchange(job)
+            self._exchanges.append(exchange)
+            self._attempt(exchange)
+
+    def silence(self) -> None:
+        """See `netsim.mac.jobs.Sender`: what is on the air is completed."""
+        self.silent = True
+        for exchange in list(self._exchanges):
+            self._finish(exchange, Outcome.EXPIRED)
+
+    def _send(self, job: Job) -> Transmission:
+        frame = Frame(
+            kind=job.kind,
+            source=self.index,
+            destination=job.destination,
+            mode=job.mode,
+            frame_bytes=job.frame_bytes,
+            nav_ns=answer_ns(job),
+            seq=job.seq,
+            sequence=job.sequence,
+            body=job.body,
+        )
+        job.attempts += 1
+        job.transmission = self._channel.start(frame)
+        return job.transmission
+
+    def _on_group_ended(self, ended: tuple[Job, Transmission]) -> None:
+        job, transmission = ended
+        for radio in self._channel.reach_all(transmission):
+            radio.take(transmission, duplicate=False)
+        job.done(job, Outcome.SENT)
+        self._channel.on_ended(transmission)
+
+    def take(self, transmission: Transmission, *, duplicate: bool) -> None:
+        """Receive a frame."""
+        end_ns = transmission.end_ns + transmission.delays_ns[self.index]
+        self.upper.on_frame(transmission, transmission.powers_mw[self.index], end_ns, duplicate=duplicate)
+
+    # --- frames to one station
+
+    def _attempt(self, exchange: _Exchange) -> None:
+        job = exchange.job
+        if exchange.over:
+            return
+        if job.rates is not None:
+            job.mode = job.rates.mode_for(
+                job.destination,
+                frame_bytes=job.frame_bytes,
+                failures=job.failures,
+                now_ns=self._queue.now_ns,
+            )
+        sent = self._send(job)
+        self._queue.at(sent.end_ns + sent.delays_ns[job.destination], self._on_arrived, (exchange, sent))
+
+    def _on_arrived(self, attempt: tuple[_Exchange, Transmission]) -> None:
+        exchange, sent = attempt
+        radio = self._channel.reach(sent, exchange.job.destination)
+        if radio is None:
+            self._await_time_out(exchange, sent)
+        else:
+            duplicate, exchange.arrived = exchange.arrived, True
+            self._queue.at(self._queue.now_ns + SIFS_NS, self._on_answered, (exchange, sent))
+            radio.take(sent, duplicate=duplicate)
+        self._channel.on_ended(sent)
+
+    def _on_answered(self, attempt: tuple[_Exchange, Transmission]) -> None:
+        """Put the ACK on the air, unless who should send it has fallen silent."""
+        exchange, sent = attempt
+        data = sent.frame
+        mode = response_mode(data.mode)
+        if self._channel.is_silent(data.destination):
+            self._await_time_out(exchange, sent)
+            return
+        ack = self._channel.start(
+            Frame(
+                kind=FrameKind.ACK,
+                source=data.destination,
+                destination=self.index,
+                mode=mode,
+                frame_bytes=ACK_BYTES,
+            )
+        )
+        self._queue.at(ack.end_ns + ack.delays_ns[self.index], self._on_answer, (exchange, sent, ack))
+
+    def _on_answer(self, attempt: tuple[_Exchange, Transmission, Transmission]) -> None:
+        exchange, sent, ack = attempt
+        if self._channel.reach(ack, self.index) is None:
+            self._await_time_out(exchange, sent)
+        elif not exchange.over:
+            job = exchange.job
+            job.ack = ack
+            if job.rates is not None:
+                job.rates.report(job.destination, job.mode, acknowledged=True)
+            self._finish(exchange, Outcome.ACKNOWLEDGED)
+        self._channel.on_ended(ack)
+
+    def _await_time_out(self, exchange: _Exchange, sent: Transmission) -> None:
+        self._queue.at(
+            max(self._queue.now_ns, sent.end_ns + RESPONSE_TIMEOUT_NS), self._on_time_out, exchange
+        )
+
+    def _on_time_out(self, exchange: _Exchange) -> None:
+        job = exchange.job
+        if exchange.over:
+            return
+        if job.rates is not None:
+            job.rates.report(job.destination, job.mode, acknowledged=False)
+        job.failures += 1
+        if job.failures > job.retry_limit:
+            self._finish(exchange, Outcome.RETRY_LIMIT)
+        elif job.expires_ns <= self._queue.now_ns or job.cancelled:
+            self._finish(exchange, Outcome.EXPIRED)
+        else:
+            self._attempt(exchange)
+
+    def _finish(self, exchange: _Exchange, outcome: Outcome) -> None:
+        exchange.over = True
+        self._exchanges.remove(exchange)
+        exchange.job.done(exchange.job, outcome)

@@ -1,0 +1,66 @@
+"""HIL_STATE_QUATERNION: the truth as a vehicle is told it, decoded as the vehicle decodes it."""
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import common
+
+from autopilot.config import Site
+from autopilot.mavlink.hil import HilParser, HilSensor
+from autopilot.navigation.geodesy import geodetic_to_ned
+from harness.hil import SensorEncoder
+from harness.physics.truth import Truth
+from harness.sensors.suite import SensorFrame
+
+SITE = Site(latitude_deg=60.2, longitude_deg=24.8, altitude_m=30.0)
+
+
+def truth_of(pos_ned_m, vel_ned_m_s):
+    n = len(pos_ned_m)
+    return Truth(
+        pos_ned_m=np.array(pos_ned_m),
+        vel_ned_m_s=np.array(vel_ned_m_s),
+        q_ned_frd=np.tile((1.0, 0.0, 0.0, 0.0), (n, 1)),
+        omega_frd_rad_s=np.zeros((n, 3)),
+        acc_ned_m_s2=np.zeros((n, 3)),
+        rotor_speed_rad_s=np.zeros((n, 4)),
+        specific_force_frd_m_s2=np.zeros((n, 3)),
+        mean_omega_frd_rad_s=np.zeros((n, 3)),
+    )
+
+
+def quiet_frame(n):
+    return SensorFrame(
+        time_us=1_000_000,
+        accel_frd_m_s2=np.zeros((n, 3)),
+        gyro_frd_rad_s=np.zeros((n, 3)),
+        mag_frd_gauss=None,
+        baro=None,
+        gps=None,
+    )
+
+
+def test_a_vehicle_reads_its_true_position_to_a_centimetre_before_its_sensors():
+    pos_ned_m = [(0.0, 0.0, -10.0), (123.456, -654.321, -42.0)]
+    truth = truth_of(pos_ned_m, [(0.0, 0.0, 0.0), (1.25, -2.5, 0.75)])
+    for vehicle, frame in enumerate(SensorEncoder(SITE).encode(1_000_000, quiet_frame(2), truth=truth)):
+        state, sensor = HilParser(HilSensor).push(frame)
+        assert state.get_msgId() == common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
+        assert isinstance(sensor, HilSensor)
+        found_ned_m = geodetic_to_ned(
+            state.lat * 1e-7, state.lon * 1e-7, state.alt * 1e-3,
+            origin_lat_deg=SITE.latitude_deg, origin_lon_deg=SITE.longitude_deg, origin_alt_m=SITE.altitude_m,
+        )  # fmt: skip
+        # half a unit of 1e-7 degrees is 5.6 mm on a meridian
+        assert found_ned_m == pytest.approx(pos_ned_m[vehicle], abs=6e-3)
+        assert np.array((state.vx, state.vy, state.vz)) * 1e-2 == pytest.approx(truth.vel_ned_m_s[vehicle])
+
+
+def test_sequence_numbers_run_on_with_and_without_the_truth():
+    encoder, truth, numbers = SensorEncoder(SITE), truth_of([(0.0, 0.0, 0.0)], [(0.0, 0.0, 0.0)]), []
+    for told in (None, truth, None, truth):
+        (frame,) = encoder.encode(1_000, quiet_frame(1), truth=told)
+        while frame:
+            size = 10 + frame[1] + 2
+            numbers.append(frame[4])
+            frame = frame[size:]
+    assert numbers == [0, 1, 2, 3, 4, 5]
