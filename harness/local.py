@@ -162,9 +162,10 @@ class LocalVehicles:
     def judge(self, instances: Iterable[int]) -> None:
         """Nobody is ever waited for."""
 
-    def kill(self, instance: int) -> None:
+    def kill(self, name: str) -> None:
         """End a vehicle at once; the simulation finds it gone in the next step."""
-        self.seats[instance].killed = True
+        for seat in self.seats:
+            seat.killed |= seat.host.name == name
 
     def close(self) -> None:
         """End every vehicle; harmless when repeated."""

@@ -43,12 +43,14 @@ from harness.processes import PHYSICS, RADIO, Message, Processes, SwarmError, Sw
 from harness.run_folder import PhysicsConfig, RunFolder
 from harness.scenario import Scenario
 from harness.simulation import Simulation
-from harness.supervisor import Exited, Supervisor, SupervisorError
+from harness.supervisor import Exited, Supervisor
 from harness.swarm import Speed, Swarm
 from netsim.child import Finished, Ready, Stop
 from netsim.config import ServerConfig
 from netsim.hosted import HostedEmulator
 
+NAME = "one process"
+"""What it is called in manifest and logs."""
 RUN_ID = "one-process"
 """Keys of the radio begin with it; here nobody uses them."""
 STOP_LIMIT_S = 10.0
@@ -127,10 +129,10 @@ class _Inside(Supervisor):
                 self._say(PHYSICS, Ready(name=PHYSICS, pid=os.getpid()))
                 self._flight.fly(self._inbox)
         except Exception as error:  # noqa: BLE001  as a process would end, with its traceback in its log
-            self.log_path(PHYSICS).write_text(traceback.format_exc(), encoding="utf-8")
+            self.log_path(NAME).write_text(traceback.format_exc(), encoding="utf-8")
             code, last_words = 1, f"{type(error).__name__}: {error}".rstrip(": ")
         self._flight = None
-        ended = Exited(name="one process", pid=os.getpid(), returncode=code, log_tail=last_words)
+        ended = Exited(name=NAME, pid=os.getpid(), returncode=code, log_tail=last_words)
         self._heard.put((PHYSICS, ended))
 
     def _say(self, name: str, event: Any) -> None:  # noqa: ANN401  whatever a child says
@@ -138,8 +140,8 @@ class _Inside(Supervisor):
 
     @property
     def pids(self) -> dict[str, int]:
-        """This process's id, under the physics' name."""
-        return {} if self._thread is None else {PHYSICS: os.getpid()}
+        """This process's id."""
+        return {} if self._thread is None else {NAME: os.getpid()}
 
     def send(self, name: str, command: AnyCommand) -> None:  # noqa: ARG002  there is but one
         """Give the flight a command."""
@@ -147,11 +149,8 @@ class _Inside(Supervisor):
 
     def kill(self, name: str) -> None:
         """End a vehicle at once; the others notice in their next step."""
-        for seat in self._flight.vehicles.seats if self._flight is not None else ():
-            if seat.host.name == name:
-                seat.killed = True
-                return
-        raise SupervisorError(f"{name}: not there to be killed")
+        if self._flight is not None:
+            self._flight.vehicles.kill(name)
 
     def end(self, names: Iterable[str], *, grace_s: float = 0.0) -> list[str]:
         """End the flight, if it is among them; returns a line if it does not end in time."""

@@ -15,6 +15,7 @@ from rich.text import Text
 from harness.messages import (
     Collision,
     FaultChanged,
+    FormationMoves,
     Formed,
     Progress,
     VehicleLost,
@@ -54,6 +55,8 @@ def describe(message: Message) -> str | None:
     match message:
         case Formed():
             return f"{_at(message.time_us)}: formation reached"
+        case FormationMoves():
+            return f"{_at(message.time_us)}: formation moves at {message.start_us * 1e-6:.3f} s"
         case VehicleLost():
             return f"{_at(message.time_us)}: {uav(message.instance)} lost: {message.reason}"
         case VehicleSilent():

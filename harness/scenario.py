@@ -94,6 +94,8 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         """Check what no single field can."""
         autopilot_settings.check(self.autopilot, self.site, self.agents)
+        if self.onboard.wind_feed_forward:
+            self._check_wind()
         for number, fault in enumerate(self.faults):
             check(fault, self.agents, path=f"faults[{number}]")
         try:
@@ -116,6 +118,15 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             base = getattr(self.ports, field)
             if base and base + last > 65_535:
                 raise ValueError(f"ports.{field}: {base} + {last} vehicles is over 65535")
+
+    def _check_wind(self) -> None:
+        """Refuse that two of a vehicle's parts lean against the same wind."""
+        for instance in range(self.agents):
+            if self.autopilot.for_uav(instance).params.get("CF_DOB_EN"):
+                raise ValueError(
+                    f"onboard.wind_feed_forward: the autopilot of UAV {instance} leans against the wind already; "
+                    "expected CF_DOB_EN to be 0"
+                )
 
     def places_ned_m(self) -> NDArray[np.float64]:
         """(agents, 3) places of the formation, before it moves, in the site's NED frame."""

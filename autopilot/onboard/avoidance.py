@@ -2,16 +2,16 @@
 
 A control barrier in the manner of Wang, Ames and Egerstedt, "Safety barrier certificates for collisions-free
 multirobot systems" (IEEE T-RO 2017), on the velocity that the autopilot's position loop will be asked for:
-with distance d, reach r and the unit vector n from the neighbour, the gap h = d - r may close at `CLOSING_1_S` h
-at most, of which each of the two takes half, both measured against the formation's own motion. Where the
-neighbour comes nearer than its half allows, because it knows less or obeys somebody else, the own side takes
-the rest. The velocity wanted is changed by as little as these half-planes need (a quadratic programme in the
-plane), so that nothing at all changes while everybody keeps its part.
+with distance d, reach r and the unit vector n from the neighbour, the gap h = d - r may close at a h at most
+(a is `CLOSING_1_S`), of which each of the two takes half, both measured against the formation's own motion.
+Where the neighbour comes nearer than its half allows, because it knows less or obeys somebody else, the own
+side takes the rest. The velocity wanted is changed by as little as these half-planes need (a quadratic
+programme in the plane), so nothing at all changes while everybody keeps its part.
 
-The loop follows a velocity with a lag, so the gap is taken `LEAD_S` ahead by the present closing speed. With lag
-tau the gap then obeys tau h'' + (1 + a L) h' + a h = 0, which for L = tau never swings.
+The loop follows a velocity with a lag, so the gap is taken L = `LEAD_S` ahead by the present closing speed.
+With lag tau the gap then obeys tau h'' + (1 + a L) h' + a h = 0, which for L = tau never swings.
 
-Nothing here acts vertically: what is above is left to height layers, and the pair parts sideways.
+Nothing here acts vertically: a pair one above the other parts sideways, unless it is high enough apart.
 """
 
 import math
@@ -36,26 +36,27 @@ fifth of the spacing, UAVs do not push each other."""
 AWAY_SHARE = 0.5
 """That limit grows by this part of the way that the own UAV still has to its place."""
 GIVE_MAX_M_S = 4.0
-"""Largest change of velocity on behalf of one neighbour."""
+"""Largest change of velocity on behalf of one neighbour: above all speeds of joining, or the UAVs behind
+would press those before them together."""
 FRESH_US = 1_000_000
 """A neighbour heard within this is where its velocity has brought it since."""
 KEEP_US = 10_000_000
 """One that is heard no more is taken to follow the plan, where it was beside it, for so long."""
 GROWTH_M_S = 0.2
 """Growth of the standard deviation of such a one: by wind, and by odometry's drift."""
-ROOM_SHARE = 0.8
-"""Part of a neighbour's speed away that is followed at once: a queue moves on, and a circle turns, as one."""
+ROOM_SHARE = 0.5
+"""Part of a neighbour's speed away from the own UAV that is followed at once: a queue moves on, and a circle
+turns, as one. At the whole, who follows would run into one that stops."""
 PASSES = 30
 NEAR_M = 1e-3
-AS = 1.0
 
 
 @njit(cache=True)
 def _nearest(normals: Array, bounds: Array, count: int, wanted_ne: Array, out_ne: Array) -> None:
     """Find the velocity nearest to ``wanted_ne`` with normals . v >= bounds; fills out_ne (2,).
 
-    Hildreth's dual ascent over the first ``count`` rows. No row's multiplier exceeds `GIVE_MAX_M_S`: where the
-    rows contradict each other, they are broken by as little as that allows.
+    Hildreth's dual ascent over the first ``count`` rows. No row's multiplier exceeds `GIVE_MAX_M_S`: where
+    the rows contradict each other, they are broken by as little as that allows.
     """
     multipliers = np.zeros(count)
     out_ne[:] = wanted_ne
@@ -75,7 +76,8 @@ def _nearest(normals: Array, bounds: Array, count: int, wanted_ne: Array, out_ne
 @njit(cache=True)
 def keep_clear(
     own: int, pos_ned_m: Array, vel_ned_m_s: Array, counts: NDArray[np.bool_], std_m: Array, limits_m: Array,
-    radius_m: float, frame_ned_m_s: Array, wanted_ne_m_s: Array, goal_ned_m: Array, change_ne_m_s: Array,
+    in_place_m: float, radius_m: float, place_ned_m: Array, frame_ned_m_s: Array, wanted_ne_m_s: Array,
+    goal_ned_m: Array, change_ne_m_s: Array,
 ) -> None:  # fmt: skip
     """Find what to add to the horizontal velocity wanted; fills change_ne_m_s (2,).
 
@@ -85,11 +87,13 @@ def keep_clear(
         vel_ned_m_s: (N, 3)
         counts: (N,) whom to keep clear of.
         std_m: (N,) one sigma of the position relative to the own, horizontally, along the line.
-        limits_m: (N,) largest reach.
+        limits_m: (N,) largest reach, in place.
+        in_place_m: horizontal distance of the own position from the own place that counts as in place.
         radius_m: reach without uncertainty.
-        frame_ned_m_s: (3,) velocity of the formation's plan at the own place.
+        place_ned_m: (3,) the own place.
+        frame_ned_m_s: (3,) and its velocity.
         wanted_ne_m_s: (2,) velocity that the position loop would ask for.
-        goal_ned_m: (3,) where it leads to.
+        goal_ned_m: (3,) where it leads to in the end.
         change_ne_m_s: (2,) the result.
 
     """
@@ -97,6 +101,8 @@ def keep_clear(
     normals, bounds = np.empty((n, 2)), np.empty(n)
     count, worst, worst_by, worst_reach_m = 0, -1, 0.0, 0.0
     change_ne_m_s[:] = 0.0
+    away_m = math.hypot(pos_ned_m[own, 0] - place_ned_m[0], pos_ned_m[own, 1] - place_ned_m[1])
+    wider_m = AWAY_SHARE * max(away_m - in_place_m, 0.0)
     for j in range(n):
         if j == own or not counts[j]:
             continue
@@ -108,7 +114,7 @@ def keep_clear(
         for a, way_m in enumerate((north, east, down)):
             closing_m_s -= (vel_ned_m_s[own, a] - vel_ned_m_s[j, a]) * way_m / apart_m
         std = math.hypot(std_m[j] * level_m, HEIGHT_STD_M * down) / apart_m
-        reach_m = min(radius_m + SIGMAS * std, limits_m[j])
+        reach_m = min(radius_m + SIGMAS * std, limits_m[j] + wider_m)
         gap_m = apart_m - LEAD_S * max(closing_m_s, 0.0) - reach_m
         if level_m < NEAR_M:
             # One above the other: which way does not matter, as long as the two choose opposite ones.
@@ -117,9 +123,11 @@ def keep_clear(
         whole = north * frame_ned_m_s[0] + east * frame_ned_m_s[1]
         its = north * vel_ned_m_s[j, 0] + east * vel_ned_m_s[j, 1]
         half = whole + min(its - whole, 0.0) * ROOM_SHARE - 0.5 * CLOSING_1_S * gap_m
-        rest = its - CLOSING_1_S * gap_m
+        rest = its - CLOSING_1_S * max(gap_m, 0.5 * gap_m)
         normals[count, 0], normals[count, 1] = north, east
         bounds[count] = max(half, rest)
+        if not bounds[count] < math.inf:  # somewhere that is no number
+            continue
         missing = bounds[count] - north * wanted_ne_m_s[0] - east * wanted_ne_m_s[1]
         if missing > worst_by:
             worst, worst_by, worst_reach_m = j, missing, reach_m
@@ -138,15 +146,36 @@ def keep_clear(
         beside_m = math.hypot(goal_ned_m[0] - pos_ned_m[worst, 0], goal_ned_m[1] - pos_ned_m[worst, 1])
         aside = min(max(beside_m / worst_reach_m - 1.0, 0.0), 1.0) * min(max(blocked, 0.0), speed_m_s)
         if aside > 0.0:
-            turned = np.array(
-                [
-                    wanted_ne_m_s[0] - aside * (ahead_e + AS * ahead_n),
-                    wanted_ne_m_s[1] + aside * (ahead_n - AS * ahead_e),
-                ]
-            )
-            _nearest(normals, bounds, count, turned, found_ne)
+            turned_ne = np.empty(2)
+            turned_ne[0] = wanted_ne_m_s[0] - aside * (ahead_n + ahead_e)
+            turned_ne[1] = wanted_ne_m_s[1] - aside * (ahead_e - ahead_n)
+            _nearest(normals, bounds, count, turned_ne, found_ne)
     change_ne_m_s[0] = found_ne[0] - wanted_ne_m_s[0]
     change_ne_m_s[1] = found_ne[1] - wanted_ne_m_s[1]
+
+
+@njit(cache=True)
+def remember(
+    now_us: int, pos_ned_m: Array, vel_ned_m_s: Array, std_m: Array, fresh: NDArray[np.bool_],
+    plan_pos_ned_m: Array, plan_vel_ned_m_s: Array, seen_us: NDArray[np.int64], beside_m: Array,
+    seen_std_m: Array, counts: NDArray[np.bool_],
+) -> None:  # fmt: skip
+    """Keep what is known of the fresh, and put the silent where they would be by that.
+
+    Rows of pos_ned_m, vel_ned_m_s and std_m of UAVs that are not ``fresh`` are filled from seen_us (N,),
+    beside_m (N, 3) from the place, and seen_std_m (N,), which those of the fresh are kept in; counts (N,)
+    becomes who is fresh or was within `KEEP_US`.
+    """
+    for j in range(pos_ned_m.shape[0]):
+        if fresh[j]:
+            seen_us[j] = now_us
+            seen_std_m[j] = std_m[j]
+            beside_m[j] = pos_ned_m[j] - plan_pos_ned_m[j]
+        counts[j] = now_us - seen_us[j] < KEEP_US
+        if counts[j] and not fresh[j]:
+            pos_ned_m[j] = plan_pos_ned_m[j] + beside_m[j]
+            vel_ned_m_s[j] = plan_vel_ned_m_s[j]
+            std_m[j] = seen_std_m[j] + GROWTH_M_S * 1e-6 * (now_us - seen_us[j])
 
 
 class Avoidance:
@@ -163,12 +192,18 @@ class Avoidance:
         count = len(places_ned_m)
         self._own = own
         self._radius_m = radius_m
-        self._spacing_m = np.sqrt(((places_ned_m - places_ned_m[own]) ** 2).sum(axis=1))
-        others_m = np.delete(self._spacing_m, own)
-        self._nearest_m = float(others_m.min()) if len(others_m) else math.inf
+        self._limits_m = SPACING_SHARE * np.sqrt(((places_ned_m - places_ned_m[own]) ** 2).sum(axis=1))
+        others_m = np.delete(self._limits_m, own)
+        nearest_m = float(others_m.min()) / SPACING_SHARE if count > 1 else 0.0
+        self._in_place_m = 0.5 * (1.0 - SPACING_SHARE) * nearest_m
         self._seen_us = np.full(count, -KEEP_US, np.int64)
         self._beside_m = np.zeros((count, 3))
-        self._std_m = np.zeros(count)
+        self._seen_std_m = np.zeros(count)
+        # What the kernels read and write: whatever is handed in may be somebody's to keep.
+        self._pos, self._vel = np.zeros((count, 3)), np.zeros((count, 3))
+        self._plan_pos, self._plan_vel = np.zeros((count, 3)), np.zeros((count, 3))
+        self._std, self._fresh, self._counts = np.zeros(count), np.zeros(count, bool), np.zeros(count, bool)
+        self._goal, self._wanted = np.zeros(3), np.zeros(2)
 
     def velocity_change_ne_m_s(
         self,
@@ -183,10 +218,11 @@ class Avoidance:
         goal_ned_m: Array,
         wanted_ne_m_s: Array,
     ) -> Array:
-        """(2,) velocity, NED north and east, to add to the setpoint's; exactly zero while nobody is in the way.
+        """(2,) velocity, NED north and east, to add to the setpoint's: exactly zero while nobody is near.
 
         Args:
-            now_us: of all that follows; (N, .) arrays have a row for every UAV of the formation.
+            now_us: of all that follows; (N, .) arrays have a row for every UAV of the formation, the own one
+                too.
             pos_ned_m: (N, 3) estimated positions, extrapolated to now.
             vel_ned_m_s: (N, 3)
             std_m: (N,) one sigma of the position relative to the own, horizontally, along the line.
@@ -194,30 +230,23 @@ class Avoidance:
                 `KEEP_US` after that, as if they followed the plan.
             plan_pos_ned_m: (N, 3) the places now.
             plan_vel_ned_m_s: (N, 3) and how they move.
-            goal_ned_m: (3,) the own reference.
+            goal_ned_m: (3,) where the own UAV is to be in the end: its place.
             wanted_ne_m_s: (2,) horizontal velocity that the autopilot's position loop will ask for: its gain
                 times the way to the reference, and the reference's velocity.
 
         """
         own = self._own
-        pos, vel, std = pos_ned_m, vel_ned_m_s, std_m
-        counts = fresh
-        self._seen_us[fresh] = now_us
-        self._beside_m[fresh] = pos_ned_m[fresh] - plan_pos_ned_m[fresh]
-        self._std_m[fresh] = std_m[fresh]
-        silent = ~fresh & (self._seen_us > now_us - KEEP_US)
-        silent[own] = False
-        if silent.any():
-            pos, vel, std, counts = pos.copy(), vel.copy(), std.copy(), fresh | silent
-            pos[silent] = plan_pos_ned_m[silent] + self._beside_m[silent]
-            vel[silent] = plan_vel_ned_m_s[silent]
-            std[silent] = self._std_m[silent] + GROWTH_M_S * 1e-6 * (now_us - self._seen_us[silent])
-        away_ne_m = pos_ned_m[own, :2] - plan_pos_ned_m[own, :2]
-        away_m = max(math.sqrt(away_ne_m @ away_ne_m) - (1.0 - SPACING_SHARE) / 2.0 * self._nearest_m, 0.0)
-        limits_m = SPACING_SHARE * self._spacing_m + AWAY_SHARE * away_m
+        self._pos[:], self._vel[:], self._std[:], self._fresh[:] = pos_ned_m, vel_ned_m_s, std_m, fresh
+        self._fresh[own] = True  # wherever it thinks itself to be
+        self._plan_pos[:], self._plan_vel[:] = plan_pos_ned_m, plan_vel_ned_m_s
+        self._goal[:], self._wanted[:] = goal_ned_m, wanted_ne_m_s
+        remember(
+            now_us, self._pos, self._vel, self._std, self._fresh, self._plan_pos, self._plan_vel,
+            self._seen_us, self._beside_m, self._seen_std_m, self._counts,
+        )  # fmt: skip
         change_ne_m_s = np.empty(2)
         keep_clear(
-            own, pos, vel, counts, std, limits_m, self._radius_m, plan_vel_ned_m_s[own], wanted_ne_m_s,
-            goal_ned_m, change_ne_m_s,
+            own, self._pos, self._vel, self._counts, self._std, self._limits_m, self._in_place_m,
+            self._radius_m, self._plan_pos[own], self._plan_vel[own], self._wanted, self._goal, change_ne_m_s,
         )  # fmt: skip
         return change_ne_m_s

@@ -8,6 +8,7 @@ knows it. Where truly it should be is a point that joins the formation's plan an
 import math
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -87,6 +88,49 @@ class Correction:
         self.ne_m = autopilot_less_odometry_ne_m - self.offset_ne_m
 
 
+@njit(cache=True)
+def join(
+    pos: Array, vel: Array, acc: Array, target: Array, first: int, end: int, speed_m_s: float, dt_s: float,
+    joined: bool,  # noqa: FBT001  # numba knows no keyword-only arguments
+) -> bool:  # fmt: skip
+    """Move pos, vel and acc (3,) on axes ``first`` to below ``end`` by ``dt_s`` towards a moving target.
+
+    ``target`` (3, 3): rows are its position after ``dt_s``, velocity and acceleration. Returns whether pos,
+    vel and acc are the target's; ``joined``: whether they were before. ``speed_m_s`` is relative to it.
+    """
+    gap_m, apart_m_s = np.zeros(3), np.zeros(3)
+    distance_m2, speed_m2_s2 = 0.0, 0.0
+    for a in range(first, end):
+        # Against where the target was by its own motion, so that joining is the same however it moves.
+        gap_m[a] = target[0, a] - dt_s * (target[1, a] - 0.5 * dt_s * target[2, a]) - pos[a]
+        apart_m_s[a] = vel[a] - target[1, a] + dt_s * target[2, a]
+        distance_m2 += gap_m[a] ** 2
+        speed_m2_s2 += apart_m_s[a] ** 2
+    distance_m = math.sqrt(distance_m2)
+    near_m_s2 = PLAN_SWING_M_S2 if joined else ACCELERATION_M_S2
+    if distance_m <= 0.5 * near_m_s2 * dt_s**2 and math.sqrt(speed_m2_s2) <= near_m_s2 * dt_s:
+        pos[first:end], vel[first:end], acc[first:end] = (
+            target[0, first:end],
+            target[1, first:end],
+            target[2, first:end],
+        )
+        return True
+    # Braking on v^2 = 2 a s; the last step ends at the target.
+    braking_m_s = math.sqrt(2.0 * BRAKING * ACCELERATION_M_S2 * distance_m)
+    wanted_1_s = min(speed_m_s, braking_m_s, distance_m / dt_s) / max(distance_m, 1e-9)
+    size_m2_s2 = 0.0
+    for a in range(first, end):
+        size_m2_s2 += (gap_m[a] * wanted_1_s - apart_m_s[a]) ** 2
+    part = min(1.0, ACCELERATION_M_S2 * dt_s / max(math.sqrt(size_m2_s2), 1e-9))
+    for a in range(first, end):
+        change_m_s = part * (gap_m[a] * wanted_1_s - apart_m_s[a])
+        apart_m_s[a] += change_m_s
+        pos[a] = target[0, a] - gap_m[a] + apart_m_s[a] * dt_s
+        vel[a] = target[1, a] + apart_m_s[a]
+        acc[a] = target[2, a] + change_m_s / dt_s
+    return False
+
+
 class Reference:
     """A point that joins a moving target, horizontally and vertically apart, and then is the target.
 
@@ -106,6 +150,7 @@ class Reference:
         self.vel_ned_m_s = np.zeros(3)
         self.acc_ned_m_s2 = np.zeros(3)
         self._climb_speed_m_s = climb_speed_m_s
+        self._target = np.zeros((3, 3))
         self._level_joined = False
         self._height_joined = False
 
@@ -128,7 +173,7 @@ class Reference:
         *,
         target_vel_ned_m_s: Array = _STILL,
         target_acc_ned_m_s2: Array = _STILL,
-        lag_m: float = 0.0,
+        vehicle_ned_m: Array | None = None,
     ) -> None:
         """Move on by ``dt_s`` (> 0).
 
@@ -137,48 +182,20 @@ class Reference:
             dt_s: since the last call.
             target_vel_ned_m_s: (3,)
             target_acc_ned_m_s2: (3,)
-            lag_m: horizontal distance of the vehicle from this point: while it is joining it slows from half
-                of `LAG_MAX_M` on, and stands relative to the target at the whole.
+            vehicle_ned_m: (3,) where the vehicle is: while it joins, this point stays within `LAG_MAX_M` of
+                it horizontally, so it goes around with a vehicle that something is in the way of.
 
         """
-        pace = min(max(2.0 - 2.0 * lag_m / LAG_MAX_M, 0.0), 1.0)
-        target = (target_pos_ned_m, target_vel_ned_m_s, target_acc_ned_m_s2)
-        self._level_joined = self._join(
-            slice(0, 2), target, pace * JOIN_SPEED_M_S, dt_s, joined=self._level_joined
-        )
-        self._height_joined = self._join(
-            slice(2, 3), target, self._climb_speed_m_s, dt_s, joined=self._height_joined
-        )
-
-    def _join(
-        self, axes: slice, target: tuple[Array, Array, Array], speed_m_s: float, dt_s: float, *, joined: bool
-    ) -> bool:
-        """Move on these axes by ``dt_s``; returns whether they are the target's."""
-        pos, vel, acc = (row[axes] for row in target)
-        # Against where the target was by its own motion, so that joining is the same however it moves.
-        vel_before = vel - acc * dt_s
-        gap_m = pos - vel * dt_s + acc * (0.5 * dt_s * dt_s) - self.pos_ned_m[axes]
-        apart_m_s = self.vel_ned_m_s[axes] - vel_before
-        distance_m = math.sqrt(gap_m @ gap_m)
-        near_m_s2 = PLAN_SWING_M_S2 if joined else ACCELERATION_M_S2
-        if (
-            distance_m <= 0.5 * near_m_s2 * dt_s * dt_s
-            and math.sqrt(apart_m_s @ apart_m_s) <= near_m_s2 * dt_s
-        ):
-            self.pos_ned_m[axes], self.vel_ned_m_s[axes], self.acc_ned_m_s2[axes] = pos, vel, acc
-            return True
-        # Braking on v^2 = 2 a s; the last step ends at the target.
-        wanted_m_s = min(
-            speed_m_s, math.sqrt(2.0 * BRAKING * ACCELERATION_M_S2 * distance_m), distance_m / dt_s
-        )
-        change_m_s = gap_m * (wanted_m_s / max(distance_m, 1e-9)) - apart_m_s
-        size_m_s = math.sqrt(change_m_s @ change_m_s)
-        change_m_s *= min(1.0, ACCELERATION_M_S2 * dt_s / max(size_m_s, 1e-9))
-        apart_m_s += change_m_s
-        self.pos_ned_m[axes] = pos - gap_m + apart_m_s * dt_s
-        self.vel_ned_m_s[axes] = vel + apart_m_s
-        self.acc_ned_m_s2[axes] = acc + change_m_s / dt_s
-        return False
+        target = self._target
+        target[0], target[1], target[2] = target_pos_ned_m, target_vel_ned_m_s, target_acc_ned_m_s2
+        own = (self.pos_ned_m, self.vel_ned_m_s, self.acc_ned_m_s2)
+        if vehicle_ned_m is not None and not self._level_joined:
+            way_ne_m = self.pos_ned_m[:2] - vehicle_ned_m[:2]
+            away_m = math.sqrt(way_ne_m @ way_ne_m)
+            if away_m > LAG_MAX_M:
+                self.pos_ned_m[:2] -= (1.0 - LAG_MAX_M / away_m) * way_ne_m
+        self._level_joined = join(*own, target, 0, 2, JOIN_SPEED_M_S, dt_s, self._level_joined)
+        self._height_joined = join(*own, target, 2, 3, self._climb_speed_m_s, dt_s, self._height_joined)
 
 
 def joining_time_s(distance_m: float, speed_m_s: float) -> float:
@@ -192,13 +209,3 @@ def joining_time_s(distance_m: float, speed_m_s: float) -> float:
     change_s2_m = (1.0 + 1.0 / BRAKING) / ACCELERATION_M_S2
     peak_m_s = min(speed_m_s, math.sqrt(2.0 * distance_m / change_s2_m))
     return distance_m / peak_m_s + 0.5 * peak_m_s * change_s2_m
-
-
-def separation_radius_limit_m(places_ned_m: Array, own: int) -> float:
-    """Largest distance at which a neighbour may be pushed off: 0.6 of the own place's nearest spacing.
-
-    At their places, and with errors of a fifth of the spacing, UAVs then do not push each other; inf for a
-    lone one.
-    """
-    distances_m = np.linalg.norm(np.delete(places_ned_m, own, axis=0) - places_ned_m[own], axis=1)
-    return 0.6 * float(distances_m.min()) if len(distances_m) else float("inf")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from autopilot.config import OnboardConfig
 from autopilot.formation_plan import FormationPlan
 from autopilot.onboard.avoidance import FRESH_US, Avoidance
-from autopilot.onboard.formation import LAG_MAX_M, Correction, Reference
+from autopilot.onboard.formation import Correction, Reference
 from autopilot.onboard.layers import HeightLayers
 from autopilot.onboard.localisation import CooperativeLocalisation
 from autopilot.onboard.motion import Heard, MotionStart
@@ -98,15 +98,13 @@ class Guidance:
 
         ``localisation`` is None where the others' positions are not known well enough to keep clear of them.
         """
-        since_s = self._since_start_s(now_us)
+        since_s = self._since_start_s(now_us) + 0.5 * dt_s  # half of the time for which the setpoint holds
         target = self._plan.own(self._station, since_s)
         believed_ned_m = self.believed_ned_m(own)
-        lag_ne_m = self._reference.pos_ned_m[:2] - believed_ned_m[:2]
-        goal_ned_m = target.pos_ned_m - np.array((0.0, 0.0, self.layers.height_m))
         self._reference.advance(
-            goal_ned_m, dt_s,
+            target.pos_ned_m - np.array((0.0, 0.0, self.layers.height_m)), dt_s,
             target_vel_ned_m_s=target.vel_ned_m_s, target_acc_ned_m_s2=target.acc_ned_m_s2,
-            lag_m=min(float(np.hypot(*lag_ne_m)), LAG_MAX_M),
+            vehicle_ned_m=believed_ned_m,
         )  # fmt: skip
         reference = self._reference
         vel_ned_m_s = reference.vel_ned_m_s.copy()
@@ -119,7 +117,7 @@ class Guidance:
                 pos_ned_m=others.pos_ned_m, vel_ned_m_s=others.vel_ned_m_s,
                 std_m=others.std_m, fresh=others.fresh,
                 plan_pos_ned_m=plan.pos_ned_m, plan_vel_ned_m_s=plan.vel_ned_m_s,
-                goal_ned_m=reference.pos_ned_m, wanted_ne_m_s=wanted_ne_m_s,
+                goal_ned_m=target.pos_ned_m, wanted_ne_m_s=wanted_ne_m_s,
             )  # fmt: skip
         return self._in_autopilots_frame(reference.pos_ned_m, vel_ned_m_s, own, leans=True)
 

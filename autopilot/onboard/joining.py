@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.onboard.kernels import BIAS, STATES, STUDENT_NU, Array, fuse_range
-from autopilot.onboard.uncertainty import bend
+from autopilot.onboard.uncertainty import bend, shape_variance
 
 WEIGHT_WIDTHS_M = (2.0, 1.0, 0.5, 0.25, 0.0, 0.0)
 """Extra standard deviation by which each Gauss-Newton pass judges outliers: wide at first."""
@@ -23,8 +23,12 @@ AGREE_WEIGHT, AGREE_LIMIT = 0.5, 0.3
 """A UAV does not join when more than 0.3 of its distances get less weight than 0.5 (beyond 2.4 sigma, where
 1.4 % of right ones lie): a place that a bare majority agrees on exists even for distances that are all
 wrong."""
+LIES_SHARE = 0.7
+"""Share of what a UAV measured that must not agree with the rest for it to be held to measure wrongly."""
 BEND_MATTERS_M = 0.02
 """Where `bend` lengthens no distance by more than this, the batch is not solved again with it."""
+SHAPE_KNOWN_M = 0.3
+"""Shape error to expect below which the estimates tell directions better than the places do."""
 LEAST_LINKS = 3
 """Distances to others settle a point in the plane once its side of them is known from the layout."""
 
@@ -114,20 +118,37 @@ class Problem:
                 liars.add(liar)
 
     def _liar(self, usable: list[Range], joining: Flags, badly: Array, enough: int) -> int | None:
-        """UAV of which all fits as soon as what it measured itself is left out; None if there is none."""
-        suspects = np.flatnonzero(badly[:, 1] > AGREE_LIMIT).tolist()
-        for suspect in sorted(suspects, key=lambda station: -badly.item(station, 1)):
+        """UAV whose own distances are what does not fit; None if there is none.
+
+        Without them all else of it fits, and to what comes of that nearly none of them does.
+        """
+        found, least = None, float(badly[:, 0].sum())
+        for suspect in np.flatnonzero(badly[:, 1] > AGREE_LIMIT).tolist():
             without = [item for item in usable if item.initiator != suspect]
             if links(without, len(joining))[suspect, self.active].sum() < enough:
                 continue
             batch, solution = self._solve(without, joining)
             left = badly_fitting(batch, solution.weights, len(joining))[:, 0]
-            if left[suspect] <= AGREE_LIMIT and left.sum() < badly[:, 0].sum():
-                return int(suspect)
-        return None
+            members = self.located | joining
+            own = [item for item in usable if item.initiator == suspect and members[item.responder]]
+            lies = [self._weight(item, solution) < AGREE_WEIGHT for item in own]
+            if left[suspect] <= AGREE_LIMIT and sum(lies) >= LIES_SHARE * len(lies) and left.sum() < least:
+                found, least = suspect, float(left.sum())
+        return found
+
+    def _weight(self, item: Range, solution: Solution) -> float:
+        """Weight that a distance would get beside a solution which it has no part in."""
+        no_reference = np.zeros((len(self.active), 2))
+        variance_m2 = item.variance_m2 + 2e-6 * self.drift_m2_s * (self.time_us - item.time_us)
+        return float(
+            fuse_range(
+                solution.state, solution.cov, solution.state, no_reference, item.initiator, item.responder,
+                item.odometry_between_m, item.distance_m, variance_m2, -1.0, 0.0,
+            )
+        )  # fmt: skip
 
     def _solve(self, usable: list[Range], joining: Flags) -> tuple[list[Range], Solution]:
-        """Solve from the layout; with others located already also from where GPS is, if that is better."""
+        """Solve from the layout; if that fails, and others are located, from where GPS is."""
         members = self.located | joining
         batch = [item for item in usable if members[item.initiator] and members[item.responder]]
         there_m = self._positions_ne_m(self.state)
@@ -139,7 +160,8 @@ class Problem:
         start = self.state.copy()
         start.reshape(-1, STATES)[joining, :2] = (layout_m - self.odometry_ned_m[:, :2])[joining]
         solution = self._solve_from(start, batch, joining)
-        if self.located.any():
+        badly = badly_fitting(batch, solution.weights, len(joining))[:, 0]
+        if self.located.any() and (badly[joining] > AGREE_LIMIT).any():
             other = self._solve_from(self.state, batch, joining)
             solution = max(solution, other, key=lambda found: sum(found.weights))
         return batch, solution
@@ -148,17 +170,28 @@ class Problem:
         return np.asarray(self.odometry_ned_m[:, :2] + state.reshape(-1, STATES)[:, :2])
 
     def _solve_from(self, start: Array, batch: list[Range], joining: Flags) -> Solution:
-        members = np.flatnonzero(joining | self.located)
-        bend_m = np.zeros((len(joining), len(joining)))
-        first = self._iterate(start, batch, joining, bend_m)
-        bend(self._positions_ne_m(first.state), first.cov, members, bend_m)
-        return first if bend_m.max() < BEND_MATTERS_M else self._iterate(first.state, batch, joining, bend_m)
+        """Solve with the derivatives of the places; then, if that knows the shape, with the estimates' own.
 
-    def _iterate(self, start: Array, batch: list[Range], joining: Flags, bend_m: Array) -> Solution:
+        Across a line the estimates are as wrong as GPS, and with their derivatives distances would seem to
+        tell of it.
+        """
+        members = joining | self.located
+        among = np.flatnonzero(members)
+        bend_m = np.zeros((len(joining), len(joining)))
+        solution = self._iterate(start, batch, joining, bend_m, places=True)
+        there_m = self._positions_ne_m(solution.state)
+        bend(there_m, solution.cov, among, bend_m)
+        known = shape_variance(there_m, solution.cov, among) < SHAPE_KNOWN_M**2
+        if known or bend_m.max() > BEND_MATTERS_M:
+            solution = self._iterate(solution.state, batch, joining, bend_m, places=not known)
+        return solution
+
+    def _iterate(
+        self, start: Array, batch: list[Range], joining: Flags, bend_m: Array, *, places: bool
+    ) -> Solution:
         """Gauss-Newton: every pass starts from the prior, expanded about the last.
 
-        The derivatives are those of the places, laid over where the last pass has everybody: across a line
-        the estimates are as wrong as GPS, and from them distances would seem to tell of it.
+        With ``places`` the derivatives are those of the places, laid over where the last pass has everybody.
         """
         linearised_at = start
         weights: list[float] = []
@@ -169,7 +202,9 @@ class Problem:
             weights = []
             for station in np.flatnonzero(joining).tolist():
                 _widen_bias(cov, station, self.state, linearised_at, self.bias_var_m2.item(station))
-            reference_ne_m = laid_over(self.places_ned_m, self._positions_ne_m(linearised_at), members)
+            reference_ne_m = self._positions_ne_m(linearised_at)
+            if places:
+                reference_ne_m = laid_over(self.places_ned_m, reference_ne_m, members)
             for item in batch:
                 longer_m = bend_m.item(item.initiator, item.responder)
                 lag_s = (self.time_us - item.time_us) * 1e-6

@@ -184,9 +184,11 @@ def fuse_fix(
     return least
 
 
-@njit(cache=True)
 def relearn_bias(state: Array, cov: Array, j: int, fix_less_odometry_m: Array, variance_m2: float) -> None:
-    """Forget the GPS bias of UAV j: it is the fix less the odometry and the offset, which stays as known."""
+    """Forget the GPS bias of UAV j: it is the fix less the odometry and the offset, which stays as known.
+
+    Not compiled: it is needed once in a flight, if at all.
+    """
     for a in range(2):
         off = STATES * j + a
         bias = STATES * j + BIAS + a
@@ -275,48 +277,3 @@ def fuse_range(
     if trust > 0.0:
         _scalar_update(state, cov, row, prior_m2 + variance_m2 / weight, innovation_m)
     return weight
-
-
-@njit(cache=True)
-def separation_push(
-    own: int,
-    pos_ned_m: Array,
-    cov: Array,
-    fresh: NDArray[np.bool_],
-    radius_m: float,
-    radius_limit_m: float,
-    out_ne_m: Array,
-) -> None:
-    """Find the way, metres, to shift the own setpoint off neighbours too near; fills out_ne_m (2,).
-
-    A neighbour counts as too near within ``radius_m`` plus one standard deviation of the relative position
-    along the line between the two, at most ``radius_limit_m``, in three dimensions. Each pushes by what is
-    missing, away from itself.
-    """
-    out_ne_m[:] = 0.0
-    bo = STATES * own
-    for j in range(pos_ned_m.shape[0]):
-        if j == own or not fresh[j]:
-            continue
-        bj = STATES * j
-        north, east = pos_ned_m[own, 0] - pos_ned_m[j, 0], pos_ned_m[own, 1] - pos_ned_m[j, 1]
-        down = pos_ned_m[own, 2] - pos_ned_m[j, 2]
-        level_m = np.hypot(north, east)
-        apart_m = np.hypot(level_m, down)
-        if level_m < 1e-3:
-            # One above the other: which way does not matter, as long as the two choose opposite ones.
-            north, east, level_m = (1.0, 0.0, 1.0) if own < j else (-1.0, 0.0, 1.0)
-        n, e = north / level_m, east / level_m
-        variance = 0.0
-        for a, ua in ((0, n), (1, e)):
-            for b, ub in ((0, n), (1, e)):
-                variance += (
-                    ua
-                    * ub
-                    * (cov[bo + a, bo + b] + cov[bj + a, bj + b] - cov[bo + a, bj + b] - cov[bj + a, bo + b])
-                )
-        reach_m = min(radius_m + np.sqrt(max(variance, 0.0)), radius_limit_m)
-        missing_m = reach_m - apart_m
-        if missing_m > 0.0:
-            out_ne_m[0] += missing_m * n
-            out_ne_m[1] += missing_m * e

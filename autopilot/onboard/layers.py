@@ -2,10 +2,9 @@
 
 Without distances the horizontal errors of two UAVs go their own ways, by the root of two times what one GPS
 receiver errs, and places 2.5 m apart meet within minutes: for errors of 1.5 m per axis and 60 s, passing
-within 0.6 m happens about 0.8 exp(-s^2 / (4 sigma^2)) times a minute at spacing s (diffusion into a disc), so
-once in two and a half minutes at 2.5 m, once in two hours at three relative sigma and once in two days at four.
-Barometers err by centimetres in that time. So places within four relative sigma get layers of height, and who
-is without support for long goes to its own.
+within 0.6 m happens about 0.8 exp(-s^2 / (4 sigma^2)) times a minute at spacing s (diffusion into a disc): at
+2.5 m once in three minutes, at three sigma of the relative position once in two hours, at four in two days.
+So places within four get layers of height, and who is without support for long goes to its own.
 """
 
 import math

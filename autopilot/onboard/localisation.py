@@ -20,7 +20,7 @@ import numpy as np
 
 from autopilot.onboard.beacon import Distance
 from autopilot.onboard.fixes import GROUP_US, FixGroup, FixMean
-from autopilot.onboard.joining import TO_COMPLEX, Flags, Problem, Range, laid_over, links
+from autopilot.onboard.joining import SHAPE_KNOWN_M, TO_COMPLEX, Flags, Problem, Range, laid_over, links
 from autopilot.onboard.kernels import (
     BIAS,
     KNOWN,
@@ -43,6 +43,8 @@ DECAY_SHARE = 0.01
 """Of the shortest time constant: the stride in which slow errors are propagated."""
 MISFIT_WEIGHT = 0.2
 """A distance that gets less weight than this fits badly: beyond about 4.6 sigma."""
+JUMP_SHARE = 0.1
+"""Standard deviation of a jump of odometry, by its size."""
 PULLED_STD_M = 1.0
 """By how much a UAV may be misplaced that has just been found to measure wrongly."""
 STEP_FIXES = 3
@@ -101,6 +103,7 @@ class CooperativeLocalisation:
         located: (N,) bool, whose distances are fused.
         ranges_used, ranges_downweighted: counters.
         restarts: times that a UAV was found to be elsewhere than thought.
+        odometry_jumps: times that a UAV's odometry has begun anew.
         gps_steps: times that a GPS error was found to have changed at once.
         own_range_us: when the newest fused distance that involves the own UAV was measured, or None.
 
@@ -117,6 +120,7 @@ class CooperativeLocalisation:
         self.ranges_used = 0
         self.ranges_downweighted = 0
         self.restarts = 0
+        self.odometry_jumps = 0
         self.gps_steps = 0
         self.own_range_us: int | None = None
         self._places_ned_m = np.array(places_ned_m, float)
@@ -144,13 +148,23 @@ class CooperativeLocalisation:
         self._reference_ne_m = np.zeros((count, 2))
         self._bend_m = np.zeros((count, count))
         self._geometry_due_us = 0
+        self._distances_hz = 0.0
+        """Of one UAV, either end."""
+        self._counted = 0
         self._scratch_m = np.empty(3)
 
     def on_odometry(
         self, station: int, time_us: int, odometry_ned_m: Sequence[float], vel_ned_m_s: Sequence[float]
     ) -> None:
         """Take odometry of a UAV (north, east integrated velocity, down the barometer's); old is ignored."""
-        self._tracks.push(station, time_us, odometry_ned_m, vel_ned_m_s)
+        jump = self._tracks.push(station, time_us, odometry_ned_m, vel_ned_m_s)
+        if jump is not None and self.active[station]:
+            # The UAV has not jumped: its odometry has begun anew.
+            self.odometry_jumps += 1
+            self._fixes[station] = FixGroup()
+            for a, jump_m in enumerate(jump):
+                self.state[STATES * station + a] -= jump_m
+                self.cov[STATES * station + a, STATES * station + a] += (JUMP_SHARE * jump_m) ** 2
 
     def on_fix(
         self,
@@ -211,6 +225,8 @@ class CooperativeLocalisation:
             self._locate(now_us)
         if now_us >= self._geometry_due_us:
             self._geometry_due_us = now_us + GEOMETRY_PERIOD_US
+            self._distances_hz = 2e6 * (self.ranges_used - self._counted) / (self.count * GEOMETRY_PERIOD_US)
+            self._counted = self.ranges_used
             self._keep_geometry(now_us)
 
     def advance(self, now_us: int) -> None:
@@ -383,12 +399,15 @@ class CooperativeLocalisation:
 
     def _fuse(self, item: Range) -> None:
         lag_s = self._advance(item.time_us)
+        # Distances of a UAV that are late together share what its odometry has lost since, and are worth no
+        # more than one of them.
+        late_m2 = self._drift_m2_s * lag_s * (1.0 + self._distances_hz * lag_s)
         bend_m = self._bend_m.item(item.initiator, item.responder)
         trust = 0.0 if self._trust.distrusted[item.initiator] else 1.0
         weight = fuse_range(
             self.state, self.cov, self.state, self._reference_ne_m, item.initiator, item.responder,
             item.odometry_between_m, item.distance_m - bend_m,
-            item.variance_m2 + 2.0 * (self._drift_m2_s * lag_s + bend_m * bend_m), -1.0, trust,
+            item.variance_m2 + 2.0 * (late_m2 + bend_m * bend_m), -1.0, trust,
         )  # fmt: skip
         self._count(item, weight)
         if trust > 0.0 and self._trust.distrusted[item.initiator]:
@@ -435,19 +454,24 @@ class CooperativeLocalisation:
         for item, weight in zip(joined.batch, joined.solution.weights, strict=True):
             self._count(item, weight)
 
-    def _set_reference(self, now_us: int, whose: Flags) -> None:
-        """Take the places, laid over where the formation is, for the fixed geometry of the derivatives.
+    def _set_reference(self, now_us: int, joining: Flags) -> None:
+        """Fix the geometry of the derivatives for those who join.
 
-        The estimates would not do: across a line they are as wrong as GPS, and distances would seem to tell.
+        Where the shape is known it is that of the estimates. Else, as across a line, they are as wrong as GPS
+        and with them distances would seem to tell of it: the places then tell directions better.
         """
         there_m = self.positions_ned_m(now_us)[:, :2]
-        before = self.located & ~whose
+        reference_m = there_m
+        if self.shape_std_m(now_us) > SHAPE_KNOWN_M:
+            reference_m = laid_over(self._places_ned_m, there_m, self.located)
+        before = self.located & ~joining
         if before.sum() >= 2:
-            # They keep the heading that those before them have.
-            there_m[before] = self._reference_ne_m[before]
-        self._reference_ne_m[whose] = laid_over(
-            self._places_ned_m, there_m, before if before.sum() >= 2 else self.located
-        )[whose]
+            # They keep the heading of those before them.
+            there, then = (m[before] @ TO_COMPLEX for m in (reference_m, self._reference_ne_m))
+            turn = np.exp(1j * np.angle(np.vdot(there - there.mean(), then - then.mean())))
+            turned = (reference_m @ TO_COMPLEX - there.mean()) * turn + then.mean()
+            reference_m = np.column_stack((turned.real, turned.imag))
+        self._reference_ne_m[joining] = reference_m[joining]
 
     def _keep_geometry(self, now_us: int) -> None:
         """Renew the fixed geometry when the formation has turned away from it, and what bending does."""

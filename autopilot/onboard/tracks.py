@@ -8,6 +8,10 @@ from autopilot.onboard.kernels import Array, odometry_at, odometry_between
 
 SAMPLES = 64
 """Kept per UAV: two seconds of the own ones at 30 Hz, six of a neighbour's at 10 Hz."""
+JUMP_M = 0.5
+"""No step of odometry, beside what velocity explains, is that large in flight..."""
+JUMP_M_S2 = 10.0
+"""...but for what an acceleration that is over between two samples may come to."""
 EXTRAPOLATED_S = 1.0
 """A neighbour is moved on by its velocity for so long at most."""
 
@@ -27,18 +31,35 @@ class Tracks:
         self._times_us = np.zeros((count, SAMPLES), np.int64)
         self._samples = np.zeros((count, SAMPLES, 6))
         self._pushed = np.zeros(count, np.int64)
+        self._last: list[tuple[float, ...]] = [()] * count
 
     def push(
         self, station: int, time_us: int, odometry_ned_m: Sequence[float], vel_ned_m_s: Sequence[float]
-    ) -> None:
-        """Take a sample; one that is not newer than the newest is ignored."""
-        if time_us <= self.newest_us[station]:
-            return
-        pushed = self._pushed[station]
+    ) -> tuple[float, float] | None:
+        """Take a sample; one that is not newer than the newest is ignored.
+
+        Gives the step (north, east) that the odometry has made beside what the velocities explain, if that is
+        none of flight: what came before it is then forgotten.
+        """
+        before_us = self.newest_us.item(station)
+        if time_us <= before_us:
+            return None
+        jump = None
+        pushed = self._pushed.item(station)
+        if pushed:
+            then_n, then_e, _, then_vel_n, then_vel_e, _ = self._last[station]
+            half_s = 0.5e-6 * (time_us - before_us)
+            jump_n = odometry_ned_m[0] - then_n - half_s * (vel_ned_m_s[0] + then_vel_n)
+            jump_e = odometry_ned_m[1] - then_e - half_s * (vel_ned_m_s[1] + then_vel_e)
+            if abs(jump_n) + abs(jump_e) > JUMP_M + JUMP_M_S2 * half_s * half_s:
+                jump, pushed = (jump_n, jump_e), 0
         slot = pushed % SAMPLES
         self._times_us[station, slot] = self.newest_us[station] = time_us
-        self._samples[station, slot] = self.newest[station] = (*odometry_ned_m, *vel_ned_m_s)
+        self._last[station] = sample = (*odometry_ned_m, *vel_ned_m_s)
+        self.newest[station] = sample
+        self._samples[station, slot] = self.newest[station]
         self._pushed[station] = pushed + 1
+        return jump
 
     def at(self, station: int, time_us: int, out_ned_m: Array) -> int:
         """Odometry (3,) of a UAV at a time; see `odometry_at`."""

@@ -1,4 +1,4 @@
-"""What the covariance of the localisation (`kernels`) says of shape and distances; nothing here changes it."""
+"""What the covariance of the localisation (`kernels`) says of the shape and of distances."""
 
 import numpy as np
 from numba import njit

@@ -2,14 +2,14 @@
 
 With thrust T along body -z and wind w, per mass, a = g e_down - T b + w, b being the body's z axis in NED.
 Its vertical row, the wind being level, gives the thrust: T = (g - a_down) / b_down. What the level rows
-leave is w = a + (g - a_down) (b_north, b_east) / b_down. Nothing of the autopilot's commands is in it, so what
-is learned does not depend on what is then done with it, as far as attitude and velocity are of one time.
+leave is w = a + (g - a_down) (b_north, b_east) / b_down. Nothing of the autopilot's commands is in it, so
+what is learned does not depend on what is then done with it, as far as attitude and velocity are of one time.
 
 The low-pass has a time constant tau. Gusts of spectrum sigma_g, tau_g leave an error of variance
 sigma_g^2 tau / (tau + tau_g); a velocity error sigma_v, tau_v adds sigma_v^2 / (tau (tau + tau_v)). With the
 article's gusts (1 N on 1.5 kg, 2 s) and a velocity error of 0.06 m/s, 1 s, the sum is least at 0.14 s. But
-where attitude and velocity are a time d apart, d / tau of each manoeuvre feeds back as wind, so `TIME_CONSTANT_S`
-is longer.
+where attitude and velocity are a time d apart, d / tau of each manoeuvre feeds back as wind, so the time
+constant is longer.
 """
 
 import math
@@ -26,8 +26,8 @@ ACC_MAX_M_S2 = 4.0
 """Largest feed-forward: a tilt of 22 degrees; 5 N on an Iris is 3.2 m/s^2."""
 SAMPLE_MAX_M_S2 = 8.0
 """A larger sample is cut: a bump or a reset of the autopilot's velocity is then worth no more than a gust."""
-RATE_MAX_M_S3 = 3.0
-"""The feed-forward reaches a strong wind's acceleration within a second of being used."""
+RATE_MAX_M_S3 = 6.0
+"""Of the feed-forward, 0.6 rad/s of tilt: faster than a gust, slower than the attitude loop."""
 UP_COSINE_MIN = 0.5
 """Beyond 60 degrees of tilt the vertical says little of the thrust."""
 GAP_MAX_S = 0.2

@@ -116,7 +116,7 @@ def save_gains(
     By localisation and wind.
     """
     figure = Figure(figsize=(9.6, 4.0), layout="constrained")
-    panels = figure.subplots(1, len(gains_dbi), sharey=True, sharex=True, squeeze=False)[0]
+    panels = figure.subplots(1, len(gains_dbi), sharex=True, squeeze=False)[0]
     for axes, (wavelength_m, series) in zip(panels, gains_dbi.items(), strict=True):
         for (localisation, wind_n), values_dbi in series.items():
             if len(values_dbi) < 2:
@@ -151,17 +151,17 @@ def save_cut(
     axes.axvspan(cut_at_s, cut_at_s + cut_s, color="0.85", label="no channel")
     if len(shape_m):
         low_m, high_m = shape_m.min(axis=0), shape_m.max(axis=0)
-        axes.fill_between(time_s, low_m, high_m, color=FTM, alpha=0.2, linewidth=0, label="all flights")
-        axes.plot(
-            time_s, shape_m.mean(axis=0), color=FTM, linewidth=1.5, label=f"mean of {len(shape_m)} flights"
+        axes.fill_between(
+            time_s, low_m, high_m, color=FTM, alpha=0.2, linewidth=0, label=f"{len(shape_m)} flights"
         )
+        axes.plot(time_s, shape_m.mean(axis=0), color=FTM, linewidth=1.5, label="mean of all flights")
     if math.isfinite(usual_m):
         axes.axhline(
             usual_m, color="black", linestyle="--", linewidth=1.0, label=f"before: {usual_m:.2f} m rms"
         )
     axes.set(xlabel="Time in formation (s)", ylabel="Horizontal shape error (m)")
-    axes.set_ylim(bottom=0.0)
-    _legend(axes, fontsize="small", loc="upper left")
+    axes.set_ylim(0.0, 1.4 * float(shape_m.max(initial=0.1)))  # with room for the legend
+    _legend(axes, fontsize="small", loc="upper left", ncols=2)
     _finish(axes)
     figure.savefig(path, dpi=DPI)
 

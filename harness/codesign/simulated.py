@@ -193,16 +193,21 @@ def simulate(
     # Twice smoothed, so that velocity and acceleration are finite.
     for _ in range(2):
         sway_m = _smoothed(sway_m, SWAY_TIME_CONSTANT_S / 3.0)
-    pos_ned_m = places_ned_m + sway_m
-    vel_ned_m_s = np.gradient(pos_ned_m, dt_s, axis=0)
-
     walk_ne_m = np.cumsum(
         rng.normal(0.0, model.odometry_drift_m_sqrt_s * np.sqrt(dt_s), (steps, count, 2)), axis=0
     )
+    # The autopilot's velocity is smooth, and odometry its integral: the walk is the truth's. What holds the
+    # UAVs at their places takes the slow part of it out.
+    flown_m = sway_m
+    flown_m[..., :2] -= _smoothed(walk_ne_m, SWAY_TIME_CONSTANT_S)
+    vel_ned_m_s = np.gradient(flown_m, dt_s, axis=0)
+    pos_ned_m = places_ned_m + flown_m
+    pos_ned_m[..., :2] += walk_ne_m
+
+    odometry_ned_m = places_ned_m + flown_m
+    odometry_ned_m[..., :2] -= odometry_ned_m[0, :, :2].copy()
     for station, jump_ne_m in trouble.odometry_jump_ne_m.items():
-        walk_ne_m[round(trouble.odometry_jump_s / dt_s) :, station] += jump_ne_m
-    odometry_ned_m = pos_ned_m.copy()
-    odometry_ned_m[..., :2] += -pos_ned_m[0, :, :2] - walk_ne_m
+        odometry_ned_m[round(trouble.odometry_jump_s / dt_s) :, station, :2] += jump_ne_m
     odometry_ned_m[..., 2] -= _gauss_markov(
         rng, (steps, count), model.height_std_m, model.height_time_constant_s
     )

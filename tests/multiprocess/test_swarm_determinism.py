@@ -71,7 +71,7 @@ def test_equal_runs_are_equal_byte_for_byte_and_two_at_once_do_not_disturb_each_
 
 
 def fly_with_troubles(swarm):
-    """Everything that a program can do to a flight, at exact times; what the vehicles' ends leave included."""
+    """What a program can do to a flight, at exact times; who is killed leaves whole blocks of its log."""
     with swarm:
         swarm.run(until_s=4.0)
         swarm.degrade_channel(30.0)

@@ -1,4 +1,4 @@
-"""Formation control: the correction when distances come and go, the reference, keeping clear."""
+"""Formation control: the correction when distances come and go, the reference that joins a plan, layers."""
 
 import numpy as np
 import pytest
@@ -6,17 +6,27 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from onboard_world import article_places_ned_m
 
+from autopilot.config import RacetrackMotion
+from autopilot.formation_plan import FormationPlan
 from autopilot.onboard.formation import (
     ACCELERATION_M_S2,
     COAST_S,
     FADE_TIME_CONSTANT_S,
     JOIN_SPEED_M_S,
+    LAG_MAX_M,
     OFFSET_RATE_M_S,
     Correction,
     Reference,
-    separation_radius_limit_m,
+    joining_time_s,
 )
-from autopilot.onboard.kernels import STATES, separation_push
+from autopilot.onboard.layers import (
+    BACK_S,
+    GROUND_CLEARANCE_M,
+    REACH_SIGMAS,
+    SEPARATION_HEIGHT_M,
+    HeightLayers,
+    layers,
+)
 
 DT_S = 0.05
 ZERO = np.zeros(2)
@@ -83,7 +93,7 @@ def test_after_fading_it_returns_without_a_jump():
     assert correction.ne_m == pytest.approx((1.3, -0.5), abs=1e-3)
 
 
-@settings(deadline=None, max_examples=15)  # 150 s of simulated motion each
+@settings(deadline=None, max_examples=15)  # up to 150 s of simulated motion each
 @given(
     st.tuples(st.floats(-30, 30), st.floats(-30, 30), st.floats(-20, 0)),
     st.tuples(st.floats(-30, 30), st.floats(-30, 30), st.floats(-20, 0)),
@@ -106,39 +116,230 @@ def test_the_reference_reaches_its_target_within_its_limits_and_does_not_pass_it
         assert abs(vel[2] - vel_before[2]) <= ACCELERATION_M_S2 * DT_S + 1e-9
         assert gone[:2] @ way[:2] <= way[:2] @ way[:2] + 1e-3 * np.linalg.norm(way[:2]) + 1e-9
         assert gone[2] * np.sign(way[2]) <= abs(way[2]) + 1e-3
-    assert reference.pos_ned_m == pytest.approx(target, abs=1e-3)
+        if reference.joined:
+            break
+    assert np.array_equal(reference.pos_ned_m, target)
+    assert np.array_equal(reference.vel_ned_m_s, np.zeros(3))
 
 
-def push(positions, *, radius_m=1.2, limit_m=np.inf, std_m=0.0):
-    cov = np.eye(STATES * len(positions)) * std_m**2
-    out = np.zeros(2)
-    separation_push(0, np.array(positions, float), cov, np.ones(len(positions), bool), radius_m, limit_m, out)
-    return out
+def racetrack(heading="track"):
+    motion = RacetrackMotion(speed_m_s=3.0, length_m=30.0, radius_m=25.0, heading=heading)
+    return FormationPlan(article_places_ned_m(), 0.0, motion)
 
 
-def test_a_near_neighbour_pushes_by_what_is_missing():
-    assert push([(0, 0, -5), (0.0, 0.9, -5)]) == pytest.approx((0.0, -0.3))
-    assert push([(0, 0, -5), (0.0, 1.3, -5)]) == pytest.approx((0.0, 0.0))
+def advance(reference, state, **kwargs):
+    reference.advance(
+        state.pos_ned_m, DT_S,
+        target_vel_ned_m_s=state.vel_ned_m_s, target_acc_ned_m_s2=state.acc_ned_m_s2, **kwargs,
+    )  # fmt: skip
 
 
-def test_uncertainty_widens_the_radius_by_one_sigma_up_to_the_limit():
-    # relative standard deviation is sqrt(2) times each one's
-    assert push([(0, 0, -5), (1.3, 0.0, -5)], std_m=0.2) == pytest.approx(
-        (-(1.2 + 0.2 * np.sqrt(2) - 1.3), 0.0)
-    )
-    assert push([(0, 0, -5), (1.3, 0.0, -5)], std_m=5.0, limit_m=1.5) == pytest.approx((-0.2, 0.0))
+def test_once_joined_it_is_the_plan_itself():
+    """Exactly and for ever, on two rounds with all their joints: no lag, and the plan's feed-forward."""
+    plan, reference = racetrack(), Reference(climb_speed_m_s=1.5)
+    reference.reset(plan.own(0, 0.0).pos_ned_m, np.zeros(3))
+    for k in range(1, 3_000):
+        state = plan.own(0, k * DT_S - 5.0)
+        advance(reference, state)
+        assert reference.joined
+        assert np.array_equal(reference.pos_ned_m, state.pos_ned_m)
+        assert np.array_equal(reference.vel_ned_m_s, state.vel_ned_m_s)
+        assert np.array_equal(reference.acc_ned_m_s2, state.acc_ned_m_s2)
 
 
-def test_one_above_the_other_part_in_opposite_directions():
-    first = push([(0, 0, -5), (0, 0, -5.5)])
-    out = np.zeros(2)
-    separation_push(
-        1, np.array([(0, 0, -5.0), (0, 0, -5.5)]), np.zeros((10, 10)), np.ones(2, bool), 1.2, np.inf, out
-    )
-    assert np.linalg.norm(first) == pytest.approx(0.7)
-    assert out == pytest.approx(-first)
+@pytest.mark.parametrize("since_s", [0.0, 7.0, 20.0, 33.0])
+@pytest.mark.parametrize("apart_ned_m", [(6.0, -4.0, 3.0), (0.0, 0.4, 0.0), (-0.03, 0.0, -9.0)])
+def test_a_plan_in_motion_is_joined_without_a_jump(since_s, apart_ned_m):
+    """From rest: relative to the plan its acceleration stays in the limits, and its speed comes into them."""
+    plan, reference = racetrack(), Reference(climb_speed_m_s=1.5)
+    state = plan.own(3, since_s)
+    reference.reset(state.pos_ned_m + apart_ned_m, np.zeros(3))
+    fastest_m_s = max(np.linalg.norm(state.vel_ned_m_s), JOIN_SPEED_M_S)
+    for k in range(1, 1_200):
+        pos, vel = reference.pos_ned_m.copy(), reference.vel_ned_m_s.copy()
+        state = plan.own(3, since_s + k * DT_S)
+        advance(reference, state)
+        # A parabola through the step: the rest is the plan's jerk and the step's order.
+        assert reference.pos_ned_m == pytest.approx(pos + DT_S * reference.vel_ned_m_s, abs=4e-3)
+        assert np.linalg.norm(reference.vel_ned_m_s[:2] - vel[:2]) <= 4.0 * DT_S
+        extra = reference.acc_ned_m_s2 - state.acc_ned_m_s2
+        assert np.linalg.norm(extra[:2]) <= ACCELERATION_M_S2 + 1e-9
+        assert abs(extra[2]) <= ACCELERATION_M_S2 + 1e-9
+        # The speed that it lacks at first is the plan's own; then it only ever nears the limit.
+        relative = np.linalg.norm((reference.vel_ned_m_s - state.vel_ned_m_s)[:2])
+        assert relative <= fastest_m_s + 1e-6
+        fastest_m_s = max(min(fastest_m_s, relative), JOIN_SPEED_M_S)
+    assert reference.joined
+    assert np.array_equal(reference.pos_ned_m, state.pos_ned_m)
 
 
-def test_the_limit_lies_below_the_spacing():
-    assert separation_radius_limit_m(article_places_ned_m(), 0) == pytest.approx(0.6 * 2.5)
-    assert separation_radius_limit_m(np.zeros((1, 3)), 0) == np.inf
+def test_when_the_target_jumps_it_is_joined_anew():
+    reference = Reference(climb_speed_m_s=1.5)
+    place = np.array((1.0, 2.0, -10.0))
+    reference.reset(place, np.zeros(3))
+    reference.advance(place, DT_S)
+    assert reference.joined
+    reference.advance(place - np.array((0.0, 0.0, 2.0)), DT_S)
+    assert not reference.joined
+    assert np.linalg.norm(reference.pos_ned_m - place) <= ACCELERATION_M_S2 * DT_S**2 + 1e-12
+
+
+def test_it_waits_for_a_vehicle_that_stays_behind():
+    """It leads by the limit and no more."""
+    reference, still = Reference(climb_speed_m_s=1.5), np.zeros(3)
+    for _ in range(100):
+        reference.advance(np.array((50.0, 0.0, 0.0)), DT_S, vehicle_ned_m=still)
+    assert LAG_MAX_M <= reference.pos_ned_m[0] <= LAG_MAX_M + JOIN_SPEED_M_S * DT_S + 1e-9
+
+
+def test_it_goes_around_with_a_vehicle_that_goes_around():
+    """Never farther than the limit, and ahead of the vehicle towards the target wherever that is led to."""
+    reference, target = Reference(climb_speed_m_s=1.5), np.array((50.0, 0.0, 0.0))
+    vehicle = np.zeros(3)
+    reference.reset(vehicle, np.zeros(3))
+    for k in range(460):
+        vehicle[1] = 6.0 * np.sin(min(k, 400) * DT_S / 6.0)  # kept from going on, it is moved across
+        before = reference.pos_ned_m.copy()
+        reference.advance(target, DT_S, vehicle_ned_m=vehicle)
+        own_way_m = np.linalg.norm(reference.pos_ned_m - before)
+        assert own_way_m <= (2.0 * JOIN_SPEED_M_S + 1.0) * DT_S + 1e-9
+        assert np.linalg.norm(reference.pos_ned_m - vehicle) <= LAG_MAX_M + JOIN_SPEED_M_S * DT_S + 1e-9
+    ahead = reference.pos_ned_m - vehicle
+    towards = target - vehicle
+    assert ahead @ towards > 0.9 * np.linalg.norm(ahead) * np.linalg.norm(towards)
+    assert reference.pos_ned_m[0] > 0.5 * LAG_MAX_M
+
+
+def test_the_plan_waits_for_no_vehicle():
+    plan, reference = racetrack(), Reference(climb_speed_m_s=1.5)
+    reference.reset(plan.own(0, 0.0).pos_ned_m, np.zeros(3))
+    advance(reference, plan.own(0, 0.0))
+    for k in range(1, 200):
+        state = plan.own(0, k * DT_S)
+        advance(reference, state, vehicle_ned_m=state.pos_ned_m + np.array((9.0, 0.0, 0.0)))
+        assert np.array_equal(reference.pos_ned_m, state.pos_ned_m)
+
+
+@pytest.mark.parametrize("distance_m", [0.5, 2.0, 4.0, 9.0])
+@pytest.mark.parametrize("climb_speed_m_s", [0.3, 1.5])
+def test_joining_takes_the_time_that_is_reckoned_with(distance_m, climb_speed_m_s):
+    """Within the steps' coarseness: braking ends in a step instead of a parabola's foot."""
+    reference = Reference(climb_speed_m_s=climb_speed_m_s)
+    target, steps = np.array((0.0, 0.0, -distance_m)), 0
+    while not reference.joined:
+        reference.advance(target, DT_S)
+        steps += 1
+    assert steps * DT_S == pytest.approx(joining_time_s(distance_m, climb_speed_m_s), abs=4 * DT_S)
+    assert joining_time_s(0.0, climb_speed_m_s) == 0.0
+
+
+def heights_m(places_ned_m, found):
+    return -places_ned_m[:, 2] + SEPARATION_HEIGHT_M * found
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 10_000), st.integers(1, 20), st.floats(0.0, 3.0), st.floats(1.0, 60.0))
+def test_places_within_reach_get_heights_apart_and_none_near_the_ground(seed, count, gps_std_m, extent_m):
+    rng = np.random.default_rng(seed)
+    places = np.column_stack((rng.uniform(-1, 1, (count, 2)) * extent_m, -rng.uniform(2.0, 12.0, count)))
+    found = layers(places, gps_std_m)
+    height_m = heights_m(places, found)
+    apart_m = np.linalg.norm(places[:, None, :2] - places[None, :, :2], axis=2)
+    within = np.triu(apart_m < REACH_SIGMAS * np.sqrt(2.0) * gps_std_m, k=1)
+    assert (np.abs(height_m[:, None] - height_m[None, :])[within] > SEPARATION_HEIGHT_M - 1e-5).all()
+    assert (height_m[found < 0] >= GROUND_CLEARANCE_M).all()
+    assert np.array_equal(found, layers(places, gps_std_m))
+
+
+def test_the_articles_grid_needs_two_layers():
+    """4 sigma sqrt(2) 1.5 m is 8.49 m: rows 2.5 m apart see each other, columns 8.5 m apart do not."""
+    assert set(layers(article_places_ned_m(), 1.5)) == {0, 1}
+    # At half the wavelength every 2 x 2 block lies within reach: no fewer than four can do.
+    half = article_places_ned_m(4.25, 1.25)
+    assert set(layers(half, 1.5)) == {-1, 0, 1, 2}
+    # 4 sigma sqrt(2) 0.4 m is 2.26 m
+    assert not layers(article_places_ned_m(), 0.4).any()
+
+
+def timeline(events, *, until_s, own=4):
+    """Times and heights of every change, 20 Hz; ``events`` (time_s, supported) in order."""
+    height_layers = HeightLayers(own=own, places_ned_m=article_places_ned_m(), gps_std_m=1.5)
+    changes, supported, known_m = [], True, 0.0
+    for k in range(round(until_s / DT_S)):
+        time_s = k * DT_S
+        for at_s, value in events:
+            if time_s >= at_s - 1e-9:
+                supported = value
+        height_m = height_layers.update(round(time_s * 1e6), supported=supported)
+        assert height_m == height_layers.height_m
+        if height_m != known_m:
+            changes.append((round(time_s, 3), height_m))
+            known_m = height_m
+    return changes
+
+
+def test_a_layer_is_reached_when_coasting_ends_and_left_when_support_has_lasted():
+    leave_s = 1.0 + COAST_S - joining_time_s(SEPARATION_HEIGHT_M, 1.5)
+    changes = timeline([(1.0, False), (30.0, True)], until_s=50.0)
+    assert [height_m for _, height_m in changes] == [SEPARATION_HEIGHT_M, 0.0]
+    assert leave_s <= changes[0][0] <= leave_s + DT_S + 1e-9
+    assert changes[1][0] == pytest.approx(30.0 + BACK_S)
+
+
+def test_short_losses_and_short_returns_change_nothing():
+    assert timeline([(k + part, part > 0.0) for k in range(40) for part in (0.0, 0.5)], until_s=40.0) == []
+    flicker = [(1.0, False), *((20.0 + 4.0 * k + part, part == 0.0) for k in range(5) for part in (0.0, 3.0))]
+    changes = timeline(flicker, until_s=40.0)
+    assert [height_m for _, height_m in changes] == [SEPARATION_HEIGHT_M]
+
+
+def test_who_stays_is_watched_by_who_goes():
+    """Of a pair in reach one is at height 0; if it alone loses support, the other has to know."""
+    places = article_places_ned_m()
+    found = layers(places, 1.5)
+    for own in range(len(places)):
+        height_layers = HeightLayers(own=own, places_ned_m=places, gps_std_m=1.5)
+        assert height_layers.layer_m == SEPARATION_HEIGHT_M * found[own]
+        # the other UAV of the same column, for those who have a layer
+        assert height_layers.watched == (((own + 4) % 8,) if found[own] else ())
+
+
+def test_gps_errors_that_would_collide_pass_each_other_in_layers():
+    """A column's two UAVs, 2.5 m apart, whose correction fades into GPS errors of 1.5 m per axis and 60 s.
+
+    20 pairs for 5 minutes: without layers many pass within 0.6 m; with them, and height errors of 0.3 m, no
+    one ever does, from the moment of the loss on.
+    """
+    rng = np.random.default_rng(5)
+    places = np.array(((0.0, 0.0, -10.0), (2.5, 0.0, -10.0)))
+    met, nearest_m = 0, np.inf
+    for _ in range(20):
+        corrections = [Correction(), Correction()]
+        for correction in corrections:
+            correction.update(ZERO, ZERO, DT_S, at_once=True)
+        references = [Reference(climb_speed_m_s=1.5) for _ in range(2)]
+        ways = [HeightLayers(own=k, places_ned_m=places, gps_std_m=1.5) for k in range(2)]
+        for reference, place in zip(references, places, strict=True):
+            reference.reset(place, np.zeros(3))
+        bias, height_error_m = 1.5 * rng.standard_normal((2, 2)), 0.3 * rng.standard_normal(2)
+        start = bias.copy()
+        level_nearest_m = np.inf
+        true_ned_m = np.zeros((2, 3))
+        for k in range(round(300.0 / 0.25)):
+            keep = np.exp(-0.25 / 60.0)
+            bias = keep * bias + 1.5 * np.sqrt(1.0 - keep**2) * rng.standard_normal((2, 2))
+            for j in range(2):
+                # The autopilot follows its bias, odometry does not: drift is what the bias moved.
+                corrections[j].update(bias[j] - start[j], None if k else ZERO, 0.25, at_once=not k)
+                height_m = ways[j].update(k * 250_000, supported=False)
+                for _ in range(5):
+                    references[j].advance(places[j] + (0.0, 0.0, -height_m), DT_S)
+                true_ned_m[j] = references[j].pos_ned_m
+                true_ned_m[j, :2] += corrections[j].ne_m - (bias[j] - start[j])
+                true_ned_m[j, 2] += height_error_m[j]
+            way_m = true_ned_m[1] - true_ned_m[0]
+            level_nearest_m = min(level_nearest_m, np.hypot(*way_m[:2]))
+            nearest_m = min(nearest_m, np.linalg.norm(way_m))
+        met += level_nearest_m < 0.6
+    assert met >= 5
+    assert nearest_m > 1.0

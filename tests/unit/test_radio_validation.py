@@ -356,7 +356,10 @@ def test_the_articles_traffic_comes_about_without_a_flight_and_again():
     assert sum(isinstance(item, Broadcast) for item in items) == pytest.approx(8 * 10 * seconds, abs=8)
     assert 8 * 7 * (seconds - 1.0) <= sum(isinstance(item, FtmRequest) for item in items) <= 8 * 7 * seconds
     # the beacons carry distances, so sessions have come about
-    assert max(len(item.payload) for item in items if isinstance(item, Broadcast)) == HEADER_BYTES + 7 * RANGE_BYTES
+    assert (
+        max(len(item.payload) for item in items if isinstance(item, Broadcast))
+        == HEADER_BYTES + 7 * RANGE_BYTES
+    )
     frames, run = play(scenario, steps)
     assert (frames, run) == play(scenario, steps)
     # RTS, CTS and data of every beacon; request, eight measurement frames and their ACKs of every session

@@ -230,8 +230,8 @@ def test_overrides_take_numbers_strings_words_and_new_tables():
             "formation.motion: unknown key `radius_m`",
         ),
         (
-            'formation.motion={kind="racetrack", speed_m_s=8.0}',
-            "formation.motion.radius_m: UAV 0, 12.8 m off the centre, would come to 3.9 m/s^2 in a turn of",
+            'formation.motion={kind="racetrack", speed_m_s=7.5}',
+            "formation.motion.radius_m: UAV 0, 12.8 m off the centre, would come to 3.4 m/s^2 in a turn of",
         ),
         (
             'formation.motion={kind="track", length_m=inf}',
@@ -294,6 +294,7 @@ def test_overrides_take_numbers_strings_words_and_new_tables():
             "faults[0].effectiveness: expected `float` <= 1.0",
         ),
         ('faults=[{kind="accel_bias", uav=0}]', "faults[0]: object missing required field `offset_frd_m_s2`"),
+        ("onboard.wind_feed_forward=true", "onboard.wind_feed_forward: the autopilot of UAV 0 leans"),
         ("wind", "--set wind: expected PATH=VALUE"),
         ("=3", "--set =3: expected PATH=VALUE"),
         ("agents.x=3", "--set agents.x=3: agents is a value, not a table"),

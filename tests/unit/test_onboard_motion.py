@@ -1,0 +1,154 @@
+"""When the motion starts: agreement over a lossy radio, and what no message can do to it. Some 5 s."""
+
+import numpy as np
+import pytest
+
+from autopilot.onboard.motion import LEAD_US, OLDEST_US, MotionStart
+from autopilot.onboard.phases import Phase
+from autopilot.onboard.traffic import SILENCE_US
+
+BEACON_US = 100_000
+STEP_US = 50_000
+ON = Phase.ON_STATION
+
+
+def alone(now_us=0):
+    motion = MotionStart(0, 4)
+    return motion, motion.update(now_us, on_station=True, neighbours={})
+
+
+def fly(seed, *, loss, stations, dead=(), latecomer=None, until_us=9_000_000):
+    """Starts that each UAV held over time, (T, N) with -1 for none, of a formation that comes together.
+
+    Each arrives at its place at a time within 3 s and beacons every 100 ms at a phase of its own; beacons
+    get lost each by itself. ``dead``: fall silent within those 3 s, some on station, some not. ``latecomer``:
+    a station that neither hears nor is heard until 6 s.
+    """
+    rng = np.random.default_rng(seed)
+    arrives_us = rng.integers(0, 3_000_000, stations)
+    dies_us = {station: int(rng.integers(0, 3_000_000)) for station in dead}
+    offset_us = rng.integers(0, BEACON_US, stations)
+    motions = [MotionStart(k, stations) for k in range(stations)]
+    heard = [dict.fromkeys(set(range(stations)) - {k}, (Phase.JOINING, None, 0)) for k in range(stations)]
+    held = []
+    for now_us in range(0, until_us, STEP_US):
+        row = []
+        for k, motion in enumerate(motions):
+            if now_us < dies_us.get(k, until_us):
+                on_station = bool(now_us >= arrives_us[k])
+                motion.update(now_us, on_station=on_station, neighbours=heard[k])
+            row.append(-1 if motion.start_us is None else motion.start_us)
+        held.append(row)
+        for k, motion in enumerate(motions):
+            due = (now_us - offset_us[k]) % BEACON_US < STEP_US
+            if not due or now_us >= dies_us.get(k, until_us):
+                continue
+            phase = ON if now_us >= arrives_us[k] else Phase.JOINING
+            for j in range(stations):
+                cut = latecomer in {j, k} and now_us < 6_000_000
+                if j != k and not cut and rng.random() >= loss:
+                    heard[j][k] = (phase, motion.start_us, now_us + 2_000)
+    return np.array(held), arrives_us, dies_us
+
+
+def begun(held):
+    """(T, N) starts that had come by the time of their row, else -1."""
+    now_us = np.arange(len(held))[:, None] * STEP_US
+    return np.where((held >= 0) & (held <= now_us), held, -1)
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.3, 0.6])
+def test_all_agree_whatever_is_lost(loss):
+    """200 formations each: one value, ahead of everyone's arrival by at most a lead and some beacons."""
+    for seed in range(200):
+        stations = (2, 3, 5, 8)[seed % 4]
+        held, arrives_us, _ = fly(seed, loss=loss, stations=stations)
+        assert len(set(held[-1])) == 1
+        start_us = held[-1, 0]
+        assert arrives_us.max() + LEAD_US <= start_us <= arrives_us.max() + LEAD_US + 1_500_000
+        for column in begun(held).T:
+            assert set(column) <= {-1, start_us}  # nobody ever began at another time
+
+
+def test_the_dead_do_not_block_and_the_living_agree():
+    for seed in range(60):
+        dead = (1,) if seed % 2 else (1, 4)
+        held, _, dies_us = fly(seed, loss=0.3, stations=6, dead=dead, until_us=12_000_000)
+        living = [k for k in range(6) if k not in dead]
+        assert len(set(held[-1, living])) == 1
+        assert 0 <= held[-1, 0] <= max(dies_us.values()) + SILENCE_US + LEAD_US + 1_500_000
+
+
+def test_a_latecomer_takes_over_what_the_others_have_begun():
+    for seed in range(40):
+        held, _, _ = fly(seed, loss=0.3, stations=5, latecomer=2, until_us=10_000_000)
+        # It knows of nobody, so it may have begun by itself; then that is what it keeps.
+        others = [0, 1, 3, 4]
+        assert len(set(held[-1, others])) == 1
+    motion = MotionStart(2, 5)
+    assert motion.update(9_000_000, on_station=False, neighbours={0: (ON, 6_000_000, 8_950_000)}) == 6_000_000
+
+
+def test_it_waits_for_everybody_on_the_way():
+    motion = MotionStart(0, 4)
+    for phase in (Phase.WAITING, Phase.LOCALISING, Phase.ARMING, Phase.TAKE_OFF, Phase.JOINING):
+        assert (
+            motion.update(10_000, on_station=True, neighbours={1: (ON, None, 0), 2: (phase, None, 0)}) is None
+        )
+    assert motion.update(20_000, on_station=False, neighbours={1: (ON, None, 0)}) is None
+    # Who has landed or is flown by somebody else is not on its way.
+    away = {1: (Phase.LANDED, None, 20_000), 2: (Phase.YIELDED, None, 20_000), 3: (ON, None, 20_000)}
+    assert motion.update(20_999, on_station=True, neighbours=away) == 20_000 + LEAD_US
+
+
+def test_silence_ends_a_wait():
+    motion = MotionStart(0, 2)
+    neighbours = {1: (Phase.JOINING, None, 1_000_000)}
+    assert motion.update(1_000_000 + SILENCE_US - 1, on_station=True, neighbours=neighbours) is None
+    assert motion.update(1_000_000 + SILENCE_US, on_station=True, neighbours=neighbours) is not None
+
+
+def test_the_latest_proposal_wins_until_one_has_begun():
+    motion, first_us = alone()
+    assert first_us == LEAD_US
+    at = {"on_station": True}
+    assert motion.update(50_000, neighbours={1: (ON, 1_500_000, 50_000)}, **at) == first_us
+    assert motion.update(100_000, neighbours={1: (ON, 2_050_000, 100_000)}, **at) == 2_050_000
+    assert not motion.begun(2_049_999)
+    assert motion.begun(2_050_000)
+    later = {1: (ON, 3_000_000, 2_060_000), 2: (ON, 2_000_000, 2_060_000)}
+    assert motion.update(2_060_000, neighbours=later, **at) == 2_050_000
+
+
+def test_those_who_have_set_off_are_followed_rather_than_a_proposal():
+    motion, _ = alone(1_000_000)
+    went = {1: (ON, 1_200_000, 1_300_000), 2: (ON, 3_100_000, 1_300_000), 3: (ON, 1_200_000, 1_280_000)}
+    assert motion.update(1_300_000, on_station=True, neighbours=went) == 1_200_000
+    # An old beacon does not say that its sender set off: it may have taken over a later time since.
+    motion, own_us = alone(1_000_000)
+    stale = {1: (ON, 1_200_000, 1_190_000)}
+    assert motion.update(1_300_000, on_station=True, neighbours=stale) == own_us
+
+
+@pytest.mark.parametrize("wrong_us", [-5, 2**62, 5_000_000 + LEAD_US + 20_000, None])
+def test_times_that_cannot_be_are_as_none(wrong_us):
+    motion = MotionStart(0, 4)
+    neighbours = {1: (Phase.JOINING, wrong_us, 5_000_000)}
+    assert motion.update(5_000_000, on_station=True, neighbours=neighbours) is None
+    old = {1: (Phase.JOINING, 7_000, OLDEST_US + 10_000)}
+    assert motion.update(OLDEST_US + 10_000, on_station=True, neighbours=old) is None
+
+
+def test_strangers_and_the_own_echo_are_not_heard():
+    motion = MotionStart(0, 4)
+    strange = {0: (Phase.JOINING, 2_000, 1_000), 4: (Phase.JOINING, 2_000, 1_000), 250: (ON, 2_100, 1_000)}
+    assert motion.update(1_000, on_station=True, neighbours=strange) == 1_000 + LEAD_US
+
+
+def test_one_who_keeps_proposing_later_times_delays_for_as_long_as_it_is_heard():
+    """The price of having no leader; but nobody is split by it, and nothing begins early."""
+    motion, _ = alone()
+    for now_us in range(0, 6_000_000, STEP_US):
+        held_us = motion.update(now_us, on_station=True, neighbours={1: (ON, now_us + LEAD_US, now_us)})
+        assert held_us == now_us + LEAD_US
+    assert motion.update(9_000_000, on_station=True, neighbours={}) == held_us
