@@ -124,8 +124,8 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         for instance in range(self.agents):
             if self.autopilot.for_uav(instance).params.get("CF_DOB_EN"):
                 raise ValueError(
-                    f"onboard.wind_feed_forward: the autopilot of UAV {instance} leans against the wind already; "
-                    "expected CF_DOB_EN to be 0"
+                    f"onboard.wind_feed_forward: the autopilot of UAV {instance} leans against the wind "
+                    "already; expected CF_DOB_EN to be 0"
                 )
 
     def places_ned_m(self) -> NDArray[np.float64]:
