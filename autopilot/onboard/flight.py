@@ -16,8 +16,9 @@ from autopilot.onboard.phases import Phase
 SHAPE_STD_M = 0.35
 LOCALISE_TIMEOUT_US = 10_000_000
 TAKE_OFF_HEIGHT_M = 2.5
-HAND_OVER_HEIGHT_M = 1.2
-FLOWN_HEIGHT_M = 0.5
+HAND_OVER_HEIGHT_M = 0.5
+"""Until then the wind has the vehicle, and its neighbours are not heeded: as low as a vehicle surely flies."""
+FLOWN_HEIGHT_M = 0.3
 """From here on a vehicle that is disarmed has landed, and is not sent up again."""
 HEARTBEAT_LAG_US = 1_500_000
 """A HEARTBEAT (1 Hz) shows a change that a COMMAND_ACK announced after this at the latest."""

@@ -118,24 +118,24 @@ def _is_text(node: ast.AST) -> bool:
 
 
 def make_tasks(cases: Iterable[Case], plan: Plan, *, folder: Path, state: str | None = None) -> list[Task]:
-    """All flights of the cases, each once, seed by seed so that a part of a campaign has all cases.
+    """All flights of the cases, each once, seed by seed: a part of a campaign has all cases but the last.
 
     ``state`` is that of the sources.
     """
     state = sources_state() if state is None else state
     distinct = {case.name: case for case in cases}
     tasks = []
-    for seed in range(1, plan.seeds + 1):
-        for case in distinct.values():
-            scenario = case.scenario(plan, seed)
-            content = msgspec.json.encode((state, scenario, case.faults, case.gains))
-            digest = hashlib.sha256(content).hexdigest()[:16]
-            tasks.append(
-                Task(
-                    case=case.name, seed=seed, digest=digest, scenario=scenario, faults=case.faults,
-                    gains=case.gains, folder=str(folder / FLYING / digest),
-                )
-            )  # fmt: skip
+    flights = [(case, seed) for seed in range(1, plan.seeds + 1) for case in distinct.values()]
+    for case, seed in sorted(flights, key=lambda flight: flight[0].last):
+        scenario = case.scenario(plan, seed)
+        content = msgspec.json.encode((state, scenario, case.faults, case.gains))
+        digest = hashlib.sha256(content).hexdigest()[:16]
+        tasks.append(
+            Task(
+                case=case.name, seed=seed, digest=digest, scenario=scenario, faults=case.faults,
+                gains=case.gains, folder=str(folder / FLYING / digest),
+            )
+        )  # fmt: skip
     return tasks
 
 
