@@ -278,9 +278,12 @@ def fly(scenario: Scenario, out: Path, *, until_s: float | None = None, draw: bo
     with OneProcessSwarm(scenario, out=out) as swarm:
         if until_s is not None:
             swarm.run(until_s=until_s)
-            return swarm.summary(draw=draw)
-        with contextlib.suppress(SwarmTimeoutError):
-            if scenario.onboard.enabled:  # else nobody forms anything
-                swarm.run_until_formed(timeout_s=scenario.run.reach_timeout_s)
-            swarm.run_for(scenario.run.duration_s)
-        return swarm.summary(draw=draw)
+        else:
+            with contextlib.suppress(SwarmTimeoutError):
+                if scenario.onboard.enabled:  # else nobody forms anything
+                    swarm.run_until_formed(timeout_s=scenario.run.reach_timeout_s)
+                swarm.run_for(scenario.run.duration_s)
+        summary = swarm.summary(draw=draw)
+    if summary["status"] == "failed":  # a timeout may be of the machine's
+        raise SwarmError(summary["reason"])
+    return summary

@@ -49,16 +49,19 @@ class TakeOff:
         """Give the next setpoint."""
         guide = self._guide
         if not self.airborne:
+            # Where the estimate has it now: on the ground it is not the vehicle that moved, and a target of
+            # before would be flown to as soon as it leaves the ground.
+            target_ned_m, yaw_rad = moment.state.pos_ned_m.copy(), guide.yaw_rad
+            target_ned_m[2] = guide.target_ned_m[2]
             if moment.landed:
                 # the reference must not climb ahead while thrust is still rising
                 return TrajectorySetpoint(
-                    pos_ned_m=guide.target_ned_m,
+                    pos_ned_m=target_ned_m,
                     pos_axes=HORIZONTAL,
                     vel_ned_m_s=np.array([0.0, 0.0, -self._speed_m_s]),
                     yaw_rad=guide.yaw_rad,
                 )
             self.airborne = True
-            target_ned_m, yaw_rad = guide.target_ned_m, guide.yaw_rad
             guide.restart(moment.state)
             guide.go_to(target_ned_m, yaw_rad=yaw_rad, along_ned=UP)
         return guide.follow(moment.dt_s)

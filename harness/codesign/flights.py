@@ -6,6 +6,7 @@ from pathlib import Path
 from harness.codesign.measures import measure, read_tables
 from harness.codesign.results import Flown, Task, broken
 from harness.one_process import OneProcessSwarm
+from harness.processes import SwarmError
 from harness.run_folder import RunFolder
 from harness.swarm import SwarmTimeoutError
 
@@ -33,6 +34,8 @@ def _fly(task: Task, folder: Path) -> Flown:
         except SwarmTimeoutError:
             pass
         summary = swarm.summary(draw=False)
+    if summary["status"] == "failed":
+        raise SwarmError(summary["reason"])
     formed_s = summary["formed_s"]
     measures = measure(
         read_tables(RunFolder(folder), task.scenario.agents),

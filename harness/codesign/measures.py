@@ -18,6 +18,7 @@ from antenna.config import AntennaConfig
 from harness.analysis import gain_series
 from harness.flight import Array, Flight
 from harness.formation_error import formation_error
+from harness.processes import RADIO
 from harness.run_folder import RunFolder
 from harness.scenario import Scenario
 
@@ -31,7 +32,8 @@ _NS_PER_US = 1_000
 class Measures(Struct, frozen=True, kw_only=True):
     """One flight; lengths in metres, times in seconds of simulated time unless they say otherwise.
 
-    What is of the formation counts from when it was reached, and is None where it was not.
+    What is of the formation counts from when it was reached, and is None where it was not. A formation is
+    sound until two of it touch or one falls down.
     """
 
     formed_s: float | None
@@ -48,13 +50,13 @@ class Measures(Struct, frozen=True, kw_only=True):
     """Between any two vehicles in the air, whole flight"""
     least_distance_formed_m: float | None = None
     shape_m: float | None = None
-    """Horizontal rms after the best rigid alignment; of the formation as long as all are in the air"""
+    """Horizontal rms after the best rigid alignment, of the sound formation"""
     shape_whole_m: float | None = None
-    """The same to the end, whoever has fallen down"""
+    """The same to the end, whoever has touched or fallen down"""
     absolute_m: float | None = None
-    """Horizontal rms distance from the places, as long as all are in the air"""
+    """Horizontal rms distance from the places, of the sound formation"""
     vertical_m: float | None = None
-    """Rms of height errors about their mean over the vehicles, as long as all are in the air"""
+    """Rms of height errors about their mean over the vehicles, of the sound formation"""
     estimate_m: float | None = None
     """Shape error of the vehicles' own positions against the true ones: localisation's part"""
     control_m: float | None = None
@@ -63,12 +65,14 @@ class Measures(Struct, frozen=True, kw_only=True):
     sessions_per_s: float | None = None
     """Ranging sessions that ended, completed or not"""
     completed_fraction: float | None = None
+    beacons_lost_fraction: float | None = None
+    """Of the beacons that reached a station, whole flight, those that its host lost"""
     longest_silence_s: float | None = None
     """Without a distance from anybody's ranging"""
     range_offsets_m: tuple[float | None, ...] = ()
     """Median of measured less true distance of every vehicle's own sessions; None without any"""
     gain_dbi: tuple[float, ...] = ()
-    """Maximum gain every second as long as all are in the air, if it was asked for"""
+    """Maximum gain every second of the sound formation, if it was asked for"""
     track_mm: tuple[tuple[int, ...], ...] = ()
     """North and east of every vehicle from its place, one after the other, every `TRACK_PERIOD_S`"""
 
@@ -115,6 +119,10 @@ class Tables:
     session_error_m: Array
     """(M,) measured less true distance, of those that gave one"""
     collisions_us: tuple[int, ...]
+    beacons_heard: int
+    """Beacons that reached a station, each as often as it reached one"""
+    beacons_lost: int
+    """Those of them that a host lost"""
 
     def flight(
         self, places_ned_m: Array, pos_ned_m: Array | None = None, *, heading_rad: float = 0.0
@@ -132,7 +140,7 @@ class Tables:
         )
 
     def rows(self, begin_us: int, end_us: int) -> "Tables":
-        """Instants of [begin_us, end_us]; all that is counted over time likewise."""
+        """Instants of [begin_us, end_us]; all that is counted over time likewise, but for the beacons."""
         at = (self.time_us >= begin_us) & (self.time_us <= end_us)
         air = (self.air_us >= begin_us) & (self.air_us <= end_us)
         sessions = (self.session_us > begin_us) & (self.session_us <= end_us)
@@ -149,6 +157,8 @@ class Tables:
             session_by=self.session_by[sessions],
             session_error_m=self.session_error_m[sessions],
             collisions_us=tuple(time_us for time_us in self.collisions_us if begin_us <= time_us <= end_us),
+            beacons_heard=self.beacons_heard,
+            beacons_lost=self.beacons_lost,
         )
 
     @property
@@ -170,6 +180,7 @@ def read_tables(folder: RunFolder, vehicles: int) -> Tables:
         )
         for name, labels in vectors.items()
     }
+    heard, lost = _beacons(folder)
     events = [msgspec.json.decode(line) for line in folder.events.read_bytes().splitlines() if line]
     return Tables(
         time_us=flight["time_us"][::vehicles].astype(np.int64),
@@ -184,7 +195,20 @@ def read_tables(folder: RunFolder, vehicles: int) -> Tables:
         session_by=sessions["initiator"].astype(np.int64),
         session_error_m=sessions["distance_m"] - sessions["true_distance_m"],
         collisions_us=tuple(event["time_us"] for event in events if event["event"] == "collision"),
+        beacons_heard=heard,
+        beacons_lost=lost,
     )
+
+
+def _beacons(folder: RunFolder) -> tuple[int, int]:
+    """Heard and lost ones, as the emulator has counted them; of a run in one process."""
+    manifest = msgspec.json.decode(folder.manifest.read_bytes())
+    (counters,) = (
+        process["details"][RADIO]["counters"]
+        for process in manifest["processes"]
+        if RADIO in process["details"]
+    )
+    return sum(counters["broadcasts_delivered"]), counters["lost_by_hosts"]
 
 
 def _columns(path: Any, names: list[str]) -> dict[str, NDArray[Any]]:  # noqa: ANN401  a path as pyarrow has it
@@ -207,6 +231,7 @@ def measure(
         "first_collision_s": None if first_us is None else first_us / 1e6,
         "down": int((~tables.in_the_air[-1]).sum()) if len(tables.time_us) else scenario.agents,
         "least_distance_m": _least_distance_m(tables),
+        "beacons_lost_fraction": tables.beacons_lost / tables.beacons_heard if tables.beacons_heard else None,
     }
     if formed_us is None:
         return Measures(**numbers)
@@ -216,8 +241,8 @@ def measure(
     numbers["least_distance_formed_m"] = _least_distance_m(whole)
     numbers["shape_whole_m"] = formation_error(whole.flight(places_ned_m)).shape.horizontal_rms_m
     numbers["track_mm"] = _track_mm(whole.flight(places_ned_m))
-    fallen = np.flatnonzero(~whole.in_the_air.all(axis=1))
-    sound = whole if not len(fallen) else whole.rows(formed_us, int(whole.time_us[fallen[0]]) - 1)
+    fallen_us = whole.time_us[~whole.in_the_air.all(axis=1)][:1].tolist()
+    sound = whole.rows(formed_us, min((*whole.collisions_us, *fallen_us), default=end_us + 1) - 1)
     if len(sound.time_us):
         numbers |= _errors(sound, places_ned_m)
         if gains:
