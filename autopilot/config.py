@@ -92,7 +92,7 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     localisation: Literal["gps", "ftm", "truth"] = "ftm"
     """Correct the own position by everyone's GPS and the FTM distances, trust the own GPS alone, or be told
     by the simulator: the last two are what the first is measured against."""
-    beacon_period_ms: Annotated[int, Meta(ge=10, le=60_000)] = 100
+    beacon_period_ms: Annotated[int, Meta(ge=10, le=1_000)] = 100
     ranging: Literal["all_pairs", "scheduled"] = "all_pairs"
     """Everybody to everybody in every period, or each pair by one of its ends, in a slot of its own, when the
     distance is worth its time on the air."""
@@ -120,7 +120,7 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     range_floor_std_m: Positive = 0.05
     """What averaging within an FTM session does not reduce."""
     safety_radius_m: NonNegative = 1.2
-    """A neighbour nearer than this, plus one sigma, is kept clear of.
+    """A neighbour nearer than this, plus two sigma, is kept clear of.
 
     At most 0.6 of the spacing to the nearest place.
     """

@@ -95,7 +95,8 @@ class Paused(Event, frozen=True, kw_only=True):
 
 
 class Formed(Event, frozen=True, kw_only=True):
-    """Every living vehicle's application says that it is on station, for the first time."""
+    """Every living vehicle's application says that it is on station, for the first time, but for those that
+    have yielded or landed."""
 
 
 class FormationMoves(Event, frozen=True, kw_only=True):

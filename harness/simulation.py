@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import common as mavlink
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.hil import HilActuatorControls
 from autopilot.mavlink.modes import mode_from_custom
+from autopilot.onboard.motion import STAYS_AWAY
 from autopilot.onboard.phases import Phase
 from harness import esc
 from harness.faults import MOST_ATTENUATION_DB, AnyFault, Faults, kind
@@ -306,10 +307,14 @@ class Simulation:
         self._touching = set(contacts)
 
     def _notice_formation(self) -> None:
-        """Report the formation when it is reached for the first time."""
+        """Report the formation when all who have not left it have reached it for the first time."""
         self._phase_news = False
         if not self.formed:
-            phases = [p for p, seat in zip(self._phases, self.lockstep.seats, strict=True) if seat.alive]
+            phases = [
+                phase
+                for phase, seat in zip(self._phases, self.lockstep.seats, strict=True)
+                if seat.alive and phase not in STAYS_AWAY
+            ]
             if phases and all(phase == Phase.ON_STATION for phase in phases):
                 self.formed = True
                 self._emit(Formed(time_us=self.time_us))

@@ -18,6 +18,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.config import AnyMotion, Devices, OnboardConfig, Site
 from autopilot.formation_plan import FormationPlan
 from autopilot.onboard import messages
+from autopilot.onboard.avoidance import FRESH_US
 from autopilot.onboard.beacon import GpsError
 from autopilot.onboard.commands import CommandSender
 from autopilot.onboard.flight import Flight, Situation
@@ -26,7 +27,7 @@ from autopilot.onboard.localisation import CooperativeLocalisation, Localisation
 from autopilot.onboard.motion import Heard
 from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.phases import Phase
-from autopilot.onboard.traffic import SILENCE_US, Traffic
+from autopilot.onboard.traffic import Traffic
 from netsim.wire.messages import Delivery, FtmResult, RxItem, Sent, Survey, TxItem
 
 Array = NDArray[np.float64]
@@ -119,6 +120,7 @@ class OnboardApp:
         )
         self._own = OwnState(site=site, gps_delay_s=devices.gps_delay_s)
         self._heard: dict[int, Heard] = {}
+        self._held_limit_us = max(FRESH_US, 5 * config.beacon_period_ms * 1_000)
         self._held_us: dict[int, int] = {}
         """When a neighbour last knew its GPS error, which takes distances that hold its position."""
         self._now_us = -1
@@ -198,6 +200,8 @@ class OnboardApp:
             self._held_us[beacon.station] = now_us
         if self.localisation is None:
             return
+        if self._traffic.sender_is_new:
+            self.localisation.restart(beacon.station)
         self.localisation.on_odometry(
             beacon.station, beacon.time_us, beacon.odometry_ned_m, beacon.vel_ned_m_s
         )
@@ -268,6 +272,8 @@ class OnboardApp:
         if self.localisation is not None:
             counts["localisation_restarts"] = self.localisation.restarts
             counts["ranges_downweighted"] = self.localisation.ranges_downweighted
+            counts["gps_steps"] = self.localisation.gps_steps
+            counts["odometry_jumps"] = self.localisation.odometry_jumps
         return counts
 
     @property
@@ -355,13 +361,18 @@ class OnboardApp:
         self._supported = supported
 
     def _held_together(self, now_us: int) -> bool:
-        """Whether distances hold this UAV, and those to whom it would have to give way."""
+        """Whether distances hold this UAV, and those in the air to whom it would have to give way."""
         if self.localisation is None:
             return True
-        return self._supported and all(
-            now_us - self._held_us.get(station, -SILENCE_US) < SILENCE_US
-            for station in self._guidance.layers.watched
-        )
+        if not self._supported:
+            return False
+        oldest_us = now_us - self._held_limit_us
+        for station in self._guidance.layers.watched:
+            phase = self._heard[station][0] if station in self._heard else None
+            flies = phase is not None and Phase.TAKE_OFF <= phase < Phase.LANDED
+            if flies and self._held_us.get(station, 0) <= oldest_us:
+                return False
+        return True
 
     def _shape_std_before_flight_m(self, now_us: int) -> float:
         """Error of the shape that take-off waits for; see `Situation`."""

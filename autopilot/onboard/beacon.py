@@ -42,7 +42,9 @@ SEQ_MODULUS = 2**32
 _HAS_START, _HAS_FIX, _HAS_GPS_ERROR = 1, 2, 4
 _FLAGS = _HAS_START | _HAS_FIX | _HAS_GPS_ERROR
 _FAR_M = 1e6
-"""No honest sender is farther from the site, or faster in m/s."""
+"""No honest sender is farther from the site."""
+_FAST_M_S = 30.0
+"""No honest sender is faster."""
 _STD_MAX_M = 65.535
 _PHASES = {int(phase): phase for phase in Phase}
 
@@ -148,10 +150,16 @@ def decode(buffer: bytes) -> Beacon | None:
     ) = _HEADER.unpack_from(buffer)  # fmt: skip
     phase = _PHASES.get(phase_value)
     size = (
-        abs(odo_n) + abs(odo_e) + abs(odo_d) + abs(vel_n) + abs(vel_e) + abs(vel_d)
+        abs(odo_n) + abs(odo_e) + abs(odo_d)
         + abs(fix_n) + abs(fix_e) + abs(fix_d) + abs(err_n) + abs(err_e) + abs(err_d)
     )  # fmt: skip
-    if phase is None or flags & ~_FLAGS or time_us >= 2**63 or not size < _FAR_M:  # NaN is below nothing
+    speed2 = vel_n * vel_n + vel_e * vel_e + vel_d * vel_d
+    if (
+        phase is None
+        or flags & ~_FLAGS
+        or time_us >= 2**63
+        or not (size < _FAR_M and speed2 <= _FAST_M_S**2)  # NaN is below nothing
+    ):
         return None
     distances = []
     seen = 1 << station

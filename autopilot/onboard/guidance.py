@@ -69,8 +69,10 @@ class Guidance:
         self._avoidance = Avoidance(own=station, places_ned_m=places_ned_m, radius_m=config.safety_radius_m)
 
     def place_ned_m(self, now_us: int) -> Array:
-        """(3,) the own place of the plan, site NED."""
-        return self._plan.own(self._station, self._since_start_s(now_us)).pos_ned_m
+        """(3,) the own place of the plan, at the height of the own layer, site NED."""
+        place_ned_m = self._plan.own(self._station, self._since_start_s(now_us)).pos_ned_m.copy()
+        place_ned_m[2] -= self.layers.height_m
+        return place_ned_m
 
     def believed_ned_m(self, own: OwnState) -> Array:
         """(3,) where the UAV believes itself to be, site NED."""

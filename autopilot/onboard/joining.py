@@ -80,9 +80,9 @@ class Problem:
     cov: Array
     time_us: int
     active: Flags
-    """(N,) those of whom there is GPS."""
+    """(N,) those of whom there is GPS and who are heard of."""
     located: Flags
-    """(N,) those who have joined before; the prior of the others consists of their GPS alone."""
+    """(N,) those of them who have joined before; the prior of the others consists of their GPS alone."""
     places_ned_m: Array
     """(N, 3)"""
     odometry_ned_m: Array
@@ -99,7 +99,7 @@ class Problem:
         """
         liars: set[int] = set()
         joining = self.active & ~self.located
-        enough = min(LEAST_LINKS, int(self.active.sum()) - 1)
+        enough = max(min(LEAST_LINKS, int(self.active.sum()) - 1), 1)
         while True:
             usable = [item for item in held if item.initiator not in liars]
             joining &= links(usable, len(joining))[:, self.active].sum(axis=1) >= enough

@@ -34,21 +34,24 @@ def layers(
     """(N,) layer of every place, in separations upwards: 0, 1, -1, 2, -2 ...
 
     Greedy in the order of the UAVs, so that everybody finds the same: the nearest to 0 that leaves every
-    earlier place within reach a separation apart in height. A place never goes below `GROUND_CLEARANCE_M`.
+    earlier place within reach a separation apart in height, and if it is not 0, all places within reach too:
+    there may be somebody in them. A place never goes below `GROUND_CLEARANCE_M`.
     """
     count = len(places_ned_m)
     found = np.zeros(count, np.int64)
     heights_m = -places_ned_m[:, 2].astype(float)
     reach_m = REACH_SIGMAS * math.sqrt(2.0) * gps_std_m
     for k in range(count):
-        way_m = places_ned_m[:k, :2] - places_ned_m[k, :2]
+        way_m = places_ned_m[:, :2] - places_ned_m[k, :2]
         within = (way_m**2).sum(axis=1) < reach_m**2
-        taken_m = heights_m[:k][within]
+        taken_m = heights_m[:k][within[:k]]
+        places_m = -places_ned_m[within, 2]
         layer = 0
         while True:
             height_m = heights_m[k] + layer * separation_m
             low = layer < 0 and height_m < GROUND_CLEARANCE_M
-            if not low and (np.abs(taken_m - height_m) > separation_m - 1e-6).all():
+            others_m = taken_m if layer == 0 else np.concatenate((taken_m, places_m))
+            if not low and (np.abs(others_m - height_m) > separation_m - 1e-6).all():
                 break
             layer = -layer if layer > 0 else 1 - layer
         found[k], heights_m[k] = layer, height_m

@@ -6,12 +6,11 @@ order and late; each is compared with the odometry of its own time, waits until 
 that time, and is used once. UAVs join the filter in a batch (`joining`), for it must begin near the truth.
 
 Against what is wrong: every measurement's weight falls with its misfit; a UAV whose distances all misfit is
-solved for afresh, and one that only measures wrongly is not listened to (`trust`); a GPS whose error is
-estimated beyond what its receiver states is taken to have errors of that size, and after a step of it they
+solved for afresh, as is on trial one of which some misfit for long, and one that only measures wrongly is
+not listened to (`trust`); who is silent has no part in the geometry; a GPS whose error is estimated beyond what its receiver states is taken to have errors of that size, and after a step of it they
 are estimated anew.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -20,7 +19,16 @@ import numpy as np
 
 from autopilot.onboard.beacon import Distance
 from autopilot.onboard.fixes import GROUP_US, FixGroup, FixMean
-from autopilot.onboard.joining import SHAPE_KNOWN_M, TO_COMPLEX, Flags, Problem, Range, laid_over, links
+from autopilot.onboard.joining import (
+    SHAPE_KNOWN_M,
+    TO_COMPLEX,
+    Flags,
+    Joined,
+    Problem,
+    Range,
+    laid_over,
+    links,
+)
 from autopilot.onboard.kernels import (
     BIAS,
     KNOWN,
@@ -39,6 +47,8 @@ CLOCK_TOLERANCE_US = 10_000
 """A time stamp may be this far in the future; beyond, it is wrong."""
 PENDING_LIMIT_US = 1_000_000
 """A distance whose ends' odometry does not arrive within this is given up."""
+SILENCE_US = 3_000_000
+"""Who has not been heard of for this long is not waited for, and has no part in the geometry."""
 DECAY_SHARE = 0.01
 """Of the shortest time constant: the stride in which slow errors are propagated."""
 MISFIT_WEIGHT = 0.2
@@ -103,7 +113,7 @@ class CooperativeLocalisation:
         located: (N,) bool, whose distances are fused.
         ranges_used, ranges_downweighted: counters.
         restarts: times that a UAV was found to be elsewhere than thought.
-        odometry_jumps: times that a UAV's odometry has begun anew.
+        odometry_jumps: times that a UAV's odometry has begun anew, by its own step or as told by `restart`.
         gps_steps: times that a GPS error was found to have changed at once.
         own_range_us: when the newest fused distance that involves the own UAV was measured, or None.
 
@@ -144,10 +154,14 @@ class CooperativeLocalisation:
         self._pending: list[Range] = []
         self._held: dict[tuple[int, int], Range] = {}
         self._held_since_us = 0
+        self._fused: dict[tuple[int, int], Range] = {}
+        """The newest of each pair, to solve again should it not fit."""
         self._trust = Trust(count)
         self._reference_ne_m = np.zeros((count, 2))
         self._bend_m = np.zeros((count, count))
         self._geometry_due_us = 0
+        self._returned = False
+        """Whether somebody has been heard of again since the geometry was last looked at."""
         self._distances_hz = 0.0
         """Of one UAV, either end."""
         self._counted = 0
@@ -157,6 +171,8 @@ class CooperativeLocalisation:
         self, station: int, time_us: int, odometry_ned_m: Sequence[float], vel_ned_m_s: Sequence[float]
     ) -> None:
         """Take odometry of a UAV (north, east integrated velocity, down the barometer's); old is ignored."""
+        if time_us - self._tracks.newest_us.item(station) > SILENCE_US:
+            self._returned = True
         jump = self._tracks.push(station, time_us, odometry_ned_m, vel_ned_m_s)
         if jump is not None and self.active[station]:
             # The UAV has not jumped: its odometry has begun anew.
@@ -217,17 +233,39 @@ class CooperativeLocalisation:
                     initiator, item.peer, item.time_ms * 1_000, item.distance_m, item.std_m, now_us=now_us
                 )
 
+    def restart(self, station: int) -> None:
+        """Forget a UAV whose application has begun anew: its odometry counts from elsewhere since.
+
+        To be told before that odometry. It is brought in again once there are GPS and distances of it.
+        """
+        self.odometry_jumps += 1
+        self._tracks.forget(station)
+        self._fixes[station] = FixGroup()
+        self._bad_fixes[station] = 0
+        self._trust.forget(station)
+        self.located[station] = self.active[station] = False
+        _clear(station, self.state, self.cov)
+        for kept in (self._held, self._fused):
+            for pair in [pair for pair in kept if station in pair]:
+                del kept[pair]
+
     def update(self, now_us: int) -> None:
         """Use what has become usable by now."""
+        due = now_us >= self._geometry_due_us
+        if due or self._returned:
+            self._returned = False
+            self._keep_geometry(now_us)
         if self._pending:
             self._pending = [item for item in self._pending if not self._take(item, now_us)]
         if self._held:
             self._locate(now_us)
-        if now_us >= self._geometry_due_us:
+        if due:
             self._geometry_due_us = now_us + GEOMETRY_PERIOD_US
             self._distances_hz = 2e6 * (self.ranges_used - self._counted) / (self.count * GEOMETRY_PERIOD_US)
             self._counted = self.ranges_used
-            self._keep_geometry(now_us)
+            suspects = self._trust.suspects(now_us, np.flatnonzero(self.located & self._present(now_us)))
+            if suspects:
+                self._try_afresh(suspects, now_us)
 
     def advance(self, now_us: int) -> None:
         """Propagate the covariance to now, for whoever wants to read it."""
@@ -278,12 +316,6 @@ class CooperativeLocalisation:
             line_m[0] = 1.0
         return float(relative_variance(self.cov, self.own, peer, line_m)) + self._walked_m2(now_us)
 
-    def relative_std_m(self, peer: int, now_us: int) -> float:
-        """One sigma of the horizontal position relative to a UAV, along the line; inf as long as unknown."""
-        if not (self.located[self.own] and self.located[peer]):
-            return math.inf
-        return float(self.others(now_us, fresh_us=now_us + 1).std_m[peer])
-
     def others(self, now_us: int, *, fresh_us: int) -> Others:
         """Everybody, as avoidance wants them; fresh is who was heard within ``fresh_us``."""
         fresh = self.located & (self._tracks.newest_us >= now_us - fresh_us)
@@ -293,11 +325,18 @@ class CooperativeLocalisation:
         return Others(pos_ned_m, self._tracks.newest[:, 3:], std_m, fresh)
 
     def shape_std_m(self, now_us: int) -> float:
-        """Horizontal rms error to expect of the located UAVs' shape, aligned; inf with fewer than two."""
-        members = np.flatnonzero(self.located)
+        """Horizontal rms error to expect of the shape of those located and heard of, aligned.
+
+        Inf with fewer than two.
+        """
+        members = np.flatnonzero(self.located & self._present(now_us))
         if len(members) < 2:
             return float("inf")
         return float(np.sqrt(shape_variance(self.positions_ned_m(now_us), self.cov, members)))
+
+    def _present(self, now_us: int) -> Flags:
+        """(N,) who has been heard of within `SILENCE_US`."""
+        return np.asarray(self._tracks.newest_us >= max(now_us - SILENCE_US, 0))
 
     def _walked_m2(self, now_us: int) -> float:
         """What the odometry of two has lost since the filter's time, per axis of their difference."""
@@ -331,8 +370,9 @@ class CooperativeLocalisation:
         if added_m2 > 0.0:
             self._bias_var_m2[station] = max(self._bias_var_m2[station], variance_m2)
             if self.active[station]:
+                # No further than to the new variance, or a receiver that wavers would add up.
                 for at in range(STATES * station + BIAS, STATES * station + STATES):
-                    self.cov[at, at] += added_m2
+                    self.cov[at, at] += max(min(added_m2, variance_m2 - self.cov[at, at]), 0.0)
 
     def _fuse_fixes(self, station: int, time_us: int, mean: FixMean) -> None:
         model = self._model
@@ -364,20 +404,22 @@ class CooperativeLocalisation:
         self._bias_var_m2[station] = max(self._stated_var_m2[station], seen_m2)
 
     def _activate(self, station: int) -> None:
-        """Begin a UAV with its GPS alone: offset = fix - bias - noise, the bias at its stationary spread."""
+        """Begin a UAV with its GPS alone."""
+        self._bias_var_m2[station] = self._stated_var_m2[station]
+        self._begin(station, self.state, self.cov)
+        self.active[station] = True
+
+    def _begin(self, station: int, state: Array, cov: Array) -> None:
+        """Fill in a UAV by its GPS: offset = fix - bias - noise, the bias at its stationary spread."""
         base = STATES * station
         bias_var_m2 = self._stated_var_m2[station]
-        self._bias_var_m2[station] = bias_var_m2
-        self.state[base : base + STATES] = 0.0
-        self.cov[base : base + STATES, :] = 0.0
-        self.cov[:, base : base + STATES] = 0.0
+        _clear(station, state, cov)
         for a in range(2):
-            self.state[base + a] = self._fix_less_odometry_m[station, a]
-            self.cov[base + a, base + a] = bias_var_m2 + self._model.gps_white_std_m**2
-            self.cov[base + BIAS + a, base + BIAS + a] = bias_var_m2
-            self.cov[base + a, base + BIAS + a] = self.cov[base + BIAS + a, base + a] = -bias_var_m2
-        self.cov[base + 2, base + 2] = self._model.height_std_m**2
-        self.active[station] = True
+            state[base + a] = self._fix_less_odometry_m[station, a]
+            cov[base + a, base + a] = bias_var_m2 + self._model.gps_white_std_m**2
+            cov[base + BIAS + a, base + BIAS + a] = bias_var_m2
+            cov[base + a, base + BIAS + a] = cov[base + BIAS + a, base + a] = -bias_var_m2
+        cov[base + 2, base + 2] = self._model.height_std_m**2
 
     def _take(self, item: Range, now_us: int) -> bool:
         """Use or hold a distance; False when it must wait for odometry."""
@@ -410,6 +452,7 @@ class CooperativeLocalisation:
             item.variance_m2 + 2.0 * (late_m2 + bend_m * bend_m), -1.0, trust,
         )  # fmt: skip
         self._count(item, weight)
+        self._fused[item.initiator, item.responder] = item
         if trust > 0.0 and self._trust.distrusted[item.initiator]:
             # It has been pulled to where its own distances wanted it.
             for at in range(STATES * item.initiator, STATES * item.initiator + 2):
@@ -428,20 +471,52 @@ class CooperativeLocalisation:
 
     def _locate(self, now_us: int) -> None:
         """Bring in those whose distances have been held, once enough of them are there."""
+        present = self._present(now_us)
         linked = links(self._held.values(), self.count) | np.eye(self.count, dtype=bool)
-        complete = self.active.all() and linked[~self.located].all()
+        fallen_silent = ~present & (self._tracks.newest_us >= 0)
+        complete = (self.active | fallen_silent).all() and linked[present & ~self.located][:, present].all()
         if not complete and now_us - self._held_since_us < self._model.gather_s * 1e6:
             return
         held = [item for _, item in sorted(self._held.items())]
         self._held.clear()
         self._advance(max(item.time_us for item in held))
-        joined = Problem(
-            state=self.state, cov=self.cov, time_us=self._time_us, active=self.active, located=self.located,
-            places_ned_m=self._places_ned_m, odometry_ned_m=self._tracks.newest[:, :3],
-            drift_m2_s=self._drift_m2_s, bias_var_m2=self._stated_var_m2,
-        ).join(held)  # fmt: skip
+        problem = self._problem(self.state, self.cov, self.active & present, self.located & present)
+        joined = problem.join(held)
         if joined is None:
             return
+        self._take_in(joined, now_us)
+        for item, weight in zip(joined.batch, joined.solution.weights, strict=True):
+            self._count(item, weight)
+
+    def _try_afresh(self, suspects: set[int], now_us: int) -> None:
+        """Solve again for UAVs of whose distances many misfit; without a solution that fits, all stays."""
+        held = [
+            item
+            for pair, item in sorted(self._fused.items())
+            if not suspects.isdisjoint(pair) and now_us - item.time_us < self._model.gather_s * 1e6
+        ]
+        if not held:
+            return
+        present = self._present(now_us)
+        self._advance(max(item.time_us for item in held))
+        state, cov, rest = self.state.copy(), self.cov.copy(), self.located & present
+        for station in suspects:
+            self._begin(station, state, cov)
+            rest[station] = False
+        joined = self._problem(state, cov, self.located & present, rest).join(held)
+        if joined is not None and joined.joining.sum() == len(suspects):
+            self.restarts += len(suspects)
+            self._take_in(joined, now_us)
+
+    def _problem(self, state: Array, cov: Array, active: Flags, located: Flags) -> Problem:
+        return Problem(
+            state=state, cov=cov, time_us=self._time_us, active=active, located=located,
+            places_ned_m=self._places_ned_m, odometry_ned_m=self._tracks.newest[:, :3],
+            drift_m2_s=self._drift_m2_s, bias_var_m2=self._stated_var_m2,
+        )  # fmt: skip
+
+    def _take_in(self, joined: Joined, now_us: int) -> None:
+        """Make a solution the filter's."""
         self.state[:], self.cov[:] = joined.solution.state, joined.solution.cov
         self.located |= joined.joining
         self._set_reference(now_us, joined.joining)
@@ -451,8 +526,6 @@ class CooperativeLocalisation:
             self._rate_gps(station)
         for station in joined.liars:
             self._trust.distrust(station)
-        for item, weight in zip(joined.batch, joined.solution.weights, strict=True):
-            self._count(item, weight)
 
     def _set_reference(self, now_us: int, joining: Flags) -> None:
         """Fix the geometry of the derivatives for those who join.
@@ -463,10 +536,10 @@ class CooperativeLocalisation:
         there_m = self.positions_ned_m(now_us)[:, :2]
         reference_m = there_m
         if self.shape_std_m(now_us) > SHAPE_KNOWN_M:
-            reference_m = laid_over(self._places_ned_m, there_m, self.located)
-        before = self.located & ~joining
-        if before.sum() >= 2:
-            # They keep the heading of those before them.
+            reference_m = laid_over(self._places_ned_m, there_m, self.located & self._present(now_us))
+        before = self.located & self._present(now_us) & ~joining
+        if before.any():
+            # They keep the place and the heading of those before them.
             there, then = (m[before] @ TO_COMPLEX for m in (reference_m, self._reference_ne_m))
             turn = np.exp(1j * np.angle(np.vdot(there - there.mean(), then - then.mean())))
             turned = (reference_m @ TO_COMPLEX - there.mean()) * turn + then.mean()
@@ -475,12 +548,17 @@ class CooperativeLocalisation:
 
     def _keep_geometry(self, now_us: int) -> None:
         """Renew the fixed geometry when the formation has turned away from it, and what bending does."""
-        members = self.located
+        members = self.located & self._present(now_us)
         if members.sum() < 2:
             return
         there = self.positions_ned_m(now_us)[members, :2] @ TO_COMPLEX
-        then = self._reference_ne_m[members] @ TO_COMPLEX
-        if abs(np.angle(np.vdot(then - then.mean(), there - there.mean()))) > TURN_LIMIT_RAD:
+        reference = self._reference_ne_m @ TO_COMPLEX
+        then = reference[members]
+        turn_rad = np.angle(np.vdot(then - then.mean(), there - there.mean()))
+        if abs(turn_rad) > TURN_LIMIT_RAD:
+            # Who is silent is taken along, for the time when it is heard again.
+            turned = (reference - then.mean()) * np.exp(1j * turn_rad) + there.mean()
+            self._reference_ne_m[:] = np.column_stack((turned.real, turned.imag))
             self._set_reference(now_us, members)
         bend(self._reference_ne_m, self.cov, np.flatnonzero(members), self._bend_m)
 
@@ -490,3 +568,10 @@ class CooperativeLocalisation:
         self._trust.forget(station)
         self.located[station] = False
         self._activate(station)
+
+
+def _clear(station: int, state: Array, cov: Array) -> None:
+    """Take all that is known of a UAV out of state and cov."""
+    own = slice(STATES * station, STATES * (station + 1))
+    state[own] = 0.0
+    cov[own, :] = cov[:, own] = 0.0

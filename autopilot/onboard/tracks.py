@@ -61,6 +61,10 @@ class Tracks:
         self._pushed[station] = pushed + 1
         return jump
 
+    def forget(self, station: int) -> None:
+        """Forget the odometry of a UAV: what comes next has nothing to do with it."""
+        self._pushed[station] = 0
+
     def at(self, station: int, time_us: int, out_ned_m: Array) -> int:
         """Odometry (3,) of a UAV at a time; see `odometry_at`."""
         return int(

@@ -35,6 +35,8 @@ class Traffic:
         range_silence_us: distances older than this are news to nobody.
         bad_beacons: datagrams that were no beacon, or one that contradicts itself.
         beacons_heard, beacons_missed: of those that neighbours heard so far have numbered.
+        sender_is_new: the sender of the last beacon heard has begun anew since the one before, and its
+            odometry with it.
 
     """
 
@@ -50,6 +52,7 @@ class Traffic:
         self.bad_beacons = 0
         self.beacons_heard = 0
         self.beacons_missed = 0
+        self.sender_is_new = False
         self._station, self._stations = station, stations
         self._trip_std_m = devices.ftm_trip_std_m
         self._rng = rng
@@ -83,6 +86,7 @@ class Traffic:
         self.beacons_heard += 1
         if 1 < gap <= SEQ_GAP_LIMIT:
             self.beacons_missed += gap - 1
+        self.sender_is_new = gap > SEQ_GAP_LIMIT
         return beacon
 
     def measured(self, item: FtmResult) -> wire.Distance | None:

@@ -2,7 +2,11 @@
 
 One that stands elsewhere misfits in all distances that it is an end of, whoever measured them. One that
 measures wrongly misfits in those that it measured itself, while what the others measured to it fits.
+
+A filter can also settle where only a part of them misfits, such as a mirror image: that shows in time.
 """
+
+from collections.abc import Iterable
 
 MEMORY = 30
 """Distances of a UAV, as either end, over which the share of badly fitting ones is averaged."""
@@ -16,6 +20,9 @@ DISTRUST_LIMIT, FIT_LIMIT = 0.7, 0.35
 """More than this of its own fits badly, less than this of the others'."""
 TRUST_LIMIT = 0.2
 """So few of its own fit badly when its distances are used again."""
+LASTING_LIMIT, LASTING_US = 0.25, 30_000_000
+"""A UAV of which this share more misfits than of the best one, for so long, is suspected to be elsewhere.
+Blocked lines of sight spoil a share of everybody's."""
 
 
 class Trust:
@@ -31,6 +38,7 @@ class Trust:
         self._as_end = [0.0] * count
         self._measured = [0.0] * count
         self._of_it = [0.0] * count
+        self._since_us: list[int | None] = [None] * count
 
     def note(self, initiator: int, responder: int, *, badly: bool) -> None:
         """Count a distance that has been compared with the estimate."""
@@ -54,7 +62,20 @@ class Trust:
         """Whether a UAV cannot be where it is thought to be."""
         return self._as_end[station] > ELSEWHERE_LIMIT
 
+    def suspects(self, now_us: int, members: Iterable[int]) -> set[int]:
+        """Who of these misfits beside the others, once one of them has done so for `LASTING_US`, anew."""
+        shares = {station: self._as_end[station] for station in members}
+        limit = min(shares.values(), default=0.0) + LASTING_LIMIT
+        found = {station for station, share in shares.items() if share > limit}
+        since_us = [now_us if since is None else since for since in self._since_us]
+        lasting = any(now_us - since_us[station] >= LASTING_US for station in found)
+        self._since_us = [
+            since if station in found and not lasting else None for station, since in enumerate(since_us)
+        ]
+        return found if lasting else set()
+
     def forget(self, station: int) -> None:
         """Begin a UAV afresh."""
         self._as_end[station] = self._measured[station] = self._of_it[station] = 0.0
         self.distrusted[station] = False
+        self._since_us[station] = None

@@ -19,8 +19,15 @@ class Book(Struct, frozen=True, kw_only=True):
 
     def measures(self, case: Case) -> list[Measures | None]:
         """Of every seed, in their order; None of those that were not flown or are broken."""
-        flights = (self.flights.get((case.name, seed)) for seed in range(1, self.plan.seeds + 1))
-        return [None if flown is None else flown.measures for flown in flights]
+        return [None if flown is None else flown.measures for flown in self._flights(case)]
+
+    def pairs(self, one: Case, other: Case) -> list[tuple[Measures, Measures]]:
+        """Of the seeds that have both, flown by the same sources."""
+        return [
+            (a.measures, b.measures)
+            for a, b in zip(self._flights(one), self._flights(other), strict=True)
+            if a is not None and b is not None and a.state == b.state and a.measures and b.measures
+        ]
 
     def flown(self, case: Case) -> list[Measures]:
         """Of the seeds that have one."""
@@ -35,8 +42,9 @@ class Book(Struct, frozen=True, kw_only=True):
         return mean_interval(self.values(case, what))
 
     def ratio(self, above: Case, below: Case, what: str) -> Interval:
-        """Ratio of the means of two cases over the seeds that both have."""
-        return ratio_interval(self.values(above, what), self.values(below, what))
+        """Ratio of the means of two cases over their pairs."""
+        pairs = self.pairs(above, below)
+        return ratio_interval([getattr(a, what) for a, _ in pairs], [getattr(b, what) for _, b in pairs])
 
     def count(self, case: Case, condition: Callable[[Measures], bool]) -> int:
         """Flights of which something holds."""
@@ -62,3 +70,6 @@ class Book(Struct, frozen=True, kw_only=True):
     def broken(self) -> list[Flown]:
         """Flights without numbers."""
         return [flown for flown in self.flights.values() if flown.broken is not None]
+
+    def _flights(self, case: Case) -> list[Flown | None]:
+        return [self.flights.get((case.name, seed)) for seed in range(1, self.plan.seeds + 1)]

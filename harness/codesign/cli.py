@@ -18,7 +18,17 @@ from rich.console import Console
 from harness import kernel_cache
 from harness.codesign.book import Book
 from harness.codesign.cases import ARTICLE, QUICK, Case, Plan, groups
-from harness.codesign.results import FLYING, Flown, Store, Task, fly_tasks, known, make_tasks, sources_state
+from harness.codesign.results import (
+    FLYING,
+    CampaignError,
+    Flown,
+    Store,
+    Task,
+    fly_tasks,
+    known,
+    make_tasks,
+    sources_state,
+)
 from harness.codesign.sections import (
     Judge,
     judge_baselines,
@@ -35,7 +45,7 @@ from harness.validation.standard_output import keep_stdout
 
 INTERRUPTED = 130
 DATA = Path("runs") / "codesign"
-STALE_HELP = "Take flights of earlier sources and other plans rather than fly again."
+STALE_HELP = "Take flights of other sources rather than fly again."
 JUDGES: dict[str, Judge] = {
     "wind_agents": judge_wind_agents,
     "wavelength": judge_wavelength,
@@ -91,7 +101,7 @@ def codesign(
     if missing or ESTIMATOR in names:
         state = sources_state()
         try:
-            with _interruptible():
+            with store.alone(), _interruptible():
                 kernel_cache.prepare(messages.print)
                 if ESTIMATOR in names:
                     estimated = _study(plan, data, workers=workers, messages=messages)
@@ -99,7 +109,7 @@ def codesign(
         except KeyboardInterrupt:
             messages.print("broken off: the same command goes on from here")
             raise typer.Exit(INTERRUPTED) from None
-        except kernel_cache.CompileError as error:
+        except (CampaignError, kernel_cache.CompileError) as error:
             messages.print(f"experiment_codesign: {error}")
             raise typer.Exit(BAD_INPUT) from None
         sources_state.cache_clear()
@@ -192,12 +202,12 @@ def _introduction(book: Book, tasks: Sequence[Task]) -> str:
 
 from {len(book.flights)} flights of `scenarios/{ARTICLE.name}` and changes of it: {book.plan.seeds} of each
 case, with the same seeds, {book.plan.duration_s:g} s in formation each; {simulated_min:.0f} minutes simulated
-in {wall_min:.0f} minutes of flying. Every number follows from the seeds: the same sources give the same ones.
-What they mean is said in [codesign.md](codesign.md). Intervals are of 95 % confidence: Student's of means
-over the flights, a bootstrap over pairs of flights of ratios."""
+in {wall_min:.0f} minutes of flying. Every number but that of these minutes follows from the seeds: the same
+sources give the same ones. What they mean is said in [codesign.md](codesign.md). Intervals are of 95 %
+confidence: Student's of means over the flights, a bootstrap over pairs of flights of ratios."""
     ]
     if stale:
-        lines.append(f"\n{stale} of the flights are of other states of the sources or of other plans.")
+        lines.append(f"\n{stale} of the flights are of other states of the sources.")
     broken = book.broken()
     if broken:
         lines.append("\nFlights without numbers:\n")

@@ -5,8 +5,10 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import msgspec
+import numpy as np
 from msgspec import Struct
 
 from harness.codesign.cases import Plan, wind_agents
@@ -17,7 +19,7 @@ from harness.validation.report import Check, Section, Table
 
 OVER_BOUND_MOST = 1.5
 """Relative position error over the Cramer-Rao bound at the article's geometry"""
-RUNS_PER_SEED = 10
+RUNS_PER_SEED, RUNS_LEAST = 10, 100
 _SEED = 5
 _STUDIED = ("study.py", "simulated.py", "bounds.py", "batch.py")
 
@@ -43,24 +45,28 @@ SETTINGS = (
 
 
 class Studied(Struct, frozen=True, kw_only=True):
-    """A study that is done, and the state of the sources that it is of."""
+    """A study that is done."""
 
     setting: Setting
-    runs: int
-    state: str
+    digest: str
+    """Of the sources and of all that it was given"""
     result: LocalisationResult
 
 
 def study(setting: Setting, runs: int) -> LocalisationResult:
     """Do one of them, in the geometry of the article or what it is with other numbers of UAVs."""
-    return localisation_study(
-        wind_agents("ftm", setting.agents, 5).scenario(Plan(), 1).places_ned_m(),
-        runs=runs,
-        seed=_SEED,
-        trouble=Trouble(loss=setting.loss),
-        scheduled=setting.scheduled,
-        batch=setting.batch,
-    )
+    return localisation_study(**_arguments(setting, runs))
+
+
+def _arguments(setting: Setting, runs: int) -> dict[str, Any]:
+    return {
+        "places_ned_m": wind_agents("ftm", setting.agents, 5).scenario(Plan(), 1).places_ned_m(),
+        "runs": runs,
+        "seed": _SEED,
+        "trouble": Trouble(loss=setting.loss),
+        "scheduled": setting.scheduled,
+        "batch": setting.batch,
+    }
 
 
 def studies(
@@ -71,13 +77,14 @@ def studies(
     ``done`` is told how many are, and how many there are.
     """
     runs, state, path = RUNS_PER_SEED * plan.seeds, _state(), data / "studies.jsonl"
+    digests = {setting: _digest(state, _arguments(setting, runs)) for setting in SETTINGS}
     found: dict[Setting, LocalisationResult] = {}
     for line in path.read_bytes().splitlines() if path.exists() else ():
         try:
             studied = msgspec.json.decode(line, type=Studied)
         except msgspec.DecodeError:
             continue
-        if studied.runs == runs and studied.state == state:
+        if digests.get(studied.setting) == studied.digest:
             found[studied.setting] = studied.result
     missing = [setting for setting in SETTINGS if setting not in found]
     done(len(found), len(SETTINGS))
@@ -86,8 +93,9 @@ def studies(
     with ProcessPoolExecutor(workers, mp_context=get_context(START_METHOD)) as pool:
         waiting = {pool.submit(study, setting, runs): setting for setting in missing}
         for future in as_completed(waiting):
-            found[waiting[future]] = future.result()
-            studied = Studied(setting=waiting[future], runs=runs, state=state, result=found[waiting[future]])
+            setting = waiting[future]
+            found[setting] = future.result()
+            studied = Studied(setting=setting, digest=digests[setting], result=found[setting])
             with path.open("ab") as file:
                 file.write(msgspec.json.encode(studied) + b"\n")
             done(len(found), len(SETTINGS))
@@ -109,6 +117,7 @@ def judge_estimator(results: dict[Setting, LocalisationResult]) -> Section:
             "consistent filter.\n"
         ),
         checks=(
+            Check(name="runs", value=float(article.runs), unit="", at_least=float(RUNS_LEAST)),
             Check(
                 name="relative position error over the Cramer-Rao bound, article's geometry",
                 value=article.filter_over_bound, unit="", at_most=OVER_BOUND_MOST,
@@ -144,3 +153,8 @@ def _state() -> str:
     for name in _STUDIED:
         content.update((Path(__file__).parent / name).read_bytes())
     return content.hexdigest()[:16]
+
+
+def _digest(state: str, arguments: dict[str, Any]) -> str:
+    content = msgspec.json.encode((state, arguments), enc_hook=np.ndarray.tolist)
+    return hashlib.sha256(content).hexdigest()[:16]

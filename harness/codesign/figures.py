@@ -3,6 +3,7 @@
 Bars and bands are 95 % confidence intervals of the mean over the seeds unless a figure says otherwise.
 """
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -85,15 +86,20 @@ def save_beacons(path: Path, periods_ms: Sequence[float], parts_m: Mapping[str, 
 
 
 def save_ranging(path: Path, points: Mapping[str, Sequence[tuple[str, Interval, Interval]]]) -> None:
-    """Shape error against occupancy of the channel: for each series (policy, busy fraction, shape)."""
+    """Shape error against occupancy of the channel: for each series (policy, busy fraction, shape).
+
+    A policy has one marker in all series, and a series one colour.
+    """
     figure = Figure(figsize=(8.6, 4.4), layout="constrained")
     axes = figure.subplots()
+    names = dict.fromkeys(name for entries in points.values() for name, _, _ in entries)
+    marker_of = dict(zip(names, itertools.cycle(_MARKERS), strict=False))
     for i, (series, entries) in enumerate(points.items()):
-        for (name, busy, shape), marker in zip(entries, _MARKERS, strict=True):
+        for name, busy, shape in entries:
             if shape.count and busy.count:
                 axes.errorbar(
                     100.0 * busy.value, shape.value, xerr=100.0 * _bars([busy]), yerr=_bars([shape]),
-                    fmt=marker, color=(FTM, GPS, OTHER)[i], markersize=8, capsize=3,
+                    fmt=marker_of[name], color=(FTM, GPS, OTHER)[i], markersize=8, capsize=3,
                     markeredgecolor="white", label=f"{series}: {name}",
                 )  # fmt: skip
     axes.set_xscale("log")

@@ -6,11 +6,13 @@ same scenario, the same faults, the same state of the sources.
 """
 
 import ast
+import contextlib
+import fcntl
 import hashlib
 import multiprocessing
 import signal
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from functools import cache
@@ -18,6 +20,7 @@ from pathlib import Path
 
 import msgspec
 from msgspec import Struct
+from msgspec.structs import replace
 
 from harness.codesign.cases import Case, Plan
 from harness.codesign.measures import Measures
@@ -36,12 +39,20 @@ _MEASURED_BY = ("codesign/flights.py", "codesign/measures.py")
 """... but for these, which make the numbers."""
 
 
+class CampaignError(Exception):
+    """A campaign cannot go on; the text is one line for the user."""
+
+
 class Task(Struct, frozen=True, kw_only=True):
     """A flight to be flown, as a worker is told."""
 
     case: str
     seed: int
     digest: str
+    state: str
+    """Of the sources"""
+    plan_s: float
+    """In formation by the plan"""
     scenario: Scenario
     faults: tuple[AnyFault, ...]
     """Injected when the formation is reached"""
@@ -59,6 +70,10 @@ class Flown(Struct, frozen=True, kw_only=True):
     measures: Measures | None = None
     broken: str | None = None
     """One line"""
+    state: str = ""
+    """Of the sources; written by the campaign, as the next"""
+    plan_s: float | None = None
+    """In formation by the plan, after which cuts and lies are timed"""
 
 
 class Store:
@@ -86,6 +101,16 @@ class Store:
                 except msgspec.DecodeError:  # also of a layout that has changed: it has another digest
                     continue
         return flights
+
+    @contextlib.contextmanager
+    def alone(self) -> Iterator[None]:
+        """Hold the folder for one campaign. Raises CampaignError if another one has it."""
+        with (self.folder / "lock").open("wb") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise CampaignError(f"{self.folder}: another campaign flies into it") from None
+            yield
 
     def _ends_a_line(self) -> bool:
         with self.path.open("rb") as file:
@@ -132,8 +157,9 @@ def make_tasks(cases: Iterable[Case], plan: Plan, *, folder: Path, state: str | 
         digest = hashlib.sha256(content).hexdigest()[:16]
         tasks.append(
             Task(
-                case=case.name, seed=seed, digest=digest, scenario=scenario, faults=case.faults,
-                gains=case.gains, folder=str(folder / FLYING / digest),
+                case=case.name, seed=seed, digest=digest, state=state[:16], plan_s=plan.duration_s,
+                scenario=scenario, faults=case.faults, gains=case.gains,
+                folder=str(folder / FLYING / digest),
             )
         )  # fmt: skip
     return tasks
@@ -142,16 +168,17 @@ def make_tasks(cases: Iterable[Case], plan: Plan, *, folder: Path, state: str | 
 def known(tasks: Sequence[Task], store: Store, *, stale: bool = False) -> dict[tuple[str, int], Flown]:
     """Flights of the tasks that are on disk, by case and seed, the latest of each.
 
-    ``stale`` takes those of other states of the sources and of other plans where there is none of this one.
+    ``stale`` takes those of other states of the sources where there is none of this one, if they are of
+    the same plan.
     """
-    digests = {(task.case, task.seed): task.digest for task in tasks}
+    wanted = {(task.case, task.seed): task for task in tasks}
     found: dict[tuple[str, int], Flown] = {}
     for flown in store.flights():
         key = (flown.case, flown.seed)
-        if key not in digests:
+        if (task := wanted.get(key)) is None:
             continue
-        fits = flown.digest == digests[key]
-        if fits or (stale and (key not in found or found[key].digest != digests[key])):
+        usable = stale and flown.plan_s == task.plan_s
+        if flown.digest == task.digest or (usable and (key not in found or found[key].digest != task.digest)):
             found[key] = flown
     return found
 
@@ -167,10 +194,12 @@ def fly_tasks(
     """Fly them all in worker processes; each is in the store before ``done`` hears of it.
 
     ``fly`` is a function of a module. A worker that dies takes those in the air with it: each of them is
-    flown again alone, and if that ends a worker once more it is the one that does so.
+    flown again alone, and if that ends a worker once more it is the one that does so. Raises CampaignError
+    when a worker finds other sources than the tasks are of.
     """
 
-    def finish(flown: Flown) -> None:
+    def finish(task: Task, flown: Flown) -> None:
+        flown = replace(flown, state=task.state, plan_s=task.plan_s)
         store.append(flown)
         done(flown)
 
@@ -178,7 +207,7 @@ def fly_tasks(
     while waiting:
         for task in _fly_while_whole(waiting, fly, workers, finish):
             if list(_fly_while_whole(deque([task]), fly, 1, finish)):
-                finish(broken(task, "its process died"))
+                finish(task, broken(task, "its process died"))
 
 
 def broken(task: Task, reason: str) -> Flown:
@@ -187,25 +216,34 @@ def broken(task: Task, reason: str) -> Flown:
 
 
 def _fly_while_whole(
-    waiting: deque[Task], fly: Callable[[Task], Flown], workers: int, finish: Callable[[Flown], None]
+    waiting: deque[Task],
+    fly: Callable[[Task], Flown],
+    workers: int,
+    finish: Callable[[Task, Flown], None],
 ) -> list[Task]:
     """Fly what is waiting, and take it out; returns those in the air when a worker died."""
     flying: dict[Future[Flown], Task] = {}
     context = multiprocessing.get_context(START_METHOD)
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin) as pool:
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(fly,)) as pool:
         try:
             while waiting or flying:
                 while waiting and len(flying) < workers:
-                    flying[pool.submit(fly, waiting[0])] = waiting[0]
+                    flying[pool.submit(_fly_of_state, fly, waiting[0])] = waiting[0]
                     waiting.popleft()
                 for future in wait(flying, return_when=FIRST_COMPLETED).done:
                     flown = future.result()
-                    del flying[future]
-                    finish(flown)
+                    finish(flying.pop(future), flown)
         except BrokenProcessPool:
             return list(flying.values())
     return []
 
 
-def _begin() -> None:
+def _begin(fly: Callable[[Task], Flown]) -> None:  # noqa: ARG001  it is given so that it is imported by now
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C goes to all, and the parent alone speaks of it
+    sources_state()  # kept: of what has just been read
+
+
+def _fly_of_state(fly: Callable[[Task], Flown], task: Task) -> Flown:
+    if sources_state()[: len(task.state)] != task.state:
+        raise CampaignError("the sources have changed since the campaign began; start it again")
+    return fly(task)

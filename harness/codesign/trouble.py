@@ -28,6 +28,12 @@ class CutResult(Struct, frozen=True, kw_only=True):
     """From the recovery on; NaN without one"""
     recovery_s: float
     """From the channel's return until the error is back; infinite if it does not come back"""
+    largest_during_m: float
+    """Over the last `SMOOTHED_S`; NaN without a track"""
+    largest_after_m: float
+    """Likewise, from the channel's return on"""
+    left: bool
+    """Whether the error was too large at any time from the cut on: else there was nothing to recover from"""
 
 
 class Pull(Struct, frozen=True, kw_only=True):
@@ -42,6 +48,10 @@ class Pull(Struct, frozen=True, kw_only=True):
     """Largest mean over all the time"""
     shift_m: float
     """Largest of the others' centre, over `PULL_WINDOW_S`"""
+    turn_deg: float
+    """Largest turn of the others as a whole, over `PULL_WINDOW_S`"""
+    moved_m: float
+    """Largest mean over `PULL_WINDOW_S` of one of them in space, so with shift and turn"""
 
 
 def shape_errors_ne_m(track_ne_m: Array, places_ned_m: Array) -> Array:
@@ -49,16 +59,21 @@ def shape_errors_ne_m(track_ne_m: Array, places_ned_m: Array) -> Array:
 
     The track (T, N, 2) is of vehicles from their places (N, 3).
     """
+    return _aligned(track_ne_m, places_ned_m)[0]
+
+
+def _aligned(track_ne_m: Array, places_ned_m: Array) -> tuple[Array, Array]:
+    """Errors as of `shape_errors_ne_m`, and the turns (T,) that were taken out, as unit complex numbers."""
     pos_ned_m = np.broadcast_to(places_ned_m, (len(track_ne_m), *places_ned_m.shape)).copy()
     pos_ned_m[..., :2] += track_ne_m
     error = formation_error(_flight(pos_ned_m, places_ned_m))
-    turn = np.exp(-1j * error.yaw_rad)[:, None]
+    turn = np.exp(1j * error.yaw_rad)
     flown = (pos_ned_m[..., 0] + 1j * pos_ned_m[..., 1]) - (pos_ned_m[..., 0] + 1j * pos_ned_m[..., 1]).mean(
         axis=1, keepdims=True
     )
     desired = places_ned_m[:, 0] + 1j * places_ned_m[:, 1]
-    left = flown * turn - (desired - desired.mean())
-    return np.stack((left.real, left.imag), axis=-1)
+    left = flown * turn[:, None].conj() - (desired - desired.mean())
+    return np.stack((left.real, left.imag), axis=-1), turn
 
 
 def shape_over_time_m(track_ne_m: Array, places_ned_m: Array) -> Array:
@@ -76,37 +91,52 @@ def judge_cut(shape_m: Array, *, cut_at_s: float, cut_s: float) -> CutResult:
     cut, back = round(cut_at_s / TRACK_PERIOD_S), round((cut_at_s + cut_s) / TRACK_PERIOD_S)
     before_m = _rms(shape_m[:cut])
     limit_m = max(RECOVERED_FACTOR * before_m, RECOVERED_M)
-    smooth_m = np.sqrt(_running_mean(shape_m**2, round(SMOOTHED_S / TRACK_PERIOD_S)))[back:]
+    smooth_m = np.sqrt(_running_mean(shape_m**2, round(SMOOTHED_S / TRACK_PERIOD_S)))
     stays = round(SETTLED_S / TRACK_PERIOD_S)
-    small = smooth_m <= limit_m
+    small = smooth_m[back:] <= limit_m
     recovered = next((k for k in range(len(small)) if small[k : k + stays].all()), None)
     return CutResult(
         before_m=before_m,
         during_m=_rms(shape_m[cut:back]),
         after_m=math.nan if recovered is None else _rms(shape_m[back + recovered :]),
         recovery_s=math.inf if recovered is None else recovered * TRACK_PERIOD_S,
+        largest_during_m=_largest(smooth_m[cut:back]),
+        largest_after_m=_largest(smooth_m[back:]),
+        left=bool((smooth_m[cut:] > limit_m).any()),
     )
 
 
 def judge_liar(
     track_ne_m: Array, without_ne_m: Array, places_ned_m: Array, *, liar: int, from_s: float
 ) -> Pull:
-    """Compare two tracks (T, N, 2) of one seed from ``from_s`` after the formation on, without the liar."""
+    """Compare two tracks (T, N, 2) of one seed from ``from_s`` after the formation on, without the liar.
+
+    All is NaN if one of them ends before that.
+    """
     begin = round(from_s / TRACK_PERIOD_S)
     length = min(len(track_ne_m), len(without_ne_m))
+    if length <= begin:
+        return Pull(**dict.fromkeys(Pull.__struct_fields__, math.nan))
     others = [i for i in range(len(places_ned_m)) if i != liar]
     places_ned_m = places_ned_m[others]
     with_ne_m, without_ne_m = (each[begin:length][:, others] for each in (track_ne_m, without_ne_m))
-    errors_ne_m, usual_ne_m = (shape_errors_ne_m(each, places_ned_m) for each in (with_ne_m, without_ne_m))
-    pulled_ne_m = errors_ne_m - usual_ne_m
-    window = round(PULL_WINDOW_S / TRACK_PERIOD_S)
-    centre_ne_m = (with_ne_m - without_ne_m).mean(axis=1)
+    errors_ne_m, turn = _aligned(with_ne_m, places_ned_m)
+    usual_ne_m, usual_turn = _aligned(without_ne_m, places_ned_m)
+    pulled_ne_m, moved_ne_m = errors_ne_m - usual_ne_m, with_ne_m - without_ne_m
+    turned_deg = np.degrees(np.angle(turn * usual_turn.conj()))
+
+    def largest(difference_ne_m: Array) -> float:
+        window = round(PULL_WINDOW_S / TRACK_PERIOD_S)
+        return _largest(np.linalg.norm(_running_mean(difference_ne_m, window), axis=-1))
+
     return Pull(
         shape_m=_rms(np.linalg.norm(errors_ne_m, axis=-1)),
         shape_without_m=_rms(np.linalg.norm(usual_ne_m, axis=-1)),
-        displacement_m=float(np.linalg.norm(_running_mean(pulled_ne_m, window), axis=-1).max()),
+        displacement_m=largest(pulled_ne_m),
         lasting_m=float(np.linalg.norm(pulled_ne_m.mean(axis=0), axis=-1).max()),
-        shift_m=float(np.linalg.norm(_running_mean(centre_ne_m, window), axis=-1).max()),
+        shift_m=largest(moved_ne_m.mean(axis=1)),
+        turn_deg=largest(turned_deg[:, None]),
+        moved_m=largest(moved_ne_m),
     )
 
 
@@ -128,6 +158,10 @@ def _running_mean(values: Array, window: int) -> Array:
     sums[window:] = sums[window:] - sums[:-window]
     counts = np.minimum(np.arange(1, len(values) + 1), window)
     return np.asarray(sums / counts.reshape(-1, *[1] * (values.ndim - 1)))
+
+
+def _largest(values: Array) -> float:
+    return float(values.max()) if values.size else math.nan
 
 
 def _rms(values: Array) -> float:

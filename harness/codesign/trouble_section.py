@@ -21,6 +21,7 @@ from harness.codesign.cases import (
     liar_in_flight,
 )
 from harness.codesign.measures import TRACK_PERIOD_S
+from harness.codesign.sections import formed_check, pairs_check
 from harness.codesign.statistics import mean_interval
 from harness.codesign.trouble import (
     PULL_WINDOW_S,
@@ -42,6 +43,8 @@ RECOVERY_MOST_S = 10.0
 PULL_MOST_M = 0.3
 CUT_SEEN, LIE_SEEN = 0.9, 0.95
 """Shares of the cut and of the lie that the flight itself must show: else there was nothing to withstand."""
+LOSS_SEEN, COMPLETED_MOST = 0.28, 0.75
+"""Share of beacons that the losses must take, and of ranging sessions that they may leave, likewise"""
 
 
 def judge_trouble(book: Book, images: Path | None) -> Section:
@@ -71,6 +74,17 @@ def judge_trouble(book: Book, images: Path | None) -> Section:
         title="Losses, a cut channel, a liar",
         conditions=_conditions(plan),
         checks=(
+            formed_check(book, (BASE, LOSSY, cut_case, liar_in_flight(plan), LIAR_FROM_START)),
+            pairs_check("with and without losses", growth.count),
+            *(pairs_check(f"with and without a liar {since}", len(of)) for since, of in pulls.items()),
+            Check(
+                name="losses: share of the beacons that arrived", unit="", at_least=LOSS_SEEN,
+                value=book.mean(LOSSY, "beacons_lost_fraction").value,
+            ),
+            Check(
+                name="losses: share of ranging sessions that complete", unit="", at_most=COMPLETED_MOST,
+                value=book.mean(LOSSY, "completed_fraction").value,
+            ),
             Check(
                 name=f"{DROPPED:.0%} of beacons and distances lost: growth of the shape error",
                 value=growth.value, unit="", at_most=GROWTH_MOST,
@@ -94,23 +108,31 @@ def judge_trouble(book: Book, images: Path | None) -> Section:
                 value=min(_lies_m(book, plan), default=math.nan), at_least=LIE_SEEN * LIE_M,
             ),
             Check(
-                name=f"liar in flight: displacement of another over {PULL_WINDOW_S:g} s, largest",
+                name=f"liar in flight: displacement of another within the shape over {PULL_WINDOW_S:g} s, "
+                "largest",
                 value=_worst(pulls["in flight"], "displacement_m"), unit="m", at_most=PULL_MOST_M,
             ),
             Check(
-                name="liar from the start: lasting displacement of another, largest",
+                name=f"liar in flight: displacement of another in space over {PULL_WINDOW_S:g} s, largest",
+                value=_worst(pulls["in flight"], "moved_m"), unit="m", at_most=PULL_MOST_M,
+            ),
+            Check(
+                name="liar from the start: lasting displacement of another within the shape, largest",
                 value=_worst(pulls["from the start"], "lasting_m"), unit="m", at_most=PULL_MOST_M,
             ),
         ),
         tables=(
             Table(
                 caption="Shape error with losses, m: means and 95 % confidence intervals; growth by pairs.",
-                columns=("lost", "shape m", "estimates m", "completed %", "growth", "collided"),
+                columns=(
+                    "lost", "shape m", "estimates m", "completed %", "beacons lost %", "growth", "collided",
+                ),
                 rows=tuple(
                     (
                         f"{case.drop_fraction:.0%}", book.mean(case, "shape_m").text(),
                         book.mean(case, "estimate_m").text(),
                         book.mean(case, "completed_fraction").text(1, factor=100.0),
+                        book.mean(case, "beacons_lost_fraction").text(1, factor=100.0),
                         growth.text(2) if case is LOSSY else "1", book.of_flights(book.collided(case), case),
                     )
                     for case in (BASE, LOSSY)
@@ -137,10 +159,11 @@ there for {SETTLED_S:g} s.
 
 Liar: all distances that UAV {LIAR} measures are {LIE_M:g} m too long, from {plan.liar_after_s:.3g} s after
 the formation was reached or from the start on. The other seven are compared with the same seed's flight
-without lies: each flight's seven are laid over their places, and what they are displaced by within their
-shape is averaged over {PULL_WINDOW_S:g} s, or over all the time (lasting). Until it begins to lie in flight
-both flights are the same, so displacement is all its doing; with lies from the start the two form at
-different times, in other gusts, and the lasting displacement alone tells.
+without lies, in space, and within their shape: there each flight's seven are laid over their places first,
+which takes out how far they were shifted and turned as a whole. What they are displaced by is averaged over
+{PULL_WINDOW_S:g} s, or over all the time (lasting). Until it begins to lie in flight both flights are the
+same, so displacement is all its doing; with lies from the start the two form at different times, in other
+gusts, and the lasting displacement within the shape alone tells.
 """
 
 
@@ -157,8 +180,8 @@ def _pulls(book: Book, case: Case, from_s: float) -> list[Pull]:
     places_ned_m = case.scenario(book.plan, 1).places_ned_m()
     return [
         judge_liar(lying.track_ne_m, usual.track_ne_m, places_ned_m, liar=LIAR, from_s=from_s)
-        for lying, usual in zip(book.measures(case), book.measures(BASE), strict=True)
-        if lying is not None and usual is not None and lying.track_mm and usual.track_mm
+        for lying, usual in book.pairs(case, BASE)
+        if lying.track_mm and usual.track_mm
     ]
 
 
@@ -172,7 +195,8 @@ def _lies_m(book: Book, plan: Plan) -> list[float]:
 
 
 def _worst(pulls: Sequence[Pull], what: str) -> float:
-    return max((getattr(pull, what) for pull in pulls), default=math.nan)
+    """Largest; NaN if it is not known of one of them, or there are none."""
+    return float(np.max([getattr(pull, what) for pull in pulls])) if pulls else math.nan
 
 
 def _cut_table(book: Book, case: Case, cuts: Sequence[CutResult]) -> Table:
@@ -180,15 +204,22 @@ def _cut_table(book: Book, case: Case, cuts: Sequence[CutResult]) -> Table:
         values = [getattr(each, what) for each in cuts]
         return mean_interval([value if math.isfinite(value) else None for value in values]).text()
 
+    def largest(what: str) -> str:
+        return f"{max((getattr(each, what) for each in cuts), default=math.nan):.2f}"
+
     recovered = sum(math.isfinite(each.recovery_s) for each in cuts)
     return Table(
-        caption="The cut: shape error, m, and seconds from the channel's return to the recovery.",
+        caption="The cut: shape error, m, and seconds from the channel's return to the recovery, which is 0 "
+        "for a flight that was within the bounds by then; the largest error, rms over "
+        f"{SMOOTHED_S:g} s, of the worst flight; and flights that left the bounds at all.",
         columns=(
-            "before", "during", "after the recovery", "recovery s", "recovered", "collided", "nearest m",
+            "before", "during", "after the recovery", "recovery s", "recovered", "largest during",
+            "largest after", "left the bounds", "collided", "nearest m",
         ),
         rows=((
             cell("before_m"), cell("during_m"), cell("after_m"), cell("recovery_s"),
-            f"{recovered} of {len(cuts)}", book.of_flights(book.collided(case), case),
+            f"{recovered} of {len(cuts)}", largest("largest_during_m"), largest("largest_after_m"),
+            f"{sum(each.left for each in cuts)} of {len(cuts)}", book.of_flights(book.collided(case), case),
             book.least(case, "least_distance_formed_m"),
         ),),
     )  # fmt: skip
@@ -197,17 +228,32 @@ def _cut_table(book: Book, case: Case, cuts: Sequence[CutResult]) -> Table:
 def _liar_table(pulls: dict[str, list[Pull]]) -> Table:
     rows = []
     for since, of_seeds in pulls.items():
-        values = {what: [getattr(each, what) for each in of_seeds] for what in Pull.__struct_fields__}
+        values = {
+            what: [
+                None if math.isnan(value) else value for value in (getattr(each, what) for each in of_seeds)
+            ]
+            for what in Pull.__struct_fields__
+        }
         rows.append((
             since, mean_interval(values["shape_without_m"]).text(), mean_interval(values["shape_m"]).text(),
             *(
-                f"{mean_interval(values[what]).text(2)}; {max(values[what], default=math.nan):.2f}"
-                for what in ("displacement_m", "lasting_m", "shift_m")
+                f"{mean_interval(values[what]).text(2)}; {_worst(of_seeds, what):.2f}"
+                for what in ("displacement_m", "lasting_m", "moved_m", "shift_m", "turn_deg")
             ),
         ))  # fmt: skip
     return Table(
-        caption="The liar: the other seven's shape error and the largest displacement of one of them, m; of "
-        "displacements the mean of the flights and the worst flight.",
-        columns=("lies", "shape without", "shape with", "displaced", "lasting", "their centre shifted"),
+        caption="The liar: the other seven's shape error, the largest displacement of one of them, and how "
+        "far they were shifted and turned as a whole, m and degrees; of displacements, shift and turn the "
+        "mean of the flights and the worst flight.",
+        columns=(
+            "lies",
+            "shape without",
+            "shape with",
+            "displaced within the shape",
+            "lasting",
+            "displaced in space",
+            "their centre shifted",
+            "turned °",
+        ),
         rows=tuple(rows),
     )

@@ -194,7 +194,7 @@ def test_a_cut_of_ten_seconds_leaves_twenty_to_recover():
 
 
 def tables_of(pos_ned_m, *, own_ned_m=None, collisions_us=(), sessions=40):
-    """50 rows per second from 1 s on; the channel is busy a tenth of the time."""
+    """50 rows per second from 1 s on; the channel is busy a tenth of the time, hosts lose 3 beacons of 12."""
     instants, vehicles = pos_ned_m.shape[:2]
     time_us = 1_000_000 + 20_000 * np.arange(instants)
     return Tables(
@@ -210,6 +210,8 @@ def tables_of(pos_ned_m, *, own_ned_m=None, collisions_us=(), sessions=40):
         session_by=np.arange(sessions) % vehicles,
         session_error_m=np.where(np.arange(sessions) % vehicles == 5, 5.0, 0.0),
         collisions_us=tuple(collisions_us),
+        beacons_heard=12,
+        beacons_lost=3,
     )
 
 
@@ -238,6 +240,7 @@ def test_a_flight_s_errors_are_taken_apart():
     assert measures.vertical_m == pytest.approx(0.0, abs=1e-9)
     assert measures.busy_fraction == pytest.approx(0.1)
     assert measures.completed_fraction == pytest.approx(0.75, abs=0.03)
+    assert measures.beacons_lost_fraction == 0.25
     assert measures.sessions_per_s == pytest.approx(40 / 9.98, rel=0.05)
     assert measures.real_time_factor == pytest.approx(10.98 / 2.0)
     # vehicles 0 and 4 have every fourth session, which failed; two in a row are 2 / 39 of 9.98 s apart
@@ -251,21 +254,34 @@ def test_a_flight_s_errors_are_taken_apart():
 
 
 def test_after_a_fall_shape_is_that_of_a_wreck():
-    """Two come within 0.5 m 4 s after the formation, and one falls 2 s later: what counts ends there.
+    """One is out of its place in one row of 150; two touch 4 s after the formation, and one falls 2 s later.
 
-    Vehicles on the ground are near nobody. Until the fall one of 300 rows has vehicle 1 where it touches, off
-    by the distance d of the places 0 and 1 less half a metre: its rms is that of what the alignment leaves.
+    What counts ends with the touch, or with the fall if nobody touched: two of 300 rows are off then. Their
+    rms is that of what the alignment leaves of them. Vehicles on the ground are near nobody.
     """
     pos_ned_m = np.tile(PLACES_NED_M, (500, 1, 1))
     hit = 50 + 200
     pos_ned_m[hit, 1] = pos_ned_m[hit, 0] + (0.3, 0.4, 0.0)
+    pos_ned_m[hit - 20, 1, 0] += 1.5
     pos_ned_m[hit + 100 :, 1] = (50.0, 50.0, -0.1)
     pos_ned_m[hit + 100 :, 2] = (50.0, 50.1, -0.1)
     tables = tables_of(pos_ned_m, collisions_us=[1_000_000 + hit * 20_000])
     scenario = BASE.scenario(PLAN, 1)
     measures = measure(tables, scenario, formed_us=2_000_000, wall_s=0.0, gains=False)
-    left_m = shape_over_time_m((pos_ned_m - PLACES_NED_M)[[hit], :, :2], PLACES_NED_M)[0]
-    assert measures.shape_m == pytest.approx(left_m / math.sqrt(300))
+    out_m, touch_m = shape_over_time_m(
+        (pos_ned_m - PLACES_NED_M)[[hit - 20, hit], :, :2], PLACES_NED_M
+    ).tolist()
+    assert measures.shape_m == pytest.approx(out_m / math.sqrt(200))
+    untouched = measure(tables_of(pos_ned_m), scenario, formed_us=2_000_000, wall_s=0.0, gains=False)
+    assert untouched.shape_m == pytest.approx(math.hypot(out_m, touch_m) / math.sqrt(300))
+    before = measure(
+        tables_of(pos_ned_m, collisions_us=[1_500_000]),
+        scenario,
+        formed_us=2_000_000,
+        wall_s=0.0,
+        gains=False,
+    )
+    assert before.shape_m == untouched.shape_m  # what touched before it was formed is flying well
     assert measures.shape_whole_m > 5.0
     assert measures.least_distance_m == measures.least_distance_formed_m == pytest.approx(0.5)
     assert (measures.collisions, measures.down) == (1, 2)
@@ -306,8 +322,20 @@ def test_recovery_is_when_the_error_is_small_for_good():
     never = judge_cut(shape_series(40.0, [(0, 0.2), (12, 1.0)]), cut_at_s=10.0, cut_s=10.0)
     assert math.isinf(never.recovery_s)
     assert math.isnan(never.after_m)
+    assert (result.left, never.left) == (True, True)
+    assert result.largest_during_m == pytest.approx(1.0)
+    assert result.largest_after_m == pytest.approx(1.0)
+    blow = judge_cut(
+        shape_series(40.0, [(0, 0.2), (25, 2.0), (25.4, 0.2)]), cut_at_s=10.0, cut_s=10.0
+    )  # two of five
+    assert blow.largest_during_m == pytest.approx(0.2)
+    assert blow.largest_after_m == pytest.approx(math.sqrt((2 * 2.0**2 + 3 * 0.2**2) / 5))
+    assert (blow.left, blow.recovery_s) == (True, 0.0)
     unharmed = judge_cut(shape_series(40.0, [(0, 0.2)]), cut_at_s=10.0, cut_s=10.0)
-    assert unharmed.recovery_s == 0.0
+    assert (unharmed.recovery_s, unharmed.left) == (0.0, False)
+    ended = judge_cut(shape_series(4.0, [(0, 0.2)]), cut_at_s=10.0, cut_s=10.0)
+    assert math.isinf(ended.recovery_s)
+    assert math.isnan(ended.largest_after_m)
 
 
 def test_what_was_large_before_may_be_a_fifth_larger_after():
@@ -333,8 +361,26 @@ def test_a_pull_is_what_differs_between_two_flights_of_a_seed():
     assert 0.5 * 0.4 < pull.displacement_m < 0.4 * 6 / 7 + 0.02
     assert pull.lasting_m == pytest.approx(pull.displacement_m * 100 / 125, rel=0.1)
     assert pull.shift_m == pytest.approx(2.0 + 0.4 / 7, rel=1e-6)
+    assert pull.moved_m == pytest.approx(2.4, rel=1e-6)
     assert pull.shape_m > pull.shape_without_m
     same = judge_liar(usual_ne_m, usual_ne_m[:120], PLACES_NED_M, liar=LIAR, from_s=5.0)
     assert same.displacement_m == same.shift_m == 0.0
     short = judge_liar(lying_ne_m[:51], usual_ne_m, PLACES_NED_M, liar=LIAR, from_s=10.0)
     assert short.shift_m > 1.9
+    ended = judge_liar(lying_ne_m[:50], usual_ne_m, PLACES_NED_M, liar=LIAR, from_s=10.0)
+    assert all(math.isnan(getattr(ended, name)) for name in ended.__struct_fields__)
+
+
+def test_a_turn_displaces_in_space_and_not_within_the_shape():
+    """All turn by 2 degrees about the origin: the farthest of the others at r moves by 2 r sin(1 degree)."""
+    usual_ne_m = np.zeros((150, 8, 2))
+    angle = math.radians(2.0)
+    turn = np.array(((math.cos(angle), -math.sin(angle)), (math.sin(angle), math.cos(angle))))
+    turned_ne_m = usual_ne_m.copy()
+    turned_ne_m[50:] = PLACES_NED_M[:, :2] @ turn.T - PLACES_NED_M[:, :2]
+    pull = judge_liar(turned_ne_m, usual_ne_m, PLACES_NED_M, liar=LIAR, from_s=5.0)
+    others = [i for i in range(8) if i != LIAR]
+    farthest_m = np.linalg.norm(PLACES_NED_M[others, :2], axis=1).max()
+    assert pull.turn_deg == pytest.approx(2.0)
+    assert pull.moved_m == pytest.approx(2.0 * farthest_m * math.sin(angle / 2))
+    assert pull.displacement_m == pytest.approx(0.0, abs=1e-9)

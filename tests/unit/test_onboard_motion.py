@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from autopilot.onboard.motion import LEAD_US, OLDEST_US, MotionStart
+from autopilot.onboard.motion import LEAD_US, MOST_LEADS, OLDEST_US, MotionStart
 from autopilot.onboard.phases import Phase
 from autopilot.onboard.traffic import SILENCE_US
 
@@ -12,9 +12,11 @@ STEP_US = 50_000
 ON = Phase.ON_STATION
 
 
-def alone(now_us=0):
+def first_of_four(now_us=0):
+    """One of four, who hears that the others are there, and proposes first."""
     motion = MotionStart(0, 4)
-    return motion, motion.update(now_us, on_station=True, neighbours={})
+    there = {k: (ON, None, now_us) for k in (1, 2, 3)}
+    return motion, motion.update(now_us, on_station=True, neighbours=there)
 
 
 def fly(seed, *, loss, stations, dead=(), latecomer=None, until_us=9_000_000):
@@ -82,9 +84,8 @@ def test_the_dead_do_not_block_and_the_living_agree():
 def test_a_latecomer_takes_over_what_the_others_have_begun():
     for seed in range(40):
         held, _, _ = fly(seed, loss=0.3, stations=5, latecomer=2, until_us=10_000_000)
-        # It knows of nobody, so it may have begun by itself; then that is what it keeps.
-        others = [0, 1, 3, 4]
-        assert len(set(held[-1, others])) == 1
+        assert len(set(held[-1])) == 1
+        assert len(set(held[:120, 2])) == 1  # by itself it never begins
     motion = MotionStart(2, 5)
     assert motion.update(9_000_000, on_station=False, neighbours={0: (ON, 6_000_000, 8_950_000)}) == 6_000_000
 
@@ -109,7 +110,7 @@ def test_silence_ends_a_wait():
 
 
 def test_the_latest_proposal_wins_until_one_has_begun():
-    motion, first_us = alone()
+    motion, first_us = first_of_four()
     assert first_us == LEAD_US
     at = {"on_station": True}
     assert motion.update(50_000, neighbours={1: (ON, 1_500_000, 50_000)}, **at) == first_us
@@ -121,11 +122,11 @@ def test_the_latest_proposal_wins_until_one_has_begun():
 
 
 def test_those_who_have_set_off_are_followed_rather_than_a_proposal():
-    motion, _ = alone(1_000_000)
+    motion, _ = first_of_four(1_000_000)
     went = {1: (ON, 1_200_000, 1_300_000), 2: (ON, 3_100_000, 1_300_000), 3: (ON, 1_200_000, 1_280_000)}
     assert motion.update(1_300_000, on_station=True, neighbours=went) == 1_200_000
     # An old beacon does not say that its sender set off: it may have taken over a later time since.
-    motion, own_us = alone(1_000_000)
+    motion, own_us = first_of_four(1_000_000)
     stale = {1: (ON, 1_200_000, 1_190_000)}
     assert motion.update(1_300_000, on_station=True, neighbours=stale) == own_us
 
@@ -140,15 +141,54 @@ def test_times_that_cannot_be_are_as_none(wrong_us):
 
 
 def test_strangers_and_the_own_echo_are_not_heard():
-    motion = MotionStart(0, 4)
+    motion = MotionStart(0, 2)
     strange = {0: (Phase.JOINING, 2_000, 1_000), 4: (Phase.JOINING, 2_000, 1_000), 250: (ON, 2_100, 1_000)}
     assert motion.update(1_000, on_station=True, neighbours=strange) == 1_000 + LEAD_US
 
 
-def test_one_who_keeps_proposing_later_times_delays_for_as_long_as_it_is_heard():
-    """The price of having no leader; but nobody is split by it, and nothing begins early."""
-    motion, _ = alone()
-    for now_us in range(0, 6_000_000, STEP_US):
-        held_us = motion.update(now_us, on_station=True, neighbours={1: (ON, now_us + LEAD_US, now_us)})
-        assert held_us == now_us + LEAD_US
-    assert motion.update(9_000_000, on_station=True, neighbours={}) == held_us
+def test_one_who_keeps_proposing_later_times_delays_by_three_leads():
+    motion, first_us = first_of_four()
+    held_us = []
+    for now_us in range(0, 9_000_000, STEP_US):
+        neighbours = {1: (ON, now_us + LEAD_US, now_us), 2: (ON, None, now_us), 3: (ON, None, now_us)}
+        held_us.append(motion.update(now_us, on_station=True, neighbours=neighbours))
+    assert held_us[-1] == first_us + MOST_LEADS * LEAD_US
+    assert motion.begun(9_000_000)
+
+
+def test_who_hears_less_than_half_does_not_set_off():
+    motion = MotionStart(0, 5)
+    assert motion.update(9_000_000, on_station=True, neighbours={}) is None
+    assert motion.update(9_000_000, on_station=True, neighbours={1: (ON, None, 9_000_000)}) is None
+    two = {1: (ON, None, 9_000_000), 2: (ON, None, 9_000_000)}
+    assert motion.update(9_000_000, on_station=True, neighbours=two) == 9_000_000 + LEAD_US
+
+
+def test_one_voice_of_many_sends_nobody_off():
+    """A time that has long come is believed of two, or of the only one there is, if it is on station."""
+    told = {1: (ON, 5_000_000, 9_000_000), 2: (ON, None, 9_000_000), 3: (Phase.JOINING, None, 9_000_000)}
+    assert MotionStart(0, 4).update(9_000_000, on_station=True, neighbours=told) is None
+    told[2] = (Phase.JOINING, 5_000_000, 9_000_000)
+    assert MotionStart(0, 4).update(9_000_000, on_station=True, neighbours=told) is None
+    told[2] = (ON, 5_000_000, 9_000_000)
+    assert MotionStart(0, 4).update(9_000_000, on_station=True, neighbours=told) == 5_000_000
+
+
+def test_halves_that_set_off_apart_come_together_again():
+    """Eight, of which four and four hear each other alone until both have gone."""
+    motions = [MotionStart(k, 8) for k in range(8)]
+    for now_us in range(0, 9_000_000, STEP_US):
+        held = [motion.start_us for motion in motions]
+        for k, motion in enumerate(motions):
+            if k >= 4 and now_us < 1_000_000:
+                continue
+            neighbours = {
+                j: (ON, held[j], now_us)
+                for j in range(8)
+                if j != k and (now_us >= 6_000_000 or j // 4 == k // 4) and (j < 4 or now_us > 1_000_000)
+            }
+            motion.update(now_us, on_station=True, neighbours=neighbours)
+        starts = {motion.start_us for motion in motions}
+        if now_us == 5_000_000:
+            assert len(starts) == 2
+    assert len({motion.start_us for motion in motions}) == 1

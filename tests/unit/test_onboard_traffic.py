@@ -58,6 +58,14 @@ def delivery(beacon, *, source=None, received_us=0):
     )  # fmt: skip
 
 
+def test_a_sender_whose_numbers_begin_anew_is_told_from_one_whose_beacons_are_lost():
+    traffic, new = traffic_of(), []
+    for seq in (7, 8, 8 + SEQ_GAP_LIMIT, 3, 4):
+        traffic.hear(delivery(beacon_of(1, seq=seq)), 0)
+        new.append(traffic.sender_is_new)
+    assert new == [False, False, False, True, False]
+
+
 @dataclass
 class Flight:
     """A station whose neighbours are heard every 100 ms, and whose sessions succeed after 4 ms."""
