@@ -95,8 +95,7 @@ class Paused(Event, frozen=True, kw_only=True):
 
 
 class Formed(Event, frozen=True, kw_only=True):
-    """Every living vehicle's application says that it is on station, for the first time, but for those that
-    have yielded or landed."""
+    """Every application says that it is on station, for the first time; lost, yielded, landed do not count."""
 
 
 class FormationMoves(Event, frozen=True, kw_only=True):

@@ -17,7 +17,7 @@ SHAPE_STD_M = 0.35
 LOCALISE_TIMEOUT_US = 10_000_000
 TAKE_OFF_HEIGHT_M = 2.5
 HAND_OVER_HEIGHT_M = 0.5
-"""Until then the wind has the vehicle, and its neighbours are not heeded: as low as a vehicle surely flies."""
+"""Until then wind and GPS have the vehicle and neighbours are not heeded: as low as it surely flies."""
 FLOWN_HEIGHT_M = 0.3
 """From here on a vehicle that is disarmed has landed, and is not sent up again."""
 HEARTBEAT_LAG_US = 1_500_000

@@ -62,6 +62,8 @@ class Traffic:
         self._distances: dict[int, wire.Distance] = {}
         self._heard_us: dict[int, int] = {}
         self._heard_seq: dict[int, int] = {}
+        self._told_us: dict[int, int] = {}
+        """Time in a neighbour's last beacon."""
         self._seq = 0
         self._beacon_seq = 0
         self._period_us = config.beacon_period_ms * 1_000
@@ -86,7 +88,9 @@ class Traffic:
         self.beacons_heard += 1
         if 1 < gap <= SEQ_GAP_LIMIT:
             self.beacons_missed += gap - 1
-        self.sender_is_new = gap > SEQ_GAP_LIMIT
+        # One that comes late has an old time as well.
+        self.sender_is_new = gap > SEQ_GAP_LIMIT and beacon.time_us > self._told_us.get(beacon.station, -1)
+        self._told_us[beacon.station] = beacon.time_us
         return beacon
 
     def measured(self, item: FtmResult) -> wire.Distance | None:

@@ -1,6 +1,7 @@
 """The posterior Cramer-Rao bound of the cooperative localisation.
 
-No estimator that takes odometry as given, a motion known but for drift, has a mean squared error below it. For a linear random motion with Gaussian noise it obeys the recursion of Tichavsky, Muravchik and Nehorai
+No estimator that takes odometry as given, a motion known but for drift, has a mean squared error below it.
+For a linear random motion with Gaussian noise it obeys the recursion of Tichavsky, Muravchik and Nehorai
 ("Posterior Cramer-Rao bounds for discrete-time nonlinear filtering", IEEE Trans. Signal Processing 46, 1998,
 eq. 21): J' = (Q + F J^-1 F')^-1 + sum H' R^-1 H, with the measurements' true derivatives H. It is carried out
 on the inverse J^-1, by the matrix inversion lemma. The expectation over the motion is replaced by the motion

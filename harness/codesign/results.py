@@ -177,8 +177,9 @@ def known(tasks: Sequence[Task], store: Store, *, stale: bool = False) -> dict[t
         key = (flown.case, flown.seed)
         if (task := wanted.get(key)) is None:
             continue
-        usable = stale and flown.plan_s == task.plan_s
-        if flown.digest == task.digest or (usable and (key not in found or found[key].digest != task.digest)):
+        if flown.digest == task.digest:  # which says so, whether or not it is written down
+            found[key] = replace(flown, state=task.state, plan_s=task.plan_s)
+        elif stale and flown.plan_s == task.plan_s and (key not in found or found[key].digest != task.digest):
             found[key] = flown
     return found
 

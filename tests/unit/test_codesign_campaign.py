@@ -95,6 +95,7 @@ def test_a_campaign_flies_each_flight_once_and_goes_on_after_losses(tmp_path, mo
     assert there[BASE.name, 2].measures.shape_m == pytest.approx(0.2)
     store.append(flown(tasks[0], shape_m=7.0))
     assert known(tasks, store)[BASE.name, 1].measures.shape_m == 7.0  # the latest, on a line of its own
+    assert {each.state for each in known(tasks, store).values()} == {"one"}  # also of that without a note
     later = make_tasks(cases, plan, folder=tmp_path, state="another")
     assert known(later, store) == {}
     assert len(known(later, store, stale=True)) == len(tasks)

@@ -15,7 +15,7 @@ ON = Phase.ON_STATION
 def first_of_four(now_us=0):
     """One of four, who hears that the others are there, and proposes first."""
     motion = MotionStart(0, 4)
-    there = {k: (ON, None, now_us) for k in (1, 2, 3)}
+    there = dict.fromkeys((1, 2, 3), (ON, None, now_us))
     return motion, motion.update(now_us, on_station=True, neighbours=there)
 
 

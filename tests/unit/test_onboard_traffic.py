@@ -60,10 +60,10 @@ def delivery(beacon, *, source=None, received_us=0):
 
 def test_a_sender_whose_numbers_begin_anew_is_told_from_one_whose_beacons_are_lost():
     traffic, new = traffic_of(), []
-    for seq in (7, 8, 8 + SEQ_GAP_LIMIT, 3, 4):
-        traffic.hear(delivery(beacon_of(1, seq=seq)), 0)
+    for seq, time_us in ((7, 7), (8, 8), (8 + SEQ_GAP_LIMIT, 9), (8, 8), (3, 10), (4, 11)):
+        traffic.hear(delivery(beacon_of(1, seq=seq, time_us=time_us)), 11)
         new.append(traffic.sender_is_new)
-    assert new == [False, False, False, True, False]
+    assert new == [False, False, False, False, True, False]  # the second 8 is late, the 3 a new beginning
 
 
 @dataclass
