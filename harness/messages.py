@@ -95,7 +95,7 @@ class Paused(Event, frozen=True, kw_only=True):
 
 
 class Formed(Event, frozen=True, kw_only=True):
-    """Every application says that it is on station, for the first time; lost, yielded, landed do not count."""
+    """Every application says that it is on station, for the first time; who has left does not count."""
 
 
 class FormationMoves(Event, frozen=True, kw_only=True):

@@ -7,8 +7,8 @@ that time, and is used once. UAVs join the filter in a batch (`joining`), for it
 
 Against what is wrong: every measurement's weight falls with its misfit; a UAV whose distances all misfit is
 solved for afresh, as is on trial one of which some misfit for long, and one that only measures wrongly is
-not listened to (`trust`); who is silent has no part in the geometry; a GPS whose error is estimated beyond what its receiver states is taken to have errors of that size, and after a step of it they
-are estimated anew.
+not listened to (`trust`); who is silent has no part in the geometry; a GPS whose error is estimated beyond
+what its receiver states is taken to have errors of that size, and after a step of it they are estimated anew.
 """
 
 from collections.abc import Sequence
@@ -49,6 +49,9 @@ PENDING_LIMIT_US = 1_000_000
 """A distance whose ends' odometry does not arrive within this is given up."""
 SILENCE_US = 3_000_000
 """Who has not been heard of for this long is not waited for, and has no part in the geometry."""
+LOST_US = 30_000_000
+"""Who returns after this long is solved for afresh: its odometry has lost half a metre or more, and with so
+much a few distances may be fitted by a mirror image."""
 DECAY_SHARE = 0.01
 """Of the shortest time constant: the stride in which slow errors are propagated."""
 MISFIT_WEIGHT = 0.2
@@ -171,13 +174,17 @@ class CooperativeLocalisation:
         self, station: int, time_us: int, odometry_ned_m: Sequence[float], vel_ned_m_s: Sequence[float]
     ) -> None:
         """Take odometry of a UAV (north, east integrated velocity, down the barometer's); old is ignored."""
-        if time_us - self._tracks.newest_us.item(station) > SILENCE_US:
+        silent_us = time_us - self._tracks.newest_us.item(station)
+        if silent_us > SILENCE_US:
             self._returned = True
+            if silent_us > LOST_US and self.located[station]:
+                self._lose(station)
         jump = self._tracks.push(station, time_us, odometry_ned_m, vel_ned_m_s)
         if jump is not None and self.active[station]:
             # The UAV has not jumped: its odometry has begun anew.
             self.odometry_jumps += 1
             self._fixes[station] = FixGroup()
+            self._drop_distances(station)
             for a, jump_m in enumerate(jump):
                 self.state[STATES * station + a] -= jump_m
                 self.cov[STATES * station + a, STATES * station + a] += (JUMP_SHARE * jump_m) ** 2
@@ -239,15 +246,7 @@ class CooperativeLocalisation:
         To be told before that odometry. It is brought in again once there are GPS and distances of it.
         """
         self.odometry_jumps += 1
-        self._tracks.forget(station)
-        self._fixes[station] = FixGroup()
-        self._bad_fixes[station] = 0
-        self._trust.forget(station)
-        self.located[station] = self.active[station] = False
-        _clear(station, self.state, self.cov)
-        for kept in (self._held, self._fused):
-            for pair in [pair for pair in kept if station in pair]:
-                del kept[pair]
+        self._lose(station)
 
     def update(self, now_us: int) -> None:
         """Use what has become usable by now."""
@@ -402,6 +401,28 @@ class CooperativeLocalisation:
         bias_n_m, bias_e_m = self.state[base + BIAS : base + STATES].tolist()
         seen_m2 = max(bias_n_m**2, bias_e_m**2) / BIAS_SIGMAS**2
         self._bias_var_m2[station] = max(self._stated_var_m2[station], seen_m2)
+
+    def _lose(self, station: int) -> None:
+        """Take a UAV out until there are new odometry, GPS and distances of it."""
+        self._tracks.forget(station)
+        self._fixes[station] = FixGroup()
+        self._bad_fixes[station] = 0
+        self._trust.forget(station)
+        self.located[station] = self.active[station] = False
+        _clear(station, self.state, self.cov)
+        self._drop_distances(station)
+        heard = self.located & self._present(self._tracks.newest_us.item(self.own))
+        if heard[self.own] and heard.sum() == 1:
+            # With what the own GPS alone has told it, the filter would differ from those of all others.
+            self._trust.forget(self.own)
+            self.located[self.own] = False
+            self._activate(self.own)
+
+    def _drop_distances(self, station: int) -> None:
+        """Forget what is kept of a UAV's distances, whose odometry is that of before."""
+        for kept in (self._held, self._fused):
+            for pair in [pair for pair in kept if station in pair]:
+                del kept[pair]
 
     def _activate(self, station: int) -> None:
         """Begin a UAV with its GPS alone."""

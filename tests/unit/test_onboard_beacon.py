@@ -8,14 +8,17 @@ import struct
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import ValidationError, convert
 from msgspec.structs import replace
 
+from autopilot.config import OnboardConfig
 from autopilot.onboard import beacon as wire
 from autopilot.onboard.phases import Phase
 from netsim.wire.messages import MAX_PAYLOAD_BYTES
 
 single = st.floats(-1e4, 1e4, width=32)
 vectors = st.tuples(single, single, single)
+speed = st.floats(-17.0, 17.0, width=32)  # 30 m/s is the most in all: 17 sqrt(3) = 29.4
 stds = st.integers(0, 65_535).map(lambda std_mm: std_mm * 1e-3)
 stated = st.none() | st.integers(1, 65_535).map(lambda std_mm: std_mm * 1e-3)
 milliseconds = st.integers(0, 2**32 - 1)
@@ -33,7 +36,7 @@ def beacons_(draw):
         time_us=draw(st.integers(0, 2**63 - 1)),
         phase=draw(st.sampled_from(Phase)),
         odometry_ned_m=draw(vectors),
-        vel_ned_m_s=draw(vectors),
+        vel_ned_m_s=draw(st.tuples(speed, speed, speed)),
         motion_start_ms=draw(st.none() | milliseconds),
         fix=draw(st.none() | fixes),
         gps_error=draw(st.none() | st.builds(wire.GpsError, vectors, stds)),
@@ -111,6 +114,20 @@ def test_numbers_that_cannot_be_make_it_none(number, offset):
     assert wire.decode(bytes(buffer)) is not None
     struct.pack_into("<f", buffer, offset, number)
     assert wire.decode(bytes(buffer)) is None
+
+
+@pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, -0.6, 0.8), (0.48, 0.6, -0.64)])
+def test_nobody_flies_at_more_than_30_m_s(direction):
+    for speed_m_s, believed in ((29.9, True), (30.1, False), (3e5, False)):
+        beacon = replace(full_beacon(), vel_ned_m_s=tuple(speed_m_s * part for part in direction))
+        assert (wire.decode(wire.encode(beacon)) is not None) is believed
+
+
+def test_a_beacon_comes_once_a_second_at_least():
+    """So many are heard within what localisation waits for odometry, and avoidance for a neighbour."""
+    assert convert({"beacon_period_ms": 1_000}, OnboardConfig).beacon_period_ms == 1_000
+    with pytest.raises(ValidationError):
+        convert({"beacon_period_ms": 1_001}, OnboardConfig)
 
 
 @pytest.mark.parametrize(
