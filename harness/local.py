@@ -39,7 +39,9 @@ class LocalRadio:
 
     def send(self, now_us: int, items: Sequence[TxItem]) -> None:
         """Hand over transmissions. Raises ValueError for what no station can send."""
-        if not self._emulator.submit(TxBatch(station=self._station, now_us=now_us, items=tuple(items))):
+        # the wire's own checks are made where it is decoded
+        sent = decode(TxBatch, encode(TxBatch(station=self._station, now_us=now_us, items=tuple(items))))
+        if sent is None or not self._emulator.submit(sent):
             raise ValueError(f"station {self._station}: the 802.11 emulator refuses what is sent")
 
 

@@ -13,9 +13,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from autopilot.onboard import messages
 from harness.messages import FormationMoves
 
-START_NAME = "start_ms"
+START_NAME = messages.START_NAME.decode("ascii")
 """Name of the message's value: milliseconds on the run's clock, an unsigned number in its signed field."""
 NO_START = 0xFFFF_FFFF
 

@@ -61,7 +61,9 @@ def fly_noted(task):
     if task.case == LOSSY.name and task.seed == 2:
         return Flown(case=task.case, seed=task.seed, digest=task.digest, broken="fell into the sea")
     if task.case == GPS_ALONE.name and task.seed == 1:
-        time.sleep(0.3)  # so that somebody else is in the air
+        deadline_s = time.monotonic() + 20.0
+        while len(marks.read_text().splitlines()) < 3 and time.monotonic() < deadline_s:
+            time.sleep(0.01)  # until somebody else is in the air, or has been
         os._exit(3)
     return flown(task, shape_m=0.1 * task.seed)
 

@@ -29,7 +29,7 @@ from harness.scenario import load
 from netsim.config import RadioConfig, ServerConfig
 from netsim.hosted import HostedEmulator
 from netsim.record_log import BLOCK_ROWS
-from netsim.wire.messages import Advance, Broadcast, Delivery, pack_rows
+from netsim.wire.messages import MAX_PAYLOAD_BYTES, Advance, Broadcast, Delivery, pack_rows
 
 ARTICLE = Path(__file__).parents[2] / "scenarios" / "article.toml"
 STEP_US = 4_000
@@ -245,6 +245,16 @@ class Channel:
             q_ned_frd=pack_rows(np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))),
         )
         return self.asker.ask(msgspec.msgpack.encode(msgspec.structs.replace(request, **changes))).answer()
+
+
+def test_what_the_wire_refuses_is_refused_here_too():
+    """1472 bytes are the largest datagram; the emulator's process would drop a larger one's bytes."""
+    channel = Channel()
+    channel.radios[0].send(STEP_US, [Broadcast(seq=0, at_us=STEP_US, payload=bytes(MAX_PAYLOAD_BYTES))])
+    with pytest.raises(ValueError, match="station 0: the 802.11 emulator refuses"):
+        channel.radios[0].send(
+            STEP_US, [Broadcast(seq=1, at_us=STEP_US, payload=bytes(1 + MAX_PAYLOAD_BYTES))]
+        )
 
 
 def test_a_datagram_is_seen_at_its_release_and_not_before():
