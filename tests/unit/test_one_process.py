@@ -251,7 +251,7 @@ def test_what_the_wire_refuses_is_refused_here_too():
     """1472 bytes are the largest datagram; the emulator's process would drop a larger one's bytes."""
     channel = Channel()
     channel.radios[0].send(STEP_US, [Broadcast(seq=0, at_us=STEP_US, payload=bytes(MAX_PAYLOAD_BYTES))])
-    with pytest.raises(ValueError, match="station 0: the 802.11 emulator refuses"):
+    with pytest.raises(ValueError, match=r"station 0: the 802\.11 emulator refuses"):
         channel.radios[0].send(
             STEP_US, [Broadcast(seq=1, at_us=STEP_US, payload=bytes(1 + MAX_PAYLOAD_BYTES))]
         )
