@@ -27,7 +27,7 @@ swarm: $(STAMP)
 	$(BIN)/python scripts/launch_swarm.py scenarios/article.toml $(ARGS)
 
 test: $(STAMP)
-	$(BIN)/python -m pytest $(ARGS)
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder $(ARGS)
 
 validate: $(STAMP)
 	$(BIN)/python scripts/validate_vehicle.py $(ARGS)
