@@ -74,6 +74,7 @@ class CooperativeLocalisation:
         state: (5N,) and ``cov`` (5N, 5N), laid out as `kernels` says.
         located: (N,) bool, whose distances are fused.
         ranges_used, ranges_downweighted: counters.
+        ranges_too_late: distances for which odometry was no longer known, or not yet for too long.
         restarts: times that a UAV was found to be elsewhere than thought.
         odometry_jumps: times that a UAV's odometry has begun anew, by its own step or as told by `restart`.
         gps_steps: times that a GPS error was found to have changed at once.
@@ -91,6 +92,7 @@ class CooperativeLocalisation:
         self.located = np.zeros(count, bool)
         self.ranges_used = 0
         self.ranges_downweighted = 0
+        self.ranges_too_late = 0
         self.restarts = 0
         self.odometry_jumps = 0
         self.gps_steps = 0
@@ -133,6 +135,7 @@ class CooperativeLocalisation:
             self._receivers.drop_fixes(station)
             self._distances.drop(station)
             for a, jump_m in enumerate(jump):
+                self._receivers.less_odometry_ned_m[station, a] -= jump_m
                 self.state[STATES * station + a] -= jump_m
                 self.cov[STATES * station + a, STATES * station + a] += (JUMP_SHARE * jump_m) ** 2
 
@@ -341,30 +344,37 @@ class CooperativeLocalisation:
         i, j = item.initiator, item.responder
         newest_us = self._tracks.newest_us
         if item.time_us > newest_us[i] or item.time_us > newest_us[j]:
-            return bool(now_us - item.time_us > PENDING_LIMIT_US)
+            return self._is_too_late(item, now_us)
         if self._tracks.between(i, j, item.time_us, item.odometry_between_m) != KNOWN:
+            self.ranges_too_late += 1
             return True
         if not (self.active[i] and self.active[j]):
-            return now_us - item.time_us > PENDING_LIMIT_US
+            return self._is_too_late(item, now_us)
         if self.located[i] and self.located[j]:
             self._fuse(item)
         else:
             self._distances.hold(item, now_us)
         return True
 
+    def _is_too_late(self, item: Range, now_us: int) -> bool:
+        late = bool(now_us - item.time_us > PENDING_LIMIT_US)
+        self.ranges_too_late += late
+        return late
+
     def _fuse(self, item: Range) -> None:
         lag_s = self._advance(item.time_us)
         # Distances of a UAV that are late together share what its odometry has lost since, and are worth no
         # more than one of them.
         late_m2 = self._drift_m2_s * lag_s * (1.0 + self._distances_hz * lag_s)
-        bend_m = self._geometry.bend_m.item(item.initiator, item.responder)
+        pair = item.initiator, item.responder
+        bend_m, bend_var_m2 = self._geometry.bend_m.item(pair), self._geometry.bend_var_m2.item(pair)
         trust = 0.0 if self._trust.distrusted[item.initiator] else 1.0
         weight = fuse_range(
             self.state, self.cov, self.state, self._geometry.ne_m, item.initiator, item.responder,
             item.odometry_between_m, item.distance_m - bend_m,
-            item.variance_m2 + 2.0 * (late_m2 + bend_m * bend_m), -1.0, trust,
+            item.variance_m2 + 2.0 * late_m2 + bend_var_m2, -1.0, trust,
         )  # fmt: skip
-        self._count(item, weight)
+        self._count(item, weight, fused=trust > 0.0)
         self._distances.fused[item.initiator, item.responder] = item
         if trust > 0.0 and self._trust.distrusted[item.initiator]:
             # It has been pulled to where its own distances wanted it.
@@ -374,12 +384,12 @@ class CooperativeLocalisation:
             if self._trust.elsewhere(station):
                 self._restart(station)
 
-    def _count(self, item: Range, weight: float) -> None:
-        badly = weight < MISFIT_WEIGHT
+    def _count(self, item: Range, weight: float, *, fused: bool) -> None:
+        badly = not weight >= MISFIT_WEIGHT
         self.ranges_used += 1
         self.ranges_downweighted += badly
         self._trust.note(item.initiator, item.responder, badly=badly)
-        if self.own in {item.initiator, item.responder} and not badly:
+        if fused and not badly and self.own in {item.initiator, item.responder}:
             self.own_range_us = max(item.time_us, self.own_range_us or 0)
 
     def _locate(self, now_us: int) -> None:
@@ -398,11 +408,12 @@ class CooperativeLocalisation:
             return
         self._take_in(joined, now_us)
         for item, weight in zip(joined.batch, joined.solution.weights, strict=True):
-            self._count(item, weight)
+            self._count(item, weight, fused=True)
 
     def _try_afresh(self, suspects: set[int], now_us: int) -> None:
         """Solve again for UAVs of whose distances many misfit; without a solution that fits, all stays."""
-        held = self._distances.fused_of(suspects, now_us, within_us=self._model.gather_s * 1e6)
+        within_us = max(self._model.gather_s * 1e6, SILENCE_US)
+        held = self._distances.fused_of(suspects, now_us, within_us=within_us)
         if not held:
             return
         present = self._present(now_us)

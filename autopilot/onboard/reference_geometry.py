@@ -26,6 +26,7 @@ class ReferenceGeometry:
     Attributes:
         ne_m: (N, 2) where the derivatives are taken.
         bend_m: (N, N) by how much unknown bending of the shape lengthens distances, on average.
+        bend_var_m2: (N, N) variance of that.
 
     """
 
@@ -33,6 +34,7 @@ class ReferenceGeometry:
         count = len(places_ned_m)
         self.ne_m = np.zeros((count, 2))
         self.bend_m = np.zeros((count, count))
+        self.bend_var_m2 = np.zeros((count, count))
         self._places_ned_m = places_ned_m
 
     def fix(self, joining: Flags, members: Flags, pos_ned_m: Array, cov: Array) -> None:
@@ -67,7 +69,10 @@ class ReferenceGeometry:
             turned = (reference - then.mean()) * np.exp(1j * turn_rad) + there.mean()
             self.ne_m[:] = np.column_stack((turned.real, turned.imag))
             self.fix(members, members, pos_ned_m, cov)
-        bend(self.ne_m, cov, np.flatnonzero(members), self.bend_m)
+            turn_rad = 0.0
+        headed = (pos_ned_m[:, :2] @ TO_COMPLEX) * np.exp(-1j * turn_rad)
+        headed_m = np.column_stack((headed.real, headed.imag))
+        bend(self.ne_m, headed_m, cov, np.flatnonzero(members), self.bend_m, self.bend_var_m2)
 
 
 def shape_std_m(pos_ned_m: Array, cov: Array, members: Flags) -> float:

@@ -75,23 +75,36 @@ def shape_variance(pos_ned_m: Array, cov: Array, members: Times) -> float:
 
 
 @njit(cache=True)
-def bend(pos_ne_m: Array, cov: Array, members: Times, out_m: Array) -> None:
-    """By how much, on average, unknown bending of the shape lengthens distances; fills out_m (N, N), metres.
+def bend(
+    reference_ne_m: Array, pos_ne_m: Array, cov: Array, members: Times, out_m: Array, out_var_m2: Array
+) -> None:
+    """What unknown bending of the shape does to distances, whose derivatives are taken at a reference.
 
-    Two UAVs whose places across the line between them are known to sigma are farther apart than along it by
-    sigma^2 / 2 d, with a standard deviation of sqrt(2) times that: the second order of the distance. A
-    turn of the formation as a whole lengthens nothing, so its part is taken out of sigma. Matters in a line,
-    whose distances say nothing of what is across it. pos_ne_m (N, 2); members (m,) those concerned.
+    Two UAVs whose places across the line between them are known to sigma, and estimated as b, are farther
+    apart than their estimates by sigma^2 / 2 d on average, the second order of the distance. Its variance
+    is sigma^4 / 2 d^2, and where the derivative knows nothing of b, b^2 sigma^2 / d^2 besides. A turn of the
+    formation as a whole lengthens nothing, so its part is taken out of sigma. Matters in a line, whose
+    distances say nothing of what is across it.
+
+    Args:
+        reference_ne_m: (N, 2) where the derivatives are taken.
+        pos_ne_m: (N, 2) estimated, headed as the reference is.
+        cov: of the estimates.
+        members: (m,) indices of those concerned.
+        out_m: (N, N) filled with the lengthening, m.
+        out_var_m2: (N, N) filled with its variance, m^2.
+
     """
     m = members.shape[0]
     out_m[:] = 0.0
+    out_var_m2[:] = 0.0
     centre_n, centre_e = 0.0, 0.0
     for j in members:
-        centre_n += pos_ne_m[j, 0] / m
-        centre_e += pos_ne_m[j, 1] / m
+        centre_n += reference_ne_m[j, 0] / m
+        centre_e += reference_ne_m[j, 1] / m
     spread = 0.0
     for j in members:
-        spread += (pos_ne_m[j, 0] - centre_n) ** 2 + (pos_ne_m[j, 1] - centre_e) ** 2
+        spread += (reference_ne_m[j, 0] - centre_n) ** 2 + (reference_ne_m[j, 1] - centre_e) ** 2
     if spread < 1e-6:
         return
     # Covariance of each position with the turn of the whole, and the variance of that.
@@ -101,14 +114,15 @@ def bend(pos_ne_m: Array, cov: Array, members: Times, out_m: Array) -> None:
         for a in range(2):
             row = cov[STATES * i + a]
             for j in members:
-                with_turn[i, a] -= row[STATES * j] * (pos_ne_m[j, 1] - centre_e) / spread
-                with_turn[i, a] += row[STATES * j + 1] * (pos_ne_m[j, 0] - centre_n) / spread
-        turn_rad2 -= with_turn[i, 0] * (pos_ne_m[i, 1] - centre_e) / spread
-        turn_rad2 += with_turn[i, 1] * (pos_ne_m[i, 0] - centre_n) / spread
+                with_turn[i, a] -= row[STATES * j] * (reference_ne_m[j, 1] - centre_e) / spread
+                with_turn[i, a] += row[STATES * j + 1] * (reference_ne_m[j, 0] - centre_n) / spread
+        turn_rad2 -= with_turn[i, 0] * (reference_ne_m[i, 1] - centre_e) / spread
+        turn_rad2 += with_turn[i, 1] * (reference_ne_m[i, 0] - centre_n) / spread
     across = np.zeros(3)
     for i in members:
         for j in members:
-            across[0], across[1] = pos_ne_m[j, 1] - pos_ne_m[i, 1], pos_ne_m[i, 0] - pos_ne_m[j, 0]
+            across[0] = reference_ne_m[j, 1] - reference_ne_m[i, 1]
+            across[1] = reference_ne_m[i, 0] - reference_ne_m[j, 0]
             apart_m = np.hypot(across[0], across[1])
             if i == j or apart_m < 0.1:
                 continue
@@ -116,4 +130,9 @@ def bend(pos_ne_m: Array, cov: Array, members: Times, out_m: Array) -> None:
             for a in range(2):
                 turned += across[a] * (with_turn[i, a] - with_turn[j, a])
             variance = relative_variance(cov, i, j, across) - 2.0 * turned + apart_m**2 * turn_rad2
-            out_m[i, j] = max(variance, 0.0) / (2.0 * apart_m)
+            bent_m = across[0] * (pos_ne_m[i, 0] - pos_ne_m[j, 0])
+            bent_m += across[1] * (pos_ne_m[i, 1] - pos_ne_m[j, 1])
+            bent_m /= apart_m
+            variance = max(variance, 0.0)
+            out_m[i, j] = variance / (2.0 * apart_m)
+            out_var_m2[i, j] = variance * (0.5 * variance + bent_m * bent_m) / (apart_m * apart_m)

@@ -1,0 +1,153 @@
+"""Solving for UAVs that join: the shape is found however GPS has spread them, or nobody joins."""
+
+from dataclasses import replace
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+from autopilot.onboard.joining import Problem, Range, badly_fitting
+from autopilot.onboard.kernels import STATES
+from autopilot.onboard.localisation_model import LocalisationModel
+from autopilot.onboard.receivers import Receivers
+from harness.codesign.bounds import aligned_error_m
+
+MODEL = LocalisationModel()
+RANGE_STD_M = np.hypot(0.03, MODEL.range_floor_std_m)
+SHAPES = {
+    "two at 1.25 m": [(0.0, 0.0), (0.0, 1.25)],
+    "two at 2.5 m": [(0.0, 0.0), (0.0, 2.5)],
+    "triangle of 1.04 m": [(0.0, 0.0), (0.0, 1.04), (0.9, 0.52)],
+    "2x2 at 0.8 m": [(0.0, 0.0), (0.0, 0.8), (0.8, 0.0), (0.8, 0.8)],
+}
+LINES_M = (0.9, 2.5, 4.0, 8.5)
+
+
+def line(spacing_m):
+    return [(0.0, 0.0), (0.0, spacing_m), (0.0, 2.0 * spacing_m)]
+
+
+def drawn(places_ne_m, seed):
+    """UAVs in their places, nobody located: a `Problem` with drawn GPS, and distances of all pairs.
+
+    Odometry is right, so that the states are errors: offsets are 0 in truth.
+    """
+    rng = np.random.default_rng(seed)
+    count = len(places_ne_m)
+    places = np.column_stack((np.asarray(places_ne_m, float), np.full(count, -10.0)))
+    receivers = Receivers(count, MODEL)
+    receivers.less_odometry_ned_m[:, :2] = rng.normal(0.0, MODEL.gps_bias_std_m, (count, 2))
+    state, cov = np.zeros(STATES * count), np.zeros((STATES * count, STATES * count))
+    for station in range(count):
+        receivers.begin(station, state, cov)
+    everybody = np.ones(count, bool)
+    problem = Problem(
+        state=state, cov=cov, time_us=1_000_000, active=everybody, located=~everybody,
+        places_ned_m=places, odometry_ned_m=places, drift_m2_s=MODEL.odometry_drift_m_sqrt_s**2,
+        bias_var_m2=receivers.stated_var_m2,
+    )  # fmt: skip
+    held = []
+    for i, j in permutations(range(count), 2):
+        between_m = places[i] - places[j]
+        distance_m = float(np.linalg.norm(between_m) + rng.normal(0.0, RANGE_STD_M))
+        held.append(Range(i, j, 1_000_000, distance_m, RANGE_STD_M**2, between_m))
+    return problem, held
+
+
+def found_ne_m(problem, solution):
+    return problem.odometry_ned_m[:, :2] + solution.state.reshape(-1, STATES)[:, :2]
+
+
+@pytest.mark.parametrize("places", SHAPES.values(), ids=SHAPES)
+def test_small_formations_are_located_however_gps_spreads_them(places):
+    """GPS shows pairs of 1 m up to 8 m apart. The worst of a thousand errors is within 4 sigma.
+
+    Each pair is measured twice. No place is known worse than to the root of 2 of one pair's distance.
+    """
+    for seed in range(60):
+        problem, held = drawn(places, seed)
+        joined = problem.join(held)
+        assert joined is not None
+        assert joined.joining.all()
+        assert not joined.liars
+        error_m = aligned_error_m(found_ne_m(problem, joined.solution), problem.places_ned_m[:, :2])
+        assert np.linalg.norm(error_m, axis=1).max() < 4.0 * RANGE_STD_M
+
+
+@pytest.mark.parametrize("spacing_m", LINES_M)
+def test_a_line_is_located_and_knows_how_little_it_knows_across(spacing_m):
+    """Along it is right; across it is not bent more than the distances allow, and less is said to be known.
+
+    The bow b (1, -2, 1) / sqrt(6) makes neighbours 3 b^2 / 4 d farther apart than along the line: by what
+    the distances are wrong, at most, with the outer two as the worst of a hundred. Distances tell nothing of
+    the sign, so that what is said is GPS's word, the standard deviation of one bias.
+    """
+    bow = np.array((1.0, -2.0, 1.0)) / np.sqrt(6.0)
+    for seed in range(60):
+        problem, held = drawn(line(spacing_m), seed)
+        joined = problem.join(held)
+        assert joined is not None
+        assert joined.joining.all()
+        assert not joined.liars
+        found_m = found_ne_m(problem, joined.solution)
+        along = (found_m[2] - found_m[0]) / np.linalg.norm(found_m[2] - found_m[0])
+        across = np.array((along[1], -along[0]))
+        assert np.abs(np.diff(found_m @ along) - spacing_m).max() < 4.0 * RANGE_STD_M
+        assert 0.75 * (bow @ found_m @ across) ** 2 / spacing_m < 4.0 * RANGE_STD_M
+        row = np.zeros(len(problem.state))
+        row.reshape(-1, STATES)[:, :2] = np.outer(bow, across)
+        assert np.sqrt(row @ joined.solution.cov @ row) > 0.99 * MODEL.gps_bias_std_m
+
+
+@pytest.mark.parametrize("heading_rad", [0.3, -1.0, 2.0, -2.5, 3.0])
+def test_two_are_headed_as_gps_has_them_however_far_apart_that_is(heading_rad):
+    """GPS shows 1 m as 8 m. Least squares put both on the line between the two, the middle being GPS's."""
+    problem, _ = drawn([(0.0, -0.5), (0.0, 0.5)], 1)
+    ends_m = 4.0 * np.outer((-1.0, 1.0), (np.sin(heading_rad), np.cos(heading_rad)))
+    state = np.zeros(len(problem.state))
+    state.reshape(-1, STATES)[:, :2] = ends_m - problem.odometry_ned_m[:, :2]
+    between_m = problem.odometry_ned_m[1] - problem.odometry_ned_m[0]
+    # With biases as wide as that no GPS counts as an outlier on one axis and not on the other.
+    problem = replace(problem, state=state, bias_var_m2=np.full(2, 1e6))
+    joined = problem.join([Range(1, 0, 1_000_000, 1.0, RANGE_STD_M**2, between_m)])
+    assert joined is not None
+    found_m = found_ne_m(problem, joined.solution)
+    assert found_m == pytest.approx(ends_m / 8.0, abs=0.02)
+
+
+def test_nobody_joins_by_no_distance():
+    """Three whose distances make no triangle: who is left when two have been dropped stays out."""
+    for seed in range(40):
+        problem, held = drawn(line(2.5), seed)
+        spoilt = [
+            replace(item, distance_m=item.distance_m + 7.0 * ({item.initiator, item.responder} == {0, 2}))
+            for item in held
+        ]
+        assert problem.join(spoilt) is None
+
+
+def test_who_has_distances_only_to_those_that_stay_out_stays_out():
+    """Of four, 3 is linked to 0 alone: it is dropped for that, and 0, 1 and 2 lack their third link then."""
+    problem, held = drawn(SHAPES["2x2 at 0.8 m"], 1)
+    fewer = [item for item in held if {item.initiator, item.responder} not in ({1, 3}, {2, 3})]
+    assert problem.join(fewer) is None
+    joined = problem.join(held)
+    assert joined is not None
+    assert joined.joining.all()
+
+
+@pytest.mark.parametrize("field", ["distance_m", "variance_m2"])
+def test_what_is_no_number_brings_nobody_in(field):
+    problem, held = drawn(SHAPES["triangle of 1.04 m"], 1)
+    for k in range(len(held)):
+        spoilt = [replace(item, **{field: float("nan")}) if item is held[k] else item for item in held]
+        joined = problem.join(spoilt)
+        assert joined is None or np.isfinite(joined.solution.state).all()
+    state = problem.state.copy()
+    state[0] = np.nan
+    assert replace(problem, state=state).join(held) is None
+
+
+def test_a_weight_that_is_no_number_fits_badly():
+    _, held = drawn(SHAPES["two at 2.5 m"], 1)
+    assert badly_fitting(held, [float("nan"), 1.0], 2)[:, 0].tolist() == [0.5, 0.5]
