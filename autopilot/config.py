@@ -8,10 +8,17 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 from msgspec.structs import replace
 
-Vector = tuple[float, float, float]
-NonNegative = Annotated[float, Meta(ge=0.0)]
-Positive = Annotated[float, Meta(gt=0.0)]
 Port = Annotated[int, Meta(ge=0, le=65_535)]
+Vector = tuple[float, float, float]
+Position = Annotated[float, Meta(ge=-1e6, le=1e6)]
+"""Metres from the site's origin; beacons tell no more."""
+Gauss = Annotated[float, Meta(ge=-2.0, le=2.0)]
+"""The Earth's field has at most 0.7."""
+Angle = Annotated[float, Meta(ge=-360.0, le=360.0)]
+"""Degrees."""
+Seconds = Annotated[float, Meta(ge=0.0, le=1e5)]
+ErrorStd = Annotated[float, Meta(ge=0.001, le=1_000.0)]
+"""Metres: a filter that squares and inverts it neither overflows nor takes anything for exact."""
 
 
 class Site(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -21,7 +28,7 @@ class Site(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     longitude_deg: Annotated[float, Meta(ge=-180.0, le=180.0)] = 8.545594
     altitude_m: Annotated[float, Meta(ge=-500.0, le=9_000.0)] = 488.0
     """Of the ground, above mean sea level."""
-    magnetic_field_ned_gauss: Vector = (0.21523, 0.00771, 0.42741)
+    magnetic_field_ned_gauss: tuple[Gauss, Gauss, Gauss] = (0.21523, 0.00771, 0.42741)
 
 
 class CircleConfig(
@@ -29,9 +36,9 @@ class CircleConfig(
 ):
     """A circle of the geofence, in metres from the site's origin."""
 
-    north_m: float = 0.0
-    east_m: float = 0.0
-    radius_m: Positive
+    north_m: Position = 0.0
+    east_m: Position = 0.0
+    radius_m: Annotated[float, Meta(gt=0.0, le=1e5)]
     inclusion: bool = True
     """To stay inside of; false: outside."""
 
@@ -41,7 +48,7 @@ class PolygonConfig(
 ):
     """A polygon of the geofence."""
 
-    vertices_m: Annotated[tuple[tuple[float, float], ...], Meta(min_length=3)]
+    vertices_m: Annotated[tuple[tuple[Position, Position], ...], Meta(min_length=3)]
     """North and east from the site's origin."""
     inclusion: bool = True
 
@@ -53,15 +60,15 @@ class MissionItemConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields
         "takeoff", "waypoint", "loiter_time", "loiter_unlimited", "delay", "change_speed", "jump", "return",
         "land",
     ]  # fmt: skip
-    north_m: float | None = None
+    north_m: Position | None = None
     """From the site's origin, with ``east_m``; neither: where the vehicle is."""
-    east_m: float | None = None
-    height_m: float = 0.0
+    east_m: Position | None = None
+    height_m: Annotated[float, Meta(ge=-10_000.0, le=10_000.0)] = 0.0
     """Above home."""
-    acceptance_m: NonNegative = 0.0
-    hold_s: NonNegative = 0.0
-    yaw_deg: float | None = None
-    speed_m_s: float | None = None
+    acceptance_m: Annotated[float, Meta(ge=0.0, le=1e5)] = 0.0
+    hold_s: Seconds = 0.0
+    yaw_deg: Angle | None = None
+    speed_m_s: Annotated[float, Meta(ge=-100.0, le=100.0)] | None = None
     jump_to: Annotated[int, Meta(ge=0)] = 0
     jump_count: Annotated[int, Meta(ge=-1)] = 1
 
@@ -106,23 +113,24 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     wind_feed_forward: bool = False
     """Lean against the wind that the application has learned; for autopilots that do not do so themselves."""
     climb_speed_m_s: Annotated[float, Meta(gt=0.0, le=5.0)] = 1.5
-    on_station_tolerance_m: Positive = 0.7
+    on_station_tolerance_m: Annotated[float, Meta(gt=0.0, le=1_000.0)] = 0.7
     """Own estimated distance from the own place that counts as being there."""
-    on_station_hold_s: NonNegative = 2.0
-    gps_bias_std_m: Positive = 1.5
+    on_station_hold_s: Seconds = 2.0
+    gps_bias_std_m: ErrorStd = 1.5
     """Horizontal, per axis: what the localisation filter assumes of GPS errors."""
-    gps_bias_time_constant_s: Positive = 60.0
-    odometry_drift_m_sqrt_s: Positive = 0.1
+    gps_bias_time_constant_s: Annotated[float, Meta(ge=0.1, le=1e6)] = 60.0
+    odometry_drift_m_sqrt_s: Annotated[float, Meta(ge=1e-4, le=10.0)] = 0.1
     """Horizontal, per axis: error of the integrated velocity after one second.
 
     Grows with the root of time.
     """
-    range_floor_std_m: Positive = 0.05
+    range_floor_std_m: ErrorStd = 0.05
     """What averaging within an FTM session does not reduce."""
-    safety_radius_m: NonNegative = 1.2
+    safety_radius_m: Annotated[float, Meta(ge=0.0, le=1_000.0)] = 1.2
     """A neighbour nearer than this, plus two sigma, is kept clear of.
 
-    At most 0.6 of the spacing to the nearest place.
+    By a UAV in its place at most 0.6 of the distance between the two's places; one that is away from its
+    place keeps more, by half of the way that it has to it.
     """
 
 
@@ -131,11 +139,11 @@ class TrackMotion(
 ):
     """The formation flies straight on, and stops after ``length_m``."""
 
-    speed_m_s: Annotated[float, Meta(gt=0.0, le=12.0)] = 3.0
-    acceleration_m_s2: Annotated[float, Meta(gt=0.0, le=3.0)] = 0.5
+    speed_m_s: Annotated[float, Meta(ge=0.01, le=12.0)] = 3.0
+    acceleration_m_s2: Annotated[float, Meta(ge=0.001, le=3.0)] = 0.5
     """Along the track, at its beginning and end."""
-    length_m: Positive = 100.0
-    course_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
+    length_m: Annotated[float, Meta(ge=0.1, le=1e5)] = 100.0
+    course_deg: Angle = 0.0
     """Compass direction of flight; the formation keeps its heading."""
 
 
@@ -144,13 +152,13 @@ class RacetrackMotion(
 ):
     """The formation flies round after round: two straights joined by half turns."""
 
-    speed_m_s: Annotated[float, Meta(gt=0.0, le=12.0)] = 3.0
-    acceleration_m_s2: Annotated[float, Meta(gt=0.0, le=3.0)] = 0.5
-    length_m: NonNegative = 60.0
+    speed_m_s: Annotated[float, Meta(ge=0.01, le=12.0)] = 3.0
+    acceleration_m_s2: Annotated[float, Meta(ge=0.001, le=3.0)] = 0.5
+    length_m: Annotated[float, Meta(ge=0.0, le=1e5)] = 60.0
     """Of a straight."""
-    radius_m: Positive = 25.0
+    radius_m: Annotated[float, Meta(ge=0.1, le=1e5)] = 25.0
     """Tightest in a turn."""
-    course_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
+    course_deg: Angle = 0.0
     """Of the first straight, which begins where the formation has formed."""
     side: Literal["left", "right"] = "right"
     heading: Literal["fixed", "track"] = "track"
@@ -165,7 +173,7 @@ class Devices(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     gps_delay_s: Annotated[float, Meta(ge=0.0, le=0.3)] = 0.12
     """How far in the past the moment lies that a fix describes; the default of EKF2_GPS_DELAY."""
-    ftm_trip_std_m: NonNegative = 0.08
+    ftm_trip_std_m: Annotated[float, Meta(ge=0.0, le=1_000.0)] = 0.08
     """Error of the distance of a single round trip, at the radio's bandwidth and good reception."""
 
 
@@ -198,9 +206,9 @@ class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     autopilot: AutopilotConfig = AutopilotConfig()
     onboard: OnboardConfig = OnboardConfig()
     devices: Devices = Devices()
-    places_ned_m: tuple[Vector, ...]
+    places_ned_m: tuple[tuple[Position, Position, Position], ...]
     """The formation: each UAV's place from the site's origin, before it moves."""
-    heading_deg: float = 0.0
+    heading_deg: Angle = 0.0
     """Of the formation, before it moves."""
     motion: AnyMotion | None = None
     log_path: str | None = None
@@ -208,4 +216,4 @@ class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     params_path: str | None = None
     """Where MAV_CMD_PREFLIGHT_STORAGE writes the parameters; None: it is not supported."""
     record_period_us: Annotated[int, Meta(ge=1_000)] = 20_000
-    connect_timeout_s: Positive = 30.0
+    connect_timeout_s: Annotated[float, Meta(gt=0.0, le=1e5)] = 30.0

@@ -226,20 +226,15 @@ class FormationPlan:
 
 def check(places_ned_m: Array, motion: AnyMotion) -> None:
     """Raise ValueError, one line, for a motion of the formation (N, 3) that cannot be flown."""
-    if not math.isfinite(motion.length_m):
-        raise ValueError("length_m: expected a finite number")
     if motion.speed_m_s > SPEED_UP_MAX_S * motion.acceleration_m_s2:
         raise ValueError(
             f"acceleration_m_s2: {motion.speed_m_s:g} m/s are not reached within {SPEED_UP_MAX_S:g} s"
         )
-    if isinstance(motion, RacetrackMotion):
-        if not math.isfinite(motion.radius_m):
-            raise ValueError("radius_m: expected a finite number")
-        if motion.speed_m_s**2 > ACCELERATION_MAX_M_S2 * motion.radius_m:
-            raise ValueError(
-                f"radius_m: {motion.speed_m_s:g} m/s in a turn of {motion.radius_m:g} m is more than "
-                f"{ACCELERATION_MAX_M_S2:g} m/s^2"
-            )
+    if isinstance(motion, RacetrackMotion) and motion.speed_m_s**2 > ACCELERATION_MAX_M_S2 * motion.radius_m:
+        raise ValueError(
+            f"radius_m: {motion.speed_m_s:g} m/s in a turn of {motion.radius_m:g} m is more than "
+            f"{ACCELERATION_MAX_M_S2:g} m/s^2"
+        )
     FormationPlan(places_ned_m, 0.0, motion).check()
 
 

@@ -18,13 +18,11 @@ from harness.messages import FormationMoves
 
 START_NAME = messages.START_NAME.decode("ascii")
 """Name of the message's value: milliseconds on the run's clock, an unsigned number in its signed field."""
-NO_START = 0xFFFF_FFFF
 
 
-def start_us(value: int) -> int | None:
-    """Give the start that a message says; None: there is none yet."""
-    unsigned_ms = value & 0xFFFF_FFFF
-    return None if unsigned_ms == NO_START else unsigned_ms * 1_000
+def start_us(value: int) -> int:
+    """Give the start that a message says; who holds none says nothing."""
+    return (value & 0xFFFF_FFFF) * 1_000
 
 
 def agreed(starts_us: Sequence[int | None]) -> int | None:

@@ -7,6 +7,7 @@ out once per step. All times are on one clock that the formation shares.
 positions of both, `Guidance` makes setpoints of positions, and `Flight` decides on phases and commands.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -19,9 +20,9 @@ from autopilot.config import AnyMotion, Devices, OnboardConfig, Site
 from autopilot.formation_plan import FormationPlan
 from autopilot.onboard import messages
 from autopilot.onboard.avoidance import FRESH_US
-from autopilot.onboard.beacon import GpsError
+from autopilot.onboard.beacon import Fix, GpsError
 from autopilot.onboard.commands import CommandSender
-from autopilot.onboard.flight import Flight, Situation
+from autopilot.onboard.flight import LOCALISE_TIMEOUT_US, Flight, Situation
 from autopilot.onboard.guidance import Guidance
 from autopilot.onboard.localisation import CooperativeLocalisation, LocalisationModel
 from autopilot.onboard.motion import Heard
@@ -34,6 +35,12 @@ Array = NDArray[np.float64]
 
 SETPOINT_PERIOD_US = 50_000
 HEARTBEAT_PERIOD_US = 1_000_000
+TELEMETRY_GAP_US = 500_000
+"""Velocities this far apart do not tell what was flown between them."""
+TRUTH_STD_M = 0.01
+"""Of what the simulator says: its message counts in 1e-7 degrees."""
+GATHER_MAX_S = 0.8e-6 * LOCALISE_TIMEOUT_US
+"""Distances are gathered for no longer, or who answers would take off without being located."""
 
 
 class OnboardOutput(Struct, frozen=True):
@@ -97,18 +104,18 @@ class OnboardApp:
         self.localisation: CooperativeLocalisation | None = None
         self._station = station
         self._config = config
+        self._traffic = Traffic(
+            station=station, stations=len(places), config=config, devices=devices, rng=rng
+        )
         self._model = LocalisationModel(
             gps_bias_std_m=config.gps_bias_std_m,
             gps_bias_time_constant_s=config.gps_bias_time_constant_s,
             odometry_drift_m_sqrt_s=config.odometry_drift_m_sqrt_s,
             range_floor_std_m=config.range_floor_std_m,
-            gather_s=2.0 * config.ftm_period_s + 0.5,
+            gather_s=min(self._traffic.gather_s, GATHER_MAX_S),
         )
         if config.localisation == "ftm" and len(places) > 1:
             self.localisation = CooperativeLocalisation(own=station, places_ned_m=places, model=self._model)
-        self._traffic = Traffic(
-            station=station, stations=len(places), config=config, devices=devices, rng=rng
-        )
         self._guidance = Guidance(
             station=station, plan=FormationPlan(places, heading_deg, motion), config=config
         )
@@ -141,11 +148,8 @@ class OnboardApp:
             case "LOCAL_POSITION_NED":
                 self._on_local_position(msg, now_us)
             case "GPS_RAW_INT":
-                if self._own.on_gps(msg) and self.localisation is not None and self._own.fix is not None:
-                    fix = self._own.fix
-                    self.localisation.on_fix(
-                        self._station, fix.time_ms * 1_000, fix.pos_ned_m, fix.std_h_m, fix.std_v_m
-                    )
+                if self._own.on_gps(msg):
+                    self._localise_by(self._station, self._own.fix)
             case "ATTITUDE_QUATERNION":
                 if self._guidance.wind is not None:
                     self._guidance.wind.on_attitude((msg.q1, msg.q2, msg.q3, msg.q4))
@@ -153,6 +157,9 @@ class OnboardApp:
                 self._own.on_origin(msg)
             case "HEARTBEAT":
                 self._own.on_heartbeat(msg, now_us)
+            case "PARAM_VALUE":
+                if msg.param_id == messages.GAIN_NAME and 0.0 <= msg.param_value < math.inf:
+                    self._guidance.position_gain_1_s = msg.param_value
             case "COMMAND_ACK":
                 self._commands.on_ack(msg, now_us)
                 self._due_us = 0
@@ -163,15 +170,29 @@ class OnboardApp:
     def _on_local_position(self, msg: common.MAVLink_local_position_ned_message, now_us: int) -> None:
         if self._own.time_us < 0:
             self._due_us = 0
-        if not self._own.on_local_position(msg, now_us):
+        own, wind, before_us = self._own, self._guidance.wind, self._own.time_us
+        if not own.on_local_position(msg, now_us):
             return
-        own, wind = self._own, self._guidance.wind
+        if 0 <= before_us < own.time_us - TELEMETRY_GAP_US:
+            self._begin_anew()
         if self.localisation is not None:
             self.localisation.on_odometry(
                 self._station, own.time_us, own.odometry_ned_m.tolist(), own.vel_ned_m_s.tolist()
             )
+            self._localise_by(self._station, own.fix)  # should it have been newer than the odometry
         if wind is not None:
             wind.on_velocity(own.time_us, (msg.vx, msg.vy, msg.vz), flying=self._flight.in_formation)
+
+    def _begin_anew(self) -> None:
+        """Have everybody forget the odometry: what was flown unseen is in no velocity."""
+        self._traffic.begin_anew()
+        self._guidance.correction.lose_odometry()
+        if self.localisation is not None:
+            self.localisation.restart(self._station)
+
+    def _localise_by(self, station: int, fix: Fix | None) -> None:
+        if fix is not None and self.localisation is not None:
+            self.localisation.on_fix(station, fix.time_ms * 1_000, fix.pos_ned_m, fix.std_h_m, fix.std_v_m)
 
     def on_radio(self, item: RxItem, now_us: int) -> None:
         """Take what the radio received or measured."""
@@ -205,11 +226,8 @@ class OnboardApp:
         self.localisation.on_odometry(
             beacon.station, beacon.time_us, beacon.odometry_ned_m, beacon.vel_ned_m_s
         )
-        fix = beacon.fix
-        if fix is not None and fix.time_ms * 1_000 <= now_us:
-            self.localisation.on_fix(
-                beacon.station, fix.time_ms * 1_000, fix.pos_ned_m, fix.std_h_m, fix.std_v_m
-            )
+        if beacon.fix is not None and beacon.fix.time_ms * 1_000 <= now_us:
+            self._localise_by(beacon.station, beacon.fix)
         self.localisation.on_distances(beacon.station, beacon.distances, now_us=now_us)
 
     # ---- output
@@ -231,6 +249,8 @@ class OnboardApp:
             self._told = (self.phase, self._guidance.start.start_us)
             self._heartbeat_out_us = now_us + HEARTBEAT_PERIOD_US
             mavlink += messages.heartbeat(*self._told, now_us)
+            # Each time, for a ground station may set it in flight.
+            mavlink.append(messages.gain_request(self._station + 1))
         if self._flight.texts:
             mavlink += map(messages.warning, self._flight.texts)
             self._flight.texts.clear()
@@ -274,6 +294,7 @@ class OnboardApp:
             counts["ranges_downweighted"] = self.localisation.ranges_downweighted
             counts["gps_steps"] = self.localisation.gps_steps
             counts["odometry_jumps"] = self.localisation.odometry_jumps
+            counts["ranges_too_late"] = self.localisation.ranges_too_late
         return counts
 
     @property
@@ -286,10 +307,14 @@ class OnboardApp:
             offset_ned_m[:] = (*correction.offset_ne_m.tolist(), 0.0)
         if self.localisation is not None and self._supported:
             std_ned_m = self.localisation.std_ned_m()
+        elif self._own.truth_ned_m is not None:
+            std_ned_m = np.full(3, TRUTH_STD_M)
         else:
             model = self._model
             std_ned_m = np.array((model.gps_bias_std_m, model.gps_bias_std_m, model.height_std_m))
-        return Estimate(self._guidance.believed_ned_m(self._own), std_ned_m, correction_ned_m, offset_ned_m)
+        return Estimate(
+            self._guidance.believed_ned_m(self._own, self._now_us), std_ned_m, correction_ned_m, offset_ned_m
+        )
 
     @property
     def shape_std_m(self) -> float:
@@ -309,7 +334,7 @@ class OnboardApp:
             own,
             Situation(
                 shape_std_m=self._shape_std_before_flight_m(now_us),
-                miss_m=float(np.linalg.norm(guidance.believed_ned_m(own) - place_ned_m)),
+                miss_m=float(np.linalg.norm(guidance.believed_ned_m(own, now_us) - place_ned_m)),
                 place_height_m=-float(place_ned_m[2]),
             ),
             now_us,
@@ -318,10 +343,9 @@ class OnboardApp:
         if own.origin_ned_m is None or not Phase.ARMING <= self.phase <= Phase.YIELDED:
             return []
         if flight.in_formation:
-            known = self.localisation if self._supported else None
-            setpoint = guidance.follow(own, known, now_us, SETPOINT_PERIOD_US * 1e-6)
+            setpoint = guidance.follow(own, self._known_positions(), now_us, SETPOINT_PERIOD_US * 1e-6)
         else:
-            setpoint = guidance.wait(own)
+            setpoint = guidance.wait(own, now_us)
         return [messages.offboard_setpoint(setpoint, self._station + 1, now_us)]
 
     def _correct(self, now_us: int) -> None:
@@ -360,6 +384,16 @@ class OnboardApp:
             )
         self._supported = supported
 
+    def _known_positions(self) -> CooperativeLocalisation | None:
+        """Give the localisation while it knows where this UAV is among the others.
+
+        Without distances that is as long as odometry holds what they said; by then height keeps UAVs apart.
+        """
+        localisation = self.localisation
+        if localisation is None or not (self._supported or self._guidance.correction.holds):
+            return None
+        return localisation if localisation.located[self._station] else None
+
     def _held_together(self, now_us: int) -> bool:
         """Whether distances hold this UAV, and those in the air to whom it would have to give way."""
         if self.localisation is None:
@@ -397,7 +431,7 @@ class OnboardApp:
         )
 
     def _gps_error(self) -> GpsError | None:
-        """What the own receiver's error is estimated to be, for the beacon."""
+        """What the own receiver's error is estimated to be, for the beacon; None: no distances hold it."""
         if self.localisation is None or not self._supported:
             return None
         error_ned_m, std_m = self.localisation.gps_error(self._station)

@@ -40,8 +40,10 @@ GIVE_MAX_M_S = 4.0
 would press those before them together."""
 FRESH_US = 1_000_000
 """A neighbour heard within this is where its velocity has brought it since."""
-KEEP_US = 10_000_000
-"""One that is heard no more is taken to follow the plan, where it was beside it, for so long."""
+KEEP_US = 20_000_000
+"""One that is heard no more is taken to follow the plan, where it was beside it, for so long. Who has
+lost its channel notices within the ranging policy's silence (7 s at sixteen UAVs) and coasts for
+`formation.COAST_S`."""
 GROWTH_M_S = 0.2
 """Growth of the standard deviation of such a one: by wind, and by odometry's drift."""
 ROOM_SHARE = 0.5

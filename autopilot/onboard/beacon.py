@@ -64,7 +64,13 @@ class Fix(Struct, frozen=True):
 
 
 class GpsError(Struct, frozen=True):
-    """What a UAV believes of its GPS receiver now: the fix less the true position."""
+    """What a UAV believes of its GPS receiver now: the fix less the true position.
+
+    Said only while distances hold the sender's position, and that is what the formation goes by: a UAV of
+    whom it is not heard may drift, and who has a height layer beside it goes there (`layers`). The numbers
+    are for whoever else listens, to whom they make the sender's fixes right: in the formation each estimates
+    all receivers itself, and what another made of the same distances would be counted twice.
+    """
 
     ned_m: Vector
     std_m: float
@@ -95,6 +101,7 @@ class Beacon(Struct, frozen=True, kw_only=True):
     """When the formation begins to move, as far as the sender knows."""
     fix: Fix | None = None
     gps_error: GpsError | None = None
+    """None: no distances hold the sender's position."""
     distances: tuple[Distance, ...] = ()
 
 

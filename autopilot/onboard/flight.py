@@ -127,7 +127,7 @@ class Flight:
             self._offboard_seen = True
         elif self._offboard_seen:
             return self._yield("offboard left", now_us)
-        if situation.miss_m > self._tolerance_m:
+        if not situation.miss_m <= self._tolerance_m:  # NaN is nowhere
             self._arrived_us = None
         elif self._arrived_us is None:
             self._arrived_us = now_us
@@ -138,6 +138,7 @@ class Flight:
     def _yield(self, why: str, now_us: int) -> Phase:
         """Leave the flying to whoever has it now, and ask for nothing more."""
         self._offboard_seen = False
+        self._arrived_us = None
         self._commands.want(None, now_us)
         self.texts.append(f"{why}: yielding")
         return Phase.YIELDED

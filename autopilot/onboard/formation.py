@@ -54,6 +54,15 @@ class Correction:
         self.offset_ne_m: Array | None = None
         self._silent_s = 0.0
 
+    @property
+    def holds(self) -> bool:
+        """Whether the offset of odometry is known, or was until no more than `COAST_S` ago."""
+        return self.offset_ne_m is not None and self._silent_s <= COAST_S
+
+    def lose_odometry(self) -> None:
+        """Forget what the offset was, for the odometry has begun anew; fade from where the correction is."""
+        self._silent_s = math.inf
+
     def update(
         self, autopilot_less_odometry_ne_m: Array, offset_ne_m: Array | None, dt_s: float, *, at_once: bool
     ) -> None:
@@ -153,11 +162,6 @@ class Reference:
         self._target = np.zeros((3, 3))
         self._level_joined = False
         self._height_joined = False
-
-    @property
-    def joined(self) -> bool:
-        """Whether it is the target."""
-        return self._level_joined and self._height_joined
 
     def reset(self, pos_ned_m: Array, vel_ned_m_s: Array) -> None:
         """Begin at a position and velocity."""

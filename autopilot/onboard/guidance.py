@@ -23,7 +23,9 @@ from autopilot.onboard.wind import WindObserver
 Array = NDArray[np.float64]
 
 POSITION_GAIN_1_S = 0.95
-"""MPC_XY_P of the autopilot that follows the setpoints."""
+"""MPC_XY_P of an autopilot that has not said what it is."""
+EXTRAPOLATED_US = 50_000
+"""The autopilot's position is moved on by its velocity for so long at most: telemetry comes more often."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +51,7 @@ class Guidance:
         correction: the autopilot's position less the true one, as far as known.
         layers: height that keeps UAVs apart that no longer know where each other is.
         wind: what the wind does to the vehicle; None unless it is asked for.
+        position_gain_1_s: MPC_XY_P of the autopilot that follows the setpoints.
 
     """
 
@@ -58,9 +61,10 @@ class Guidance:
         self.correction = Correction()
         self.layers = HeightLayers(
             own=station, places_ned_m=places_ned_m, gps_std_m=config.gps_bias_std_m,
-            climb_speed_m_s=config.climb_speed_m_s,
+            climb_speed_m_s=config.climb_speed_m_s, drift_m_sqrt_s=config.odometry_drift_m_sqrt_s,
         )  # fmt: skip
         self.wind = WindObserver() if config.wind_feed_forward else None
+        self.position_gain_1_s = POSITION_GAIN_1_S
         self.down_error_m = 0.0
         """The autopilot's position less the true one, down; known to those alone who are told the truth."""
         self._station = station
@@ -74,9 +78,10 @@ class Guidance:
         place_ned_m[2] -= self.layers.height_m
         return place_ned_m
 
-    def believed_ned_m(self, own: OwnState) -> Array:
+    def believed_ned_m(self, own: OwnState, now_us: int) -> Array:
         """(3,) where the UAV believes itself to be, site NED."""
-        position_ned_m = own.autopilot_ned_m
+        age_us = min(max(now_us - own.time_us, 0), EXTRAPOLATED_US)
+        position_ned_m = own.autopilot_ned_m + own.vel_ned_m_s * (1e-6 * age_us)
         position_ned_m[:2] -= self.correction.ne_m
         position_ned_m[2] -= self.down_error_m
         return position_ned_m
@@ -86,9 +91,9 @@ class Guidance:
         if self._plan.moves:
             self.start.update(now_us, on_station=on_station, neighbours=neighbours)
 
-    def wait(self, own: OwnState) -> Setpoint:
+    def wait(self, own: OwnState, now_us: int) -> Setpoint:
         """Setpoint where the vehicle is, going on vertically as it does: offboard begins smoothly from it."""
-        believed_ned_m = self.believed_ned_m(own)
+        believed_ned_m = self.believed_ned_m(own, now_us)
         vel_ned_m_s = np.array((0.0, 0.0, own.vel_ned_m_s[2]))
         self._reference.reset(believed_ned_m, vel_ned_m_s)
         return self._in_autopilots_frame(believed_ned_m, vel_ned_m_s, own, leans=False)
@@ -98,11 +103,11 @@ class Guidance:
     ) -> Setpoint:
         """Setpoint on the way to the own place, and in it.
 
-        ``localisation`` is None where the others' positions are not known well enough to keep clear of them.
+        ``localisation`` is None where the own position among the others is not known, to keep clear of them.
         """
         since_s = self._since_start_s(now_us) + 0.5 * dt_s  # half of the time for which the setpoint holds
         target = self._plan.own(self._station, since_s)
-        believed_ned_m = self.believed_ned_m(own)
+        believed_ned_m = self.believed_ned_m(own, now_us)
         self._reference.advance(
             target.pos_ned_m - np.array((0.0, 0.0, self.layers.height_m)), dt_s,
             target_vel_ned_m_s=target.vel_ned_m_s, target_acc_ned_m_s2=target.acc_ned_m_s2,
@@ -111,7 +116,8 @@ class Guidance:
         reference = self._reference
         vel_ned_m_s = reference.vel_ned_m_s.copy()
         if localisation is not None:
-            wanted_ne_m_s = POSITION_GAIN_1_S * (reference.pos_ned_m - believed_ned_m)[:2] + vel_ned_m_s[:2]
+            way_ne_m = (reference.pos_ned_m - believed_ned_m)[:2]
+            wanted_ne_m_s = self.position_gain_1_s * way_ne_m + vel_ned_m_s[:2]
             plan = self._plan.at(since_s)
             others = localisation.others(now_us, fresh_us=FRESH_US)
             vel_ned_m_s[:2] += self._avoidance.velocity_change_ne_m_s(

@@ -4,7 +4,8 @@ Without distances the horizontal errors of two UAVs go their own ways, by the ro
 receiver errs, and places 2.5 m apart meet within minutes: for errors of 1.5 m per axis and 60 s, passing
 within 0.6 m happens about 0.8 exp(-s^2 / (4 sigma^2)) times a minute at spacing s (diffusion into a disc): at
 2.5 m once in three minutes, at three sigma of the relative position once in two hours, at four in two days.
-So places within four get layers of height, and who is without support for long goes to its own.
+So places within four get layers of height, and who is without support for long goes to its own: before the
+odometry of the two nearest places, less good by the root of time, may have brought them together.
 """
 
 import math
@@ -23,6 +24,10 @@ SEPARATION_HEIGHT_M = 2.0
 errors of holding it."""
 GROUND_CLEARANCE_M = 2.0
 """No layer is lower than this above the ground."""
+TOUCH_M = 0.6
+"""Two vehicles whose centres are nearer than this touch."""
+DRIFT_SIGMAS = 3.0
+"""Layers are reached while so many standard deviations of two odometries' difference leave places apart."""
 BACK_S = 5.0
 """Support for so long, and a layer is left: by then the correction has been brought back (0.5 m/s) after all
 that a fade may have moved it."""
@@ -58,6 +63,18 @@ def layers(
     return found
 
 
+def apart_s(way_ne_m: Array, drift_m_sqrt_s: float) -> float:
+    """Time in which odometry alone keeps apart two UAVs whose places are ``way_ne_m`` (N, 2) apart, all N.
+
+    The drift of two, along the line, has variance 2 drift^2 t; so many of its deviations as `DRIFT_SIGMAS`
+    says take the places to `TOUCH_M` of each other.
+    """
+    if not len(way_ne_m):
+        return math.inf
+    room_m = max(float(np.hypot(way_ne_m[:, 0], way_ne_m[:, 1]).min()) - TOUCH_M, 0.0)
+    return 0.5 * (room_m / (DRIFT_SIGMAS * drift_m_sqrt_s)) ** 2
+
+
 class HeightLayers:
     """Which height above its place one UAV keeps.
 
@@ -66,6 +83,7 @@ class HeightLayers:
         places_ned_m: (N, 3) the formation's places.
         gps_std_m: horizontal error of everybody's GPS, per axis, one sigma.
         climb_speed_m_s: at which a layer is reached.
+        drift_m_sqrt_s: of odometry, horizontally and per axis, after one second.
 
     Attributes:
         height_m: to keep above the place; steps, for a `Reference` to make smooth.
@@ -76,7 +94,13 @@ class HeightLayers:
     """
 
     def __init__(
-        self, *, own: int, places_ned_m: Array, gps_std_m: float, climb_speed_m_s: float = 1.5
+        self,
+        *,
+        own: int,
+        places_ned_m: Array,
+        gps_std_m: float,
+        climb_speed_m_s: float = 1.5,
+        drift_m_sqrt_s: float = 0.1,
     ) -> None:
         places = layers(places_ned_m, gps_std_m)
         way_m = places_ned_m[:, :2] - places_ned_m[own, :2]
@@ -86,7 +110,8 @@ class HeightLayers:
         self.layer_m = SEPARATION_HEIGHT_M * float(places[own])
         self.watched = tuple(np.flatnonzero(stays).tolist()) if places[own] else ()
         way_s = joining_time_s(abs(self.layer_m), climb_speed_m_s)
-        self._patience_us = round(max(COAST_S - way_s, 0.0) * 1e6)
+        coast_s = min(COAST_S, apart_s(np.delete(way_m, own, axis=0), drift_m_sqrt_s))
+        self._patience_us = round(max(coast_s - way_s, 0.0) * 1e6)
         self._since_us: int | None = None
         """Since when it has been otherwise than ``height_m`` supposes."""
 
@@ -94,7 +119,8 @@ class HeightLayers:
         """Return the height to keep, metres above the place.
 
         ``supported``: distances hold the position of this UAV and of those it watches, or it is on the
-        ground. Without, odometry holds it for `COAST_S`: the layer is reached by then.
+        ground. Without, odometry holds it for `COAST_S`, or less where places are near: the layer is reached
+        by then, or as soon as can be.
         """
         if self.layer_m == 0.0:
             return 0.0

@@ -7,6 +7,8 @@ from autopilot.onboard.phases import Phase
 
 START_NAME = b"start_ms"
 """NAMED_VALUE_INT: when the formation's motion begins, milliseconds on the formation's clock."""
+GAIN_NAME = "MPC_XY_P"
+"""Gain of the autopilot's position loop, 1/s."""
 _AUTOPILOT_COMPONENT = 1
 _NO_YAW = common.POSITION_TARGET_TYPEMASK_YAW_IGNORE | common.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
 _NO_ACCELERATION = (
@@ -36,6 +38,13 @@ def heartbeat(phase: Phase, start_us: int | None, now_us: int) -> list[common.MA
     if start_us is None:
         return [beat]
     return [beat, common.MAVLink_named_value_int_message(now_us // 1_000, START_NAME, start_us // 1_000)]
+
+
+def gain_request(target_system: int) -> common.MAVLink_message:
+    """PARAM_REQUEST_READ of the position loop's gain."""
+    return common.MAVLink_param_request_read_message(
+        target_system, _AUTOPILOT_COMPONENT, GAIN_NAME.encode("ascii"), -1
+    )
 
 
 def warning(text: str) -> common.MAVLink_message:

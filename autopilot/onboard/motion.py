@@ -11,9 +11,8 @@ it kept them apart, go over to what most of them hold once they hear each other.
 from collections import Counter
 from collections.abc import Mapping
 
-from autopilot.onboard.localisation import CLOCK_TOLERANCE_US
+from autopilot.onboard.localisation import CLOCK_TOLERANCE_US, SILENCE_US
 from autopilot.onboard.phases import Phase
-from autopilot.onboard.traffic import SILENCE_US
 
 LEAD_US = 2_000_000
 """Twenty beacons of each neighbour at 10 Hz: at 30 % loss a pair misses all with a chance of 3e-11."""
@@ -49,10 +48,6 @@ class MotionStart:
         self._others = frozenset(range(stations)) - {station}
         self._lead_us = lead_us
         self._first_us: int | None = None
-
-    def begun(self, now_us: int) -> bool:
-        """Whether the time has come."""
-        return self.start_us is not None and self.start_us <= now_us
 
     def update(self, now_us: int, *, on_station: bool, neighbours: Mapping[int, Heard]) -> int | None:
         """Return the start time held after what was heard by now; None while there is none.

@@ -14,6 +14,8 @@ import numpy as np
 MAX_OUTSTANDING = 2
 """A second session may be asked for while one runs: a slow peer then does not hold up the round, and a full
 channel slows the policy down instead of filling its queue."""
+SESSION_S = 0.5
+"""From a request to when its distance is known to the formation: a queue, the session, and beacons."""
 GIVE_UP_US = 2_000_000
 """A request without any result is forgotten after this, longer than any driver's time-out."""
 
@@ -27,11 +29,14 @@ class RangingPolicy(Protocol):
     Attributes:
         next_us: before this, `due` has nothing to say.
         silence_us: a UAV that ranges at all has had a distance within this, lost ones included.
+        gather_s: within this, from the first on, all distances of which nothing is known yet have been asked
+            for twice.
 
     """
 
     next_us: float
     silence_us: int
+    gather_s: float
 
     def due(
         self, now_us: int, until_us: int, reachable: set[int], variance_m2: VarianceOf | None = None
@@ -96,6 +101,7 @@ class RangingSchedule:
         self._begun = False
         self.next_us = 0.0 if self._peers else float("inf")
         self.silence_us = 2 * period_us + 1_000_000
+        self.gather_s = 2e-6 * period_us + SESSION_S
         self._next = 0
         self._outstanding = Outstanding()
 

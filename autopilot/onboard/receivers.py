@@ -4,6 +4,7 @@ A receiver that states a worse accuracy than the model's is taken at its word. O
 beyond what it states is taken to have errors of that size, and after a step of it they are estimated anew.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -36,6 +37,9 @@ class Receivers:
         self.less_odometry_ned_m = np.zeros((count, 3))
         self.stated_var_m2 = np.full(count, model.gps_bias_std_m**2)
         self.bias_var_m2 = self.stated_var_m2.copy()
+        self._worst_var_m2 = self.stated_var_m2.copy()
+        """Of the bias: the worst that was stated, brought to what is stated now by its time constant."""
+        self._stated_us = [-1] * count
         self._stated_vertical_var_m2 = np.full(count, model.gps_bias_vertical_std_m**2)
         self._model = model
         self._drift_m2_s = model.odometry_drift_m_sqrt_s**2
@@ -58,16 +62,27 @@ class Receivers:
         return mean
 
     def take_stated(self, station: int, std_h_m: float, std_v_m: float, cov: Array, *, active: bool) -> None:
-        """Take a receiver at its word when it is worse than the model; its bias is less known at once."""
+        """Take what a receiver states with its newest fix at its word, when it is worse than the model.
+
+        What it states beyond the worst of late, its bias may have changed by at once.
+        """
         model = self._model
+        time_us = self.newest_us[station]
+        since_s = max(time_us - self._stated_us[station], 0) * 1e-6
+        self._stated_us[station] = time_us
         self._stated_vertical_var_m2[station] = max(model.gps_bias_vertical_std_m, std_v_m) ** 2
         variance_m2 = max(model.gps_bias_std_m, std_h_m) ** 2
-        added_m2 = variance_m2 - self.stated_var_m2[station]
+        # A bias has forgotten what it was when the worst was stated as its own correlation says.
+        kept = math.exp(-2.0 * since_s / model.gps_bias_time_constant_s)
+        stated_m2 = self.stated_var_m2.item(station)
+        worst_m2 = stated_m2 + kept * (self._worst_var_m2.item(station) - stated_m2)
+        self._worst_var_m2[station] = max(worst_m2, variance_m2)
         self.stated_var_m2[station] = variance_m2
+        added_m2 = variance_m2 - worst_m2
         if added_m2 > 0.0:
             self.bias_var_m2[station] = max(self.bias_var_m2[station], variance_m2)
             if active:
-                # No further than to the new variance, or a receiver that wavers would add up.
+                # No further than to the new variance, for what was added before may not be learned yet.
                 for at in range(STATES * station + BIAS, STATES * station + STATES):
                     cov[at, at] += max(min(added_m2, variance_m2 - cov[at, at]), 0.0)
 
@@ -96,11 +111,11 @@ class Receivers:
         return step
 
     def rate(self, station: int, state: Array) -> None:
-        """Take the spread of a GPS bias from its estimate where that is beyond what the receiver states."""
+        """Take the spread of a GPS bias from its estimate where that is beyond what the receiver stated."""
         base = STATES * station
         bias_n_m, bias_e_m = state[base + BIAS : base + STATES].tolist()
         seen_m2 = max(bias_n_m**2, bias_e_m**2) / BIAS_SIGMAS**2
-        self.bias_var_m2[station] = max(self.stated_var_m2[station], seen_m2)
+        self.bias_var_m2[station] = max(self._worst_var_m2[station], seen_m2)
 
     def unrate(self, station: int) -> None:
         """Take a receiver at its word again, whatever its bias was estimated to be."""

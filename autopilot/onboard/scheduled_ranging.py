@@ -36,7 +36,7 @@ then after pauses that double.
 
 import math
 
-from autopilot.onboard.ranging import Outstanding, VarianceOf
+from autopilot.onboard.ranging import SESSION_S, Outstanding, VarianceOf
 
 GUARD = 0.125
 """Share of a slot that passes before its session begins, for clocks that disagree."""
@@ -117,6 +117,8 @@ class ScheduledRanging:
         self._cycle_begin_us = 0
         self.next_us = float(self._slots[0][0] + self._guard_us) if self._slots else math.inf
         self.silence_us = CHECK_LATEST_US + 2 * self._cycle_us + 1_000_000
+        # What nothing is known of is asked for in every slot, but those who do not answer hold up the others.
+        self.gather_s = 2e-6 * (UNKNOWN_PERIOD_US + self._cycle_us) + SESSION_S
         self.price_nats = FIRST_PRICE_NATS
         self._airtime = airtime
         self._survey: tuple[int, int] | None = None

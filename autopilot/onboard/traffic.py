@@ -11,7 +11,7 @@ import numpy as np
 from autopilot.config import Devices, OnboardConfig
 from autopilot.onboard import beacon as wire
 from autopilot.onboard.commands import NEVER_US
-from autopilot.onboard.localisation import CLOCK_TOLERANCE_US
+from autopilot.onboard.localisation import CLOCK_TOLERANCE_US, SILENCE_US
 from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.phases import Phase
 from autopilot.onboard.ranging import RangingPolicy, RangingSchedule, VarianceOf
@@ -20,12 +20,12 @@ from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult, Sur
 
 BEACON_JITTER = 0.02
 """Half width of each beacon's random shift, in periods: two UAVs that tick together do not go on doing so."""
-SILENCE_US = 3_000_000
-"""A neighbour not heard for this long is neither ranged to nor kept clear of."""
 PRIOR_TRIPS = 8
 """How many round trips' evidence the device's stated accuracy is worth beside a session's own few."""
-SEQ_GAP_LIMIT = 1_000
-"""Beacons of one sender that were lost in a row, at most; a wider gap is a sender that began anew."""
+WAIT_US = 1_000_000
+"""A beacon is received within this after it was due; its number tells when that was."""
+SHIFTS = 2
+"""Beacons by which numbers may be off besides: both ends' random shifts, and a period that is not whole."""
 
 
 class Traffic:
@@ -36,7 +36,8 @@ class Traffic:
         bad_beacons: datagrams that were no beacon, or one that contradicts itself.
         beacons_heard, beacons_missed: of those that neighbours heard so far have numbered.
         sender_is_new: the sender of the last beacon heard has begun anew since the one before, and its
-            odometry with it.
+            odometry with it: it has not numbered as many as there were periods in between.
+        gather_s: within this each station has ranged to all its peers that can be, one loss included.
 
     """
 
@@ -59,6 +60,7 @@ class Traffic:
         self._range_floor_var_m2 = config.range_floor_std_m**2
         self._ranging = self._policy(config)
         self.range_silence_us = self._ranging.silence_us
+        self.gather_s = self._ranging.gather_s
         self._distances: dict[int, wire.Distance] = {}
         self._heard_us: dict[int, int] = {}
         self._heard_seq: dict[int, int] = {}
@@ -69,6 +71,10 @@ class Traffic:
         self._period_us = config.beacon_period_ms * 1_000
         self._slot_us: float | None = None
         self._beacon_us = 0
+
+    def begin_anew(self) -> None:
+        """Number the next beacon so that whoever hears it takes its odometry for a new one."""
+        self._beacon_seq = (self._beacon_seq + wire.SEQ_MODULUS // 2) % wire.SEQ_MODULUS
 
     def hear(self, item: Delivery, now_us: int) -> wire.Beacon | None:
         """Beacon of a neighbour in a datagram; None, counted, if it holds none that can be believed."""
@@ -82,14 +88,21 @@ class Traffic:
         ):
             self.bad_beacons += 1
             return None
-        self._heard_us[beacon.station] = now_us
-        gap = (beacon.seq - self._heard_seq.get(beacon.station, beacon.seq - 1)) % wire.SEQ_MODULUS
-        self._heard_seq[beacon.station] = beacon.seq
         self.beacons_heard += 1
-        if 1 < gap <= SEQ_GAP_LIMIT:
-            self.beacons_missed += gap - 1
-        # One that comes late has an old time as well.
-        self.sender_is_new = gap > SEQ_GAP_LIMIT and beacon.time_us > self._told_us.get(beacon.station, -1)
+        self.sender_is_new = False
+        before_us = self._heard_us.get(beacon.station)
+        self._heard_us[beacon.station] = now_us
+        if before_us is not None:
+            gap = (beacon.seq - self._heard_seq[beacon.station]) % wire.SEQ_MODULUS
+            # As many as there were periods, however many were lost: the formation has one beacon period.
+            periods = (now_us - before_us) / self._period_us
+            if abs(gap - periods) <= WAIT_US / self._period_us + SHIFTS:
+                self.beacons_missed += max(gap - 1, 0)
+            elif beacon.time_us > self._told_us[beacon.station]:
+                self.sender_is_new = True
+            else:
+                return beacon  # overtaken by a later one, which has counted it as missed
+        self._heard_seq[beacon.station] = beacon.seq
         self._told_us[beacon.station] = beacon.time_us
         return beacon
 

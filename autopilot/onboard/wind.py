@@ -48,7 +48,6 @@ class WindObserver:
         self._time_constant_s = time_constant_s
         self._tilt_sum = (0.0, 0.0)
         self._tilts = 0
-        self._tilt = (0.0, 0.0)
         self._time_us = -1
         self._vel_ned_m_s = (0.0, 0.0, 0.0)
 
@@ -60,21 +59,8 @@ class WindObserver:
     def on_attitude(self, q_ned_frd: tuple[float, float, float, float]) -> None:
         """Take an attitude (wxyz), as of ATTITUDE_QUATERNION; any number per velocity."""
         w, x, y, z = q_ned_frd
-        self._lean(2.0 * (x * z + w * y), 2.0 * (y * z - w * x), w * w - x * x - y * y + z * z)
-
-    def on_euler(self, roll_rad: float, pitch_rad: float, yaw_rad: float) -> None:
-        """Take an attitude as of ATTITUDE."""
-        cos_roll, sin_roll = math.cos(roll_rad), math.sin(roll_rad)
-        cos_yaw, sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
-        forward = cos_roll * math.sin(pitch_rad)
-        self._lean(
-            forward * cos_yaw + sin_roll * sin_yaw,
-            forward * sin_yaw - sin_roll * cos_yaw,
-            cos_roll * math.cos(pitch_rad),
-        )
-
-    def _lean(self, north: float, east: float, down: float) -> None:
-        """Add a direction of body z."""
+        # The direction of body z.
+        north, east, down = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), w * w - x * x - y * y + z * z
         if down > UP_COSINE_MIN:  # NaN is not
             self._tilt_sum = (self._tilt_sum[0] + north / down, self._tilt_sum[1] + east / down)
             self._tilts += 1
@@ -84,11 +70,7 @@ class WindObserver:
 
         ``flying``: nothing but air touches the vehicle; else what was learned is dropped.
         """
-        if self._tilts:
-            self._tilt = (self._tilt_sum[0] / self._tilts, self._tilt_sum[1] / self._tilts)
-            learns = True
-        else:
-            learns = False
+        tilt_sum, tilts = self._tilt_sum, self._tilts
         self._tilt_sum, self._tilts = (0.0, 0.0), 0
         dt_s = (time_us - self._time_us) * 1e-6 if self._time_us >= 0 else math.inf
         before, self._vel_ned_m_s, self._time_us = self._vel_ned_m_s, vel_ned_m_s, time_us
@@ -96,11 +78,11 @@ class WindObserver:
             self.acc_ne_m_s2 = np.zeros(2)
             self._feed_ne_m_s2 = (0.0, 0.0)
             return
-        if not (learns and 0.0 < dt_s <= GAP_MAX_S):
+        if not (tilts and 0.0 < dt_s <= GAP_MAX_S):
             return
         thrust_down = GRAVITY_M_S2 - (vel_ned_m_s[2] - before[2]) / dt_s
-        north = (vel_ned_m_s[0] - before[0]) / dt_s + thrust_down * self._tilt[0]
-        east = (vel_ned_m_s[1] - before[1]) / dt_s + thrust_down * self._tilt[1]
+        north = (vel_ned_m_s[0] - before[0]) / dt_s + thrust_down * tilt_sum[0] / tilts
+        east = (vel_ned_m_s[1] - before[1]) / dt_s + thrust_down * tilt_sum[1] / tilts
         size = math.hypot(north, east)
         if not size < math.inf:
             return

@@ -6,9 +6,14 @@ from onboard_world import MODE_LAND, MODE_LOITER, MODE_OFFBOARD, SITE, STEP_US, 
 from pymavlink.dialects.v20 import common
 
 from autopilot.config import Devices, OnboardConfig
-from autopilot.onboard import OnboardApp, Phase
+from autopilot.onboard import OnboardApp, Phase, messages
 from autopilot.onboard import beacon as wire
 from autopilot.onboard.app import NOTHING
+from autopilot.onboard.commands import CommandSender
+from autopilot.onboard.flight import OFFBOARD_MAIN_MODE, Flight, Situation
+from autopilot.onboard.formation import COAST_S
+from autopilot.onboard.own_state import OwnState
+from autopilot.protocol.parameter import ParameterService
 from netsim.wire.messages import Broadcast, Delivery, FtmRequest
 
 PAIR = ((-3.0, 0.0, -8.0), (3.0, 0.0, -8.0))
@@ -173,6 +178,41 @@ def test_somebody_elses_mode_is_respected_until_offboard_is_chosen_again():
     w.run_until(phase_is(Phase.ON_STATION), limit_s=5.0)
 
 
+def joining():
+    """A flight that is joining, in offboard, and what it goes by."""
+    commands = CommandSender(target_system=1)
+    flight = Flight(commands=commands, on_station_tolerance_m=0.7, on_station_hold_s=2.0)
+    flight.phase = Phase.JOINING
+    own = OwnState(site=SITE, gps_delay_s=0.12)
+    own.armed, own.main_mode = True, OFFBOARD_MAIN_MODE
+    return flight, own
+
+
+def test_after_yielding_a_place_is_held_anew():
+    """A minute in its place in somebody else's hands does not count."""
+    flight, own = joining()
+    there, since_us = Situation(shape_std_m=0.1, miss_m=0.1, place_height_m=8.0), {}
+    for now_us in range(0, 70_000_000, 50_000):
+        own.main_mode = OFFBOARD_MAIN_MODE if not 3_000_000 <= now_us < 63_000_000 else 4
+        flight.update(own, there, now_us)
+        since_us.setdefault((flight.phase, now_us >= 63_000_000), now_us)
+    assert since_us == {
+        (Phase.JOINING, False): 0,
+        (Phase.ON_STATION, False): 2_000_000,
+        (Phase.YIELDED, False): 3_000_000,
+        (Phase.JOINING, True): 63_000_000,
+        (Phase.ON_STATION, True): 63_050_000 + 2_000_000,
+    }
+
+
+@pytest.mark.parametrize(("miss_m", "phase"), [(0.1, Phase.ON_STATION), (np.nan, Phase.JOINING)])
+def test_a_place_that_is_no_number_is_never_reached(miss_m, phase):
+    flight, own = joining()
+    for now_us in range(0, 10_000_000, 50_000):
+        flight.update(own, Situation(shape_std_m=0.1, miss_m=miss_m, place_height_m=8.0), now_us)
+    assert flight.phase is phase
+
+
 def test_without_distances_it_takes_off_after_the_timeout_and_says_so():
     w = world(errors=Errors(radio_loss=1.0))
     w.run_until(phase_is(Phase.LOCALISING), limit_s=1.5)
@@ -183,6 +223,155 @@ def test_without_distances_it_takes_off_after_the_timeout_and_says_so():
     for app, autopilot in zip(w.apps, w.autopilots, strict=True):
         assert not app.estimate.correction_ned_m.any()
         assert [text for _, text in autopilot.texts] == ["formation not localised: taking off all the same"]
+
+
+def test_who_answers_is_located_before_take_off_however_seldom_distances_are_measured():
+    """All pairs in 6 s, one of three silent from the start: gathering ends before the time-out."""
+    places = ((-3.0, 0.0, -8.0), (3.0, 0.0, -8.0), (0.0, 4.0, -8.0))
+    w = world(places, config=OnboardConfig(ftm_period_s=6.0))
+    w.dead.add(2)
+    w.run_until(lambda w: all(app.phase is Phase.TAKE_OFF for app in w.apps[:2]), limit_s=13.0)
+    for app in w.apps[:2]:
+        assert app.localisation.located.tolist() == [True, True, False]
+
+
+@pytest.mark.parametrize("ranging", ["all_pairs", "scheduled"])
+def test_neighbours_are_kept_clear_of_through_a_cut_while_odometry_holds(ranging):
+    w = world(config=OnboardConfig(ranging=ranging))
+    w.run_until(phase_is(Phase.ON_STATION), limit_s=25.0)
+    w.run(3.0)
+    app, asked_us, pushes_m_s = w.apps[0], [], []
+    avoidance = app._guidance._avoidance
+    ask = avoidance.velocity_change_ne_m_s
+
+    def spy(now_us, **kwargs):
+        change = ask(now_us, **kwargs)
+        asked_us.append(now_us)
+        pushes_m_s.append(float(change[0]))
+        return change
+
+    avoidance.velocity_change_ne_m_s = spy
+    cut_us, w.radio_cut = w.now_us, True
+    w.run(4.0)
+    assert not any(pushes_m_s)
+    for _ in range(150):  # a blow to beyond where the other was last heard: 9 m in 4.5 s
+        w.vel[0] = (2.0, 0.0, 0.0)
+        w.run(0.03)
+    assert max(pushes_m_s) > 0.5  # it is in the way back, to the south
+    w.run(20.0)
+    assert np.diff(asked_us).max() <= 50_000 + STEP_US
+    # Support lasts for the policy's silence after the last distance, of which one may be lost.
+    silence_us = app._traffic.range_silence_us
+    coasted_us = asked_us[-1] - cut_us - round(COAST_S * 1e6)
+    assert 0.5 * silence_us < coasted_us <= silence_us + 100_000
+
+
+def test_the_position_loops_gain_is_asked_for_and_heeded():
+    """1.5 1/s instead of 0.95, from the autopilot's own parameter service."""
+    w = world()
+    app = w.apps[0]
+    w.run_until(phase_is(Phase.ON_STATION), limit_s=25.0)
+    service = ParameterService(lambda _: gain_1_s, lambda *_: None)
+    reference, own = app._guidance._reference, app._own
+    avoidance = app._guidance._avoidance
+    ask = avoidance.velocity_change_ne_m_s
+    found = []
+
+    def spy(now_us, *, wanted_ne_m_s, **kwargs):
+        way_ne_m = (reference.pos_ned_m - app._guidance.believed_ned_m(own, now_us))[:2]
+        found.append((wanted_ne_m_s - reference.vel_ned_m_s[:2], way_ne_m))
+        return ask(now_us, wanted_ne_m_s=wanted_ne_m_s, **kwargs)
+
+    avoidance.velocity_change_ne_m_s = spy
+    for gain_1_s in (0.95, 1.5):
+        for answer in service.on_message(messages.gain_request(1), w.now_us):
+            app.on_mavlink(answer, w.now_us)
+        w.run(0.5)
+        wanted, way = np.array(found).transpose(1, 0, 2)
+        found.clear()
+        assert np.abs(way).max() > 0.0
+        assert wanted == pytest.approx(gain_1_s * way)
+    app.on_mavlink(common.MAVLink_param_value_message(b"MPC_XY_P", np.nan, 9, 1, 0), w.now_us)
+    assert app._guidance.position_gain_1_s == 1.5
+
+
+def test_what_is_flown_while_the_autopilot_says_nothing_is_in_nobodys_odometry():
+    """4 m in 3 s without LOCAL_POSITION_NED, as when its position is invalid: nobody goes on from before."""
+    w = world()
+    w.run_until(phase_is(Phase.ON_STATION), limit_s=25.0)
+    telemetry = w._telemetry
+    w._telemetry = lambda i, step: [
+        msg for msg in telemetry(i, step) if i or msg.get_type() != "LOCAL_POSITION_NED"
+    ]
+    w.run(1.5)
+    w.pos[0, :2] += (4.0, 0.0)
+    w.run(1.5)
+    w._telemetry = telemetry
+    believed = {app: app.localisation for app in w.apps}
+    while w.apps[0]._own.time_us < w.now_us - 100_000:
+        w._step()
+    for _ in range(60):  # 6 s: two of its rounds of ranging
+        w.run(0.1)
+        true_m = np.linalg.norm(w.pos[1, :2] - w.pos[0, :2])
+        for app, localisation in believed.items():
+            others = localisation.others(w.now_us, fresh_us=1_000_000)
+            if others.fresh.all():
+                pos_ned_m = others.pos_ned_m
+                error_m = np.linalg.norm(pos_ned_m[1, :2] - pos_ned_m[0, :2]) - true_m
+                assert abs(error_m) < 4.0 * others.std_m.max() + 0.1, app._station
+    assert all(localisation.located.all() for localisation in believed.values())
+
+
+def test_the_own_gps_may_be_newer_than_the_odometry():
+    """A receiver without delay, whose message comes before the position of its time."""
+    app = OnboardApp(
+        station=0, places_ned_m=PAIR, site=SITE, config=OnboardConfig(),
+        devices=Devices(gps_delay_s=0.0), rng=np.random.default_rng(1),
+    )  # fmt: skip
+    lat, lon = round(SITE.latitude_deg * 1e7), round(SITE.longitude_deg * 1e7)
+    for k in range(1, 31):
+        now_us = k * 32_000
+        if k % 6 == 0:
+            early_us = now_us - 4_000
+            fix = common.MAVLink_gps_raw_int_message(early_us, 3, lat, lon, 488_000, 150, 250, 0, 0, 10)
+            app.on_mavlink(fix, early_us)
+            assert app.localisation._receivers.newest_us[0] < early_us - 1_000  # not yet
+        app.on_mavlink(common.MAVLink_local_position_ned_message(now_us // 1_000, 0, 0, 0, 0, 0, 0), now_us)
+        if k % 6 == 0:
+            assert early_us - 1_000 < app.localisation._receivers.newest_us[0] <= early_us
+
+
+def test_the_estimate_is_of_now():
+    """At 10 m/s the newest position, 20 ms old, is 0.2 m behind; it is moved on for 50 ms at most."""
+    app = OnboardApp(
+        station=0, places_ned_m=ALONE, site=SITE, config=GPS, devices=Devices(), rng=np.random.default_rng(1)
+    )
+    app.on_mavlink(common.MAVLink_local_position_ned_message(4, 1, 2, -3, 10, 0, -1), 4_000)
+    for now_us, ahead_s in ((4_000, 0.0), (24_000, 0.020), (54_000, 0.050), (400_000, 0.050)):
+        app.on_timer(now_us)
+        expected_ned_m = (1.0 + 10.0 * ahead_s, 2.0, -3.0 - ahead_s)
+        assert app.estimate.pos_ned_m == pytest.approx(expected_ned_m, abs=1e-9)
+
+
+def test_who_is_told_the_truth_says_so():
+    truth = OnboardConfig(localisation="truth")
+    app = OnboardApp(
+        station=0,
+        places_ned_m=ALONE,
+        site=SITE,
+        config=truth,
+        devices=Devices(),
+        rng=np.random.default_rng(1),
+    )
+    assert app.estimate.std_ned_m[0] == truth.gps_bias_std_m
+    lat, lon = round(SITE.latitude_deg * 1e7), round(SITE.longitude_deg * 1e7)
+    alt_mm = round(SITE.altitude_m * 1e3)
+    told = common.MAVLink_hil_state_quaternion_message(
+        4_000, (1.0, 0.0, 0.0, 0.0), 0, 0, 0, lat, lon, alt_mm, 0, 0, 0, 0, 0, 0, 0, 0
+    )
+    app.on_mavlink(told, 4_000)
+    # 1e-7 degrees are 11 mm
+    assert np.all(app.estimate.std_ned_m == 0.01)
 
 
 def test_a_cut_channel_is_said_once_and_so_is_its_return():

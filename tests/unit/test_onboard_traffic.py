@@ -11,10 +11,12 @@ import pytest
 
 from autopilot.config import Devices, OnboardConfig, Site
 from autopilot.onboard import beacon as wire
+from autopilot.onboard.localisation import SILENCE_US
 from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.phases import Phase
+from autopilot.onboard.ranging import SESSION_S
 from autopilot.onboard.scheduled_ranging import CHECK_LATEST_US, CHECK_US, UNKNOWN_PERIOD_US, owner
-from autopilot.onboard.traffic import SEQ_GAP_LIMIT, SILENCE_US, Traffic
+from autopilot.onboard.traffic import SHIFTS, WAIT_US, Traffic
 from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult, Survey
 
 STATIONS = 200
@@ -58,12 +60,58 @@ def delivery(beacon, *, source=None, received_us=0):
     )  # fmt: skip
 
 
-def test_a_sender_whose_numbers_begin_anew_is_told_from_one_whose_beacons_are_lost():
-    traffic, new = traffic_of(), []
-    for seq, time_us in ((7, 7), (8, 8), (8 + SEQ_GAP_LIMIT, 9), (8, 8), (3, 10), (4, 11)):
-        traffic.hear(delivery(beacon_of(1, seq=seq, time_us=time_us)), 11)
+def heard(times_and_numbers, *, config=None):
+    """Hear beacons at times in s, of those times: whether each is of a new sender, and the traffic."""
+    traffic, new = traffic_of(config=config), []
+    for time_s, seq in times_and_numbers:
+        now_us = round(time_s * 1e6)
+        beacon = beacon_of(1, seq=seq % wire.SEQ_MODULUS, time_us=now_us)
+        assert traffic.hear(delivery(beacon), now_us) is not None
         new.append(traffic.sender_is_new)
-    assert new == [False, False, False, False, True, False]  # the second 8 is late, the 3 a new beginning
+    return new, traffic
+
+
+def test_a_sender_that_begins_anew_is_told_from_one_whose_beacons_are_lost():
+    """Beacons each 100 ms: what was lost has been numbered, what another application sent has not."""
+    assert heard([(4.0, 39), (25.0, 39 + 210), (225.0, 39 + 2210)])[0] == [False, False, False]
+    # Silent from 4 s on; begun anew at 19 s, first heard at 25 s, with fewer numbers, the same, and more.
+    for seq in (10, 39, 60):
+        new, traffic = heard([(4.0, 39), (25.0, seq), (25.1, seq + 1)])
+        assert new == [False, True, False]
+        assert traffic.beacons_missed == 0
+    # The numbers go round, and do so without a beginning.
+    assert heard([(1.0, -2), (1.3, 1), (31.3, 301)])[0] == [False, False, False]
+
+
+@pytest.mark.parametrize("period_ms", [10, 100, 1_000])
+def test_a_beacon_that_waits_for_the_channel_is_of_no_new_sender(period_ms):
+    """Each waits up to `WAIT_US` (in order), is shifted by 2 % of a period, and three in ten are lost."""
+    rng, config = np.random.default_rng(1), OnboardConfig(beacon_period_ms=period_ms)
+    period_s, heard_s, sequence = 1e-3 * period_ms, 0.0, []
+    for seq in range(2_000):
+        due_s = 1.0 + (seq + rng.uniform(-0.02, 0.02)) * period_s
+        heard_s = max(heard_s, due_s + rng.choice((0.0, 1e-6 * WAIT_US)))
+        if rng.uniform() < 0.7:
+            sequence.append((heard_s, seq))
+    new, traffic = heard(sequence, config=config)
+    assert not any(new)
+    assert traffic.beacons_missed == sequence[-1][1] - sequence[0][1] + 1 - len(sequence)
+
+
+def test_a_beacon_that_was_overtaken_is_of_no_new_sender():
+    traffic, new = traffic_of(), []
+    for now_ms, seq, time_ms in ((1_000, 7, 1_000), (1_200, 9, 1_200), (1_210, 8, 1_100), (1_300, 10, 1_300)):
+        traffic.hear(delivery(beacon_of(1, seq=seq, time_us=1_000 * time_ms)), 1_000 * now_ms)
+        new.append(traffic.sender_is_new)
+    assert not any(new)
+    assert (traffic.beacons_heard, traffic.beacons_missed) == (4, 1)
+
+
+def test_a_sender_is_new_beyond_what_waiting_explains_to_either_side():
+    for gap, is_new in ((100 + 10 + SHIFTS, False), (100 + 10 + SHIFTS + 1, True)):
+        assert heard([(1.0, 0), (11.0, gap)])[0] == [False, is_new]
+    for gap, is_new in ((100 - 10 - SHIFTS, False), (100 - 10 - SHIFTS - 1, True)):
+        assert heard([(1.0, 0), (11.0, gap)])[0] == [False, is_new]
 
 
 @dataclass
@@ -73,6 +121,8 @@ class Flight:
     traffic: Traffic
     heard: tuple
     now_us: int = 0
+    silent: int | None = None
+    """Whom no session reaches."""
 
     def run(self, seconds, *, variance_m2=None, busy=0.0):
         """Fly on; returns the requests."""
@@ -89,7 +139,8 @@ class Flight:
             for item in items:
                 if isinstance(item, FtmRequest):
                     requests.append(item)
-                    self.traffic.measured(result(item.peer, item.at_us))
+                    status = "timeout" if item.peer == self.silent else "ok"
+                    self.traffic.measured(result(item.peer, item.at_us, status=status))
         self.now_us += round(seconds * 1e6)
         return requests
 
@@ -137,15 +188,12 @@ def test_the_gps_error_is_asked_for_when_there_is_a_beacon_and_not_in_every_step
 
 
 def test_what_is_missing_from_the_numbers_heard_has_been_missed():
-    traffic = traffic_of(0)
-    numbers = [5, 6, 9, 9, 8, 10, 2**32 - 1, 1, 1 + SEQ_GAP_LIMIT + 1]
-    for seq in numbers:
-        assert traffic.hear(delivery(beacon_of(1, seq=seq)), 0) is not None
-    # 7 and 8 before 9; 9 after the late 8; the jump to 2^32 - 1 is a new beginning; then 0; and another one.
-    assert traffic.beacons_missed == 2 + 1 + 1
+    numbers = [5, 6, 9, 9, 10, 12]
+    _, traffic = heard((0.1 * seq, seq) for seq in numbers)
+    assert traffic.beacons_missed == 2 + 1  # 7, 8 and 11
     assert traffic.beacons_heard == len(numbers)
     traffic.hear(delivery(beacon_of(2, seq=100)), 0)
-    assert traffic.beacons_missed == 4
+    assert traffic.beacons_missed == 3
 
 
 @pytest.mark.parametrize(
@@ -200,6 +248,17 @@ def test_distances_come_more_often_than_what_counts_as_silence(config, busy):
     if config.ranging == "scheduled":
         assert max(gaps_us) > (CHECK_US if busy else 0.7 * CHECK_US)
         assert flight.traffic.range_silence_us < CHECK_LATEST_US + 2_000_000
+
+
+@pytest.mark.parametrize("config", [OnboardConfig(), OnboardConfig(ftm_period_s=4.0), SCHEDULED])
+def test_while_distances_are_gathered_each_pair_is_asked_for_twice(config):
+    """Of eight of whom one does not answer."""
+    flight = Flight(traffic_of(0, config=config), tuple(range(1, 8)), silent=1)
+    requests = flight.run(flight.traffic.gather_s - SESSION_S)
+    for peer in (j for j in range(1, 8) if config is not SCHEDULED or owner(0, j, 8) == 0):
+        assert sum(item.peer == peer for item in requests) >= 2
+    if config is SCHEDULED:
+        assert flight.traffic.gather_s < 2.0
 
 
 def test_a_busy_channel_leaves_only_the_valuable_distances():
