@@ -1,4 +1,4 @@
-"""The batch optimum: where the formation is by all that was measured, solved for at once.
+"""The batch optimum: where the formation is by every fix and the distances of the last seconds, at once.
 
 It is what the running filter is measured against. Unknown are the UAVs' offsets at the end; what odometry
 lost between a measurement and the end is noise, which measurements share.
@@ -13,8 +13,9 @@ from harness.codesign.simulated import GRID_US, Array, SimulatedFlight
 FIX_GROUP_US = 1_000_000
 """Fixes of this time are averaged: within it neither odometry nor bias move by as much as their noise."""
 RANGE_WINDOW_US = 4_000_000
-"""Older distances are left out: what odometry has lost since makes them worthless beside those of this time,
-and is too large for the first order."""
+"""Older distances are left out: what odometry has lost since is too large for the first order. By the
+defaults of `LocalisationModel` one of this age has a variance of 2 (0.1)^2 4 + 0.03^2 + 0.05^2 = 0.083 m^2,
+and so tells a 25th of what one of the end does with 0.0034 m^2."""
 
 
 def batch_optimum(flight: SimulatedFlight) -> Array:

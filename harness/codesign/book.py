@@ -58,6 +58,10 @@ class Book(Struct, frozen=True, kw_only=True):
         """Flights that reached their formation."""
         return self.count(case, lambda flight: flight.formed_s is not None)
 
+    def begun(self, case: Case) -> int:
+        """Flights that were flown, with numbers or broken."""
+        return sum(flown is not None for flown in self._flights(case))
+
     def of_flights(self, number: int, case: Case) -> str:
         """As ``number of flights``."""
         return f"{number} of {len(self.flown(case))}"

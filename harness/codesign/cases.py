@@ -11,6 +11,7 @@ from msgspec.structs import replace
 
 from harness.faults import AnyFault, RadioAttenuation, RangingBias
 from harness.scenario import Scenario, load
+from harness.swarm import CUT_DB
 
 ARTICLE = Path(__file__).parents[2] / "scenarios" / "article.toml"
 WINDS_N = (0, 2, 5)
@@ -20,8 +21,6 @@ BEACON_PERIODS_MS = (50, 100, 200, 500, 1000)
 FTM_PERIODS_S = {8: (0.1, 0.25, 1.0), 16: (0.25, 1.0)}
 """By number of UAVs. 240 sessions every 0.25 s are more than the channel has room for."""
 DROPPED = 0.3
-CUT_DB = 200.0
-"""Attenuation that no frame survives: a link budget has some 100 dB between transmitter and noise."""
 LIAR = 3
 LIE_M = 5.0
 MOST_CUT_S = 10.0
@@ -73,7 +72,7 @@ class Case(Struct, frozen=True, kw_only=True):
     gains: bool = False
     """Patterns are computed of it."""
     last: bool = False
-    """Flown when all others have been: it completes a table, and no check rests on it."""
+    """Flown when all others have been: it completes a table, and no check needs it."""
 
     def scenario(self, plan: Plan, seed: int) -> Scenario:
         """What is flown for a seed."""

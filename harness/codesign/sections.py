@@ -1,4 +1,4 @@
-"""Judgement of the wind, antenna, beacon, ranging and baseline cases: checks, tables and figures."""
+"""Judgement of the wind and antenna cases: checks, tables and figures."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -11,30 +11,31 @@ from harness.codesign.book import Book
 from harness.codesign.cases import (
     AGENTS,
     BASE,
-    BEACON_PERIODS_MS,
-    FTM_PERIODS_S,
     GPS_ALONE,
-    IDEAL,
-    TRUTH,
     WAVELENGTHS_M,
     WINDS_N,
     Case,
-    all_pairs,
-    beacon_period,
-    scheduled,
     wavelength,
     wind_agents,
+)
+from harness.codesign.checks import (
+    SHAPE_MOST_M,
+    formed_check,
+    largest_shape_check,
+    pairs_check,
+    sound_checks,
 )
 from harness.codesign.sensitivity import IDEAL_DBI, expected_gain, per_axis_sigma_m, vertical_sigma_m
 from harness.validation.report import Check, Section, Table
 
-SHAPE_MOST_M = 0.25
-"""With FTM over the emulated channel, in the article's scenario"""
 RATIO_LEAST = 5.0
-"""Of the shape error with GPS alone to that"""
-SEEDS_LEAST = 10
+"""Of the shape error with GPS alone to that with FTM"""
 TIGHT_M, TIGHT_WIND_N = 5.0, 2.0
 """Wavelength and wind in which FTM has to fly without collision"""
+GAIN_BACK_LEAST = 0.9
+"""Share of the decibels that GPS alone loses, which FTM has to give back"""
+TIGHT_COLLIDED_LEAST = 0.5
+"""Share of the flights at `TIGHT_M` that collide on GPS alone: else there was nothing to keep clear of"""
 Judge = Callable[[Book, Path | None], Section]
 
 
@@ -60,6 +61,8 @@ def judge_wind_agents(book: Book, images: Path | None) -> Section:
                 book.mean(ftm, "completed_fraction").text(1, factor=100.0),
             ))  # fmt: skip
     ratio = book.ratio(GPS_ALONE, BASE, "shape_m")
+    ftm_cases = [wind_agents("ftm", agents, wind_n) for agents in AGENTS for wind_n in WINDS_N]
+    ftm_cases = [case for case in ftm_cases if not case.last or book.begun(case)]
     drawn: tuple[tuple[str, str], ...] = ()
     if images is not None:
         figures.save_wind(
@@ -96,7 +99,8 @@ def judge_wind_agents(book: Book, images: Path | None) -> Section:
             "positions against the desired ones.\n"
         ),
         checks=(
-            formed_check(book, (BASE, GPS_ALONE)),
+            formed_check(book, (GPS_ALONE, *(case for case in ftm_cases if not case.last))),
+            *sound_checks(book, ftm_cases),
             pairs_check("GPS alone and FTM", ratio.count),
             Check(
                 name="shape error with FTM, 8 UAVs, 5 N, mean", value=book.mean(BASE, "shape_m").value,
@@ -106,6 +110,7 @@ def judge_wind_agents(book: Book, images: Path | None) -> Section:
                 name="GPS alone over FTM there", value=ratio.value, unit="",
                 at_least=RATIO_LEAST,
             ),
+            largest_shape_check(book, ftm_cases, "all winds and numbers of UAVs that were flown"),
         ),
         tables=(
             Table(
@@ -143,6 +148,9 @@ def judge_wavelength(book: Book, images: Path | None) -> Section:
                     book.least(case, "least_distance_m"),
                 ))  # fmt: skip
     tight, tight_gps = (wavelength(name, TIGHT_M, TIGHT_WIND_N) for name in ("ftm", "gps"))
+    settings = [(wavelength_m, wind_n) for wavelength_m in WAVELENGTHS_M for wind_n in (2, 5)]
+    ftm_cases = [wavelength("ftm", *setting) for setting in settings]
+    gps_cases = [wavelength("gps", *setting) for setting in settings]
     drawn: tuple[tuple[str, str], ...] = ()
     if images is not None:
         figures.save_gains(
@@ -172,7 +180,8 @@ def judge_wavelength(book: Book, images: Path | None) -> Section:
             "dipoles lean with their UAVs against the wind, which costs gain without any position error.\n"
         ),
         checks=(
-            formed_check(book, (tight,)),
+            formed_check(book, ftm_cases),
+            *sound_checks(book, ftm_cases),
             Check(
                 name=f"λ = {TIGHT_M:g} m, {TIGHT_WIND_N:g} N, FTM: flights with a collision",
                 value=_of_any(book, tight, book.collided), unit="", at_most=0.0,
@@ -181,6 +190,18 @@ def judge_wavelength(book: Book, images: Path | None) -> Section:
                 name=f"λ = {TIGHT_M:g} m, {TIGHT_WIND_N:g} N, FTM: flights that did not form",
                 value=_of_any(book, tight, lambda case: len(book.flown(case)) - book.formed(case)), unit="",
                 at_most=0.0,
+            ),
+            Check(
+                name=f"λ = {TIGHT_M:g} m, {TIGHT_WIND_N:g} N, GPS alone: share of flights with a collision",
+                value=_of_any(book, tight_gps, book.collided) / max(len(book.flown(tight_gps)), 1), unit="",
+                at_least=TIGHT_COLLIDED_LEAST,
+            ),
+            Check(
+                name="gain that GPS alone loses and FTM gives back, in dB, smallest share",
+                value=float(np.min([
+                    _given_back(book, *cases) for cases in zip(gps_cases, ftm_cases, strict=True)
+                ])),
+                unit="", at_least=GAIN_BACK_LEAST,
             ),
         ),
         tables=(
@@ -200,145 +221,15 @@ def judge_wavelength(book: Book, images: Path | None) -> Section:
     )  # fmt: skip
 
 
-def judge_beacon_period(book: Book, images: Path | None) -> Section:
-    """How often beacons have to come."""
-    cases = [beacon_period(period_ms) for period_ms in BEACON_PERIODS_MS]
-    if images is not None:
-        figures.save_beacons(
-            images / "codesign-beacons.png", BEACON_PERIODS_MS,
-            {
-                label: [book.mean(case, what) for case in cases]
-                for label, what in (
-                    ("shape error", "shape_m"), ("error of the estimates", "estimate_m"),
-                    ("control's part", "control_m"),
-                )
-            },
-        )  # fmt: skip
-    return Section(
-        title="Beacon period",
-        conditions="8 UAVs with FTM in 5 N; everybody ranges to everybody once per second throughout.\n",
-        checks=(),
-        tables=(
-            Table(
-                caption="Means and 95 % confidence intervals.",
-                columns=("period ms", "shape m", "estimates m", "control m", "busy %", "collided"),
-                rows=tuple(
-                    (
-                        str(period_ms), book.mean(case, "shape_m").text(),
-                        book.mean(case, "estimate_m").text(), book.mean(case, "control_m").text(),
-                        book.mean(case, "busy_fraction").text(1, factor=100.0),
-                        book.of_flights(book.collided(case), case),
-                    )
-                    for period_ms, case in zip(BEACON_PERIODS_MS, cases, strict=True)
-                ),
-            ),
-        ),
-        figures=_if_drawn(images, "codesign-beacons.png", "shape error against the beacons' period"),
-    )  # fmt: skip
-
-
-def judge_ranging(book: Book, images: Path | None) -> Section:
-    """What airtime buys."""
-    policies = {
-        agents: [
-            *((f"all pairs, {period_s:g} s", all_pairs(agents, period_s)) for period_s in periods_s),
-            ("scheduled", scheduled(agents)),
-        ]
-        for agents, periods_s in FTM_PERIODS_S.items()
-    }
-    if images is not None:
-        figures.save_ranging(
-            images / "codesign-ranging.png",
-            {
-                f"{agents} UAVs": [
-                    (name, book.mean(case, "busy_fraction"), book.mean(case, "shape_m"))
-                    for name, case in entries
-                ]
-                for agents, entries in policies.items()
-            },
-        )
-    return Section(
-        title="Ranging policy",
-        conditions=(
-            "FTM in 5 N. All pairs: everybody to everybody once per period, as the article has it. "
-            "Scheduled: each pair by one of its ends, in a slot of its own, when the distance is worth its "
-            "airtime.\n"
-        ),
-        checks=(),
-        tables=(
-            Table(
-                caption="Means and 95 % confidence intervals.",
-                columns=(
-                    "UAVs", "policy", "shape m", "estimates m", "busy %", "sessions/s", "completed %",
-                    "collided",
-                ),
-                rows=tuple(
-                    (
-                        str(agents), name, book.mean(case, "shape_m").text(),
-                        book.mean(case, "estimate_m").text(),
-                        book.mean(case, "busy_fraction").text(1, factor=100.0),
-                        book.mean(case, "sessions_per_s").text(0),
-                        book.mean(case, "completed_fraction").text(1, factor=100.0),
-                        book.of_flights(book.collided(case), case),
-                    )
-                    for agents, entries in policies.items()
-                    for name, case in entries
-                ),
-            ),
-        ),
-        figures=_if_drawn(images, "codesign-ranging.png", "shape error against the occupancy of the channel"),
-    )  # fmt: skip
-
-
-def judge_baselines(book: Book, images: Path | None) -> Section:  # noqa: ARG001  # one shape
-    """One factor changed at a time."""
-    cases = (
-        ("told by the simulator", TRUTH), ("FTM over an ideal channel", IDEAL),
-        ("FTM over the emulated channel", BASE), ("GPS alone", GPS_ALONE),
-    )  # fmt: skip
-    return Section(
-        title="Baselines",
-        conditions=(
-            "8 UAVs in 5 N. With true positions what is left is control's; over an ideal channel nothing "
-            "contends, collides or fades, and time stamps keep their errors.\n"
-        ),
-        checks=(),
-        tables=(
-            Table(
-                caption="Means and 95 % confidence intervals.",
-                columns=("positions", "shape m", "estimates m", "control m", "absolute m", "collided"),
-                rows=tuple(
-                    (
-                        name,
-                        *(
-                            book.mean(case, what).text()
-                            for what in ("shape_m", "estimate_m", "control_m", "absolute_m")
-                        ),
-                        book.of_flights(book.collided(case), case),
-                    )
-                    for name, case in cases
-                ),
-            ),
-        ),
-    )
-
-
-def formed_check(book: Book, cases: Sequence[Case]) -> Check:
-    """Whether enough flights of each case have reached their formation: others have no numbers of it."""
-    fewest = min(map(book.formed, cases))
-    return Check(
-        name="flights that formed, fewest", value=float(fewest), unit="", at_least=float(SEEDS_LEAST)
-    )
-
-
-def pairs_check(what: str, count: int) -> Check:
-    """Whether enough seeds have both flights."""
-    return Check(name=f"pairs of flights, {what}", value=float(count), unit="", at_least=float(SEEDS_LEAST))
-
-
 def _of_any(book: Book, case: Case, count: Callable[[Case], int]) -> float:
     """Count flights; not a number if there are none."""
     return float(count(case)) if book.flown(case) else math.nan
+
+
+def _given_back(book: Book, gps: Case, ftm: Case) -> float:
+    """Share of GPS alone's loss against the ideal gain that FTM does not have; NaN if it is not known."""
+    gps_dbi, ftm_dbi = (book.mean(case, "gain_mean_dbi").value for case in (gps, ftm))
+    return (ftm_dbi - gps_dbi) / (IDEAL_DBI - gps_dbi) if gps_dbi < IDEAL_DBI else math.nan
 
 
 def _gain_cells(book: Book, case: Case) -> tuple[str, ...]:
@@ -365,7 +256,3 @@ def _pooled_sigma(
 
 def _all_gains_dbi(book: Book, case: Case) -> list[float]:
     return [gain_dbi for flight in book.flown(case) for gain_dbi in flight.gain_dbi]
-
-
-def _if_drawn(images: Path | None, name: str, shows: str) -> tuple[tuple[str, str], ...]:
-    return () if images is None else ((name, shows),)

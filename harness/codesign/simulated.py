@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.onboard.localisation import CooperativeLocalisation, LocalisationModel
+from autopilot.onboard.scheduled_ranging import owner
 from harness.gauss_markov import gauss_markov_path
 
 Array = NDArray[np.float64]
@@ -263,8 +264,7 @@ def _distances(
     steps, count, _ = pos_ned_m.shape
     pairs = [(i, j) for i in range(count) for j in range(count) if i != j]
     if scheduled:
-        # The owner of a pair is the end from which the other is less than half way round the circle.
-        pairs = [(i, j) for i, j in pairs if (j - i) % count < count / 2 or ((j - i) * 2 == count)]
+        pairs = [(i, j) for i, j in pairs if owner(i, j, count) == i]
     pairs = [pairs[k] for k in rng.permutation(len(pairs))]
     std_m = float(np.hypot(session_std_m, model.range_floor_std_m))
     found = []

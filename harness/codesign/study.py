@@ -41,11 +41,6 @@ class LocalisationResult:
         """Ratio of the batch optimum's error to the bound."""
         return None if self.batch_m is None else self.batch_m / self.bound_m
 
-    @property
-    def consistent(self) -> bool:
-        """Whether the normalised error squared is inside its band."""
-        return self.nees_band[0] <= self.nees <= self.nees_band[1]
-
 
 def localisation_run(
     places_ned_m: Array,

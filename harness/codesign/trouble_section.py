@@ -20,8 +20,8 @@ from harness.codesign.cases import (
     cut,
     liar_in_flight,
 )
+from harness.codesign.checks import formed_check, pairs_check, sound_checks
 from harness.codesign.measures import TRACK_PERIOD_S
-from harness.codesign.sections import formed_check, pairs_check
 from harness.codesign.statistics import mean_interval
 from harness.codesign.trouble import (
     PULL_WINDOW_S,
@@ -56,6 +56,7 @@ def judge_trouble(book: Book, images: Path | None) -> Section:
         "in flight": _pulls(book, liar_in_flight(plan), plan.liar_after_s),
         "from the start": _pulls(book, LIAR_FROM_START, 0.0),
     }
+    cases = (BASE, LOSSY, cut_case, liar_in_flight(plan), LIAR_FROM_START)
     growth = book.ratio(LOSSY, BASE, "shape_m")
     if images is not None:
         length = min((len(shape_m) for shape_m in shapes_m), default=0)
@@ -74,11 +75,12 @@ def judge_trouble(book: Book, images: Path | None) -> Section:
         title="Losses, a cut channel, a liar",
         conditions=_conditions(plan),
         checks=(
-            formed_check(book, (BASE, LOSSY, cut_case, liar_in_flight(plan), LIAR_FROM_START)),
+            formed_check(book, cases),
+            *sound_checks(book, cases),
             pairs_check("with and without losses", growth.count),
             *(pairs_check(f"with and without a liar {since}", len(of)) for since, of in pulls.items()),
             Check(
-                name="losses: share of the beacons that arrived", unit="", at_least=LOSS_SEEN,
+                name="losses: share of the beacons that hosts lost", unit="", at_least=LOSS_SEEN,
                 value=book.mean(LOSSY, "beacons_lost_fraction").value,
             ),
             Check(

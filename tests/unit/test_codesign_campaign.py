@@ -1,39 +1,31 @@
-"""The co-design experiment's campaign on disk, its judgement and its page, without flights (15 s)."""
+"""The co-design experiment's campaign on disk, its command line and its page, without flights (10 s)."""
 
 import csv
 import json
-import math
 import os
 import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 from msgspec.structs import replace
 from typer.testing import CliRunner
 
 from harness import one_process
-from harness.codesign import cli, estimator_section, flights, results
+from harness.codesign import cli, flights, results
 from harness.codesign.book import Book
 from harness.codesign.cases import (
     BASE,
-    BEACON_PERIODS_MS,
     GPS_ALONE,
-    LIAR,
-    LIAR_FROM_START,
     LOSSY,
+    QUICK,
     Plan,
     all_pairs,
     cut,
-    groups,
-    liar_in_flight,
-    wavelength,
 )
-from harness.codesign.measures import TRACK_PERIOD_S, Measures
+from harness.codesign.introduction import command, introduction
+from harness.codesign.measures import Measures
 from harness.codesign.results import CampaignError, Flown, Store, fly_tasks, known, make_tasks, sources_state
-from harness.codesign.study import LocalisationResult
-from harness.faults import RangingBias
 from harness.processes import SwarmError, SwarmTimeoutError
 from harness.validation.command import BAD_INPUT, FINE, MISSED
 
@@ -194,220 +186,6 @@ def test_the_state_of_the_sources_is_what_they_do(tmp_path):
     sources_state.cache_clear()
 
 
-# ---- judgement
-
-
-def made_up(
-    plan,
-    *,
-    ftm_m=0.2,
-    gps_m=1.5,
-    liar_pull_m=0.0,
-    liar_shift_m=0.0,
-    recovers=True,
-    drop_grows=1.2,
-    drops=0.3,
-    cuts=True,
-    tells=True,
-):
-    """A book in which everything was flown: ``ftm_m`` of shape error give or take a twentieth by seed."""
-    rng = np.random.default_rng(10)
-    flights = {}
-    for case in {case.name: case for members in groups(plan).values() for case in members}.values():
-        for seed in range(1, plan.seeds + 1):
-            luck = 1.0 + 0.05 * np.random.default_rng(seed).standard_normal()
-            shape_m = luck * (gps_m if case.localisation == "gps" else ftm_m)
-            if case.drop_fraction:
-                shape_m *= drop_grows
-            instants = round((plan.duration_s + case.longer_s) / TRACK_PERIOD_S)
-            track_ne_m = np.random.default_rng([seed, 1]).normal(
-                0.0, shape_m / math.sqrt(2), (instants, case.agents, 2)
-            )
-            lies = tells and (case.lies or any(isinstance(fault, RangingBias) for fault in case.faults))
-            if lies:
-                begin = 0 if case.lies else round(plan.liar_after_s / TRACK_PERIOD_S)
-                track_ne_m[begin:, 0, 0] += liar_pull_m
-                track_ne_m[begin:, :, 1] += liar_shift_m
-            if case == cut(plan):
-                begin = round(plan.cut_s / TRACK_PERIOD_S)
-                track_ne_m[begin : 2 * begin + 20 if recovers else None] *= 4.0
-            track_mm = np.rint(1e3 * track_ne_m).astype(int)
-            collided = case.localisation == "gps" and seed % 2
-            numbers = {
-                "formed_s": 18.0, "simulated_s": 48.0, "wall_s": 10.0, "real_time_factor": 4.8,
-                "collisions": int(collided), "first_collision_s": 40.0 if collided else None,
-                "down": 2 * int(collided), "least_distance_m": 0.4 if collided else 1.9,
-                "least_distance_formed_m": 1.9, "shape_m": shape_m, "shape_whole_m": shape_m,
-                "absolute_m": 1.5, "vertical_m": 0.1, "estimate_m": 0.7 * shape_m, "control_m": 0.7 * shape_m,
-                "busy_fraction": 0.02 * case.agents, "sessions_per_s": 56.0,
-                "completed_fraction": 0.98 * (1.0 - drops * bool(case.drop_fraction)),
-                "beacons_lost_fraction": drops * bool(case.drop_fraction),
-                "longest_silence_s": plan.cut_s if case == cut(plan) and cuts else 0.1,
-                "range_offsets_m": tuple(5.0 * (lies and i == LIAR) for i in range(case.agents)),
-                "gain_dbi": tuple(rng.normal(13.0, 0.1, 30)) if case.gains else (),
-                "track_mm": tuple(map(tuple, track_mm.reshape(instants, -1).tolist())),
-            }  # fmt: skip
-            flights[case.name, seed] = Flown(
-                case=case.name, seed=seed, digest="x", measures=Measures(**numbers)
-            )
-    return Book(plan=plan, flights=flights)
-
-
-def judged(book, images=None):
-    return {name: judge(book, images) for name, judge in cli.JUDGES.items()}
-
-
-def missed(sections):
-    return [check.name for section in sections.values() for check in section.checks if not check.passed]
-
-
-def test_a_campaign_that_meets_everything_passes_and_is_drawn(tmp_path):
-    sections = judged(made_up(PLAN), tmp_path)
-    assert missed(sections) == []
-    drawn = [name for section in sections.values() for name, _ in section.figures]
-    assert len(drawn) == 6
-    assert all((tmp_path / name).stat().st_size > 10_000 for name in drawn)
-    checks = {check.name: check for section in sections.values() for check in section.checks}
-    assert checks["GPS alone over FTM there"].value == pytest.approx(1.5 / 0.2)
-    (rows,) = [table.rows for table in sections["wavelength"].tables]
-    assert len(rows) == 8
-    cell = dict(zip(sections["wavelength"].tables[0].columns, rows[-1], strict=True))
-    assert (cell["λ m"], cell["wind N"], cell["positions by"]) == ("10", "5", "with FTM")
-    assert float(cell["σ horizontal m"]) == pytest.approx(0.2 / math.sqrt(1.625), rel=0.06)
-    assert cell["expected for σ/λ dBi"].startswith("13.1")
-    assert "collides in 5 of 10 flights" in sections["wavelength"].tables[0].caption
-    assert len(sections["beacon_period"].tables[0].rows) == len(BEACON_PERIODS_MS)
-
-
-@pytest.mark.parametrize(
-    ("changes", "expected"),
-    [
-        ({"ftm_m": 0.26, "gps_m": 2.0}, ["shape error with FTM, 8 UAVs, 5 N, mean"]),
-        ({"gps_m": 0.97}, ["GPS alone over FTM there"]),
-        ({"drop_grows": 1.55}, ["30% of beacons and distances lost: growth of the shape error"]),
-        (
-            {"drops": 0.2},
-            [
-                "losses: share of the beacons that arrived",
-                "losses: share of ranging sessions that complete",
-            ],
-        ),
-        ({"cuts": False}, ["cut: time without any distance, shortest"]),
-        ({"tells": False}, ["liar: error of the distances that it measures, median, smallest"]),
-        ({"recovers": False}, ["cut: recovery from the channel's return, slowest"]),
-        (
-            {"liar_pull_m": 0.8},
-            [
-                "liar in flight: displacement of another within the shape over 2 s, largest",
-                "liar in flight: displacement of another in space over 2 s, largest",
-                "liar from the start: lasting displacement of another within the shape, largest",
-            ],
-        ),
-        ({"liar_shift_m": 0.4}, ["liar in flight: displacement of another in space over 2 s, largest"]),
-    ],
-)
-def test_each_line_is_judged_by_its_own_number(changes, expected):
-    assert missed(judged(made_up(PLAN, **changes))) == expected
-
-
-def test_too_few_flights_are_not_enough():
-    """Every section that judges anything says so: wind, antenna, troubles."""
-    names = missed(judged(made_up(replace(PLAN, seeds=4))))
-    assert names.count("flights that formed, fewest") == 3
-    assert [name for name in names if name != "flights that formed, fewest"] == [
-        "pairs of flights, GPS alone and FTM",
-        "pairs of flights, with and without losses",
-        "pairs of flights, with and without a liar in flight",
-        "pairs of flights, with and without a liar from the start",
-    ]
-
-
-@pytest.mark.parametrize("case", [LOSSY, LIAR_FROM_START, liar_in_flight(PLAN), cut(PLAN)])
-def test_a_flight_that_did_not_form_is_missed(case):
-    """It has neither errors nor a track, and its pair none to compare with."""
-    book = made_up(PLAN)
-    old = book.flights[case.name, 3]
-    nowhere = replace(old, measures=replace(old.measures, formed_s=None, shape_m=None, track_mm=()))
-    names = missed(judged(replace(book, flights=dict(book.flights) | {(case.name, 3): nowhere})))
-    assert names[0] == "flights that formed, fewest"
-    assert len(names) == (1 if case == cut(PLAN) else 2)
-
-
-def test_a_track_that_ends_before_the_lie_is_no_pass():
-    book, case = made_up(PLAN), liar_in_flight(PLAN)
-    old = book.flights[case.name, 3]
-    short = replace(old, measures=replace(old.measures, track_mm=old.measures.track_mm[:5]))
-    names = missed(judged(replace(book, flights=dict(book.flights) | {(case.name, 3): short})))
-    assert names == [
-        "liar in flight: displacement of another within the shape over 2 s, largest",
-        "liar in flight: displacement of another in space over 2 s, largest",
-    ]
-
-
-def test_a_collision_at_five_metres_is_seen():
-    book = made_up(PLAN)
-    tight = wavelength("ftm", 5, 2)
-    old = book.flights[tight.name, 3]
-    bumped = replace(old, measures=replace(old.measures, collisions=1))
-    lost = replace(old, measures=None, broken="no vehicle is left")
-    for changed, expected in (
-        (bumped, ["λ = 5 m, 2 N, FTM: flights with a collision"]),
-        (lost, ["flights that formed, fewest"]),
-    ):
-        worse = replace(book, flights=dict(book.flights) | {(tight.name, 3): changed})
-        assert missed(judged(worse)) == expected
-
-
-def test_nothing_flown_is_nothing_met(tmp_path):
-    """No number is made up, and nothing breaks for the lack of them."""
-    sections = judged(Book(plan=PLAN, flights={}), tmp_path)
-    checks = [check for section in sections.values() for check in section.checks]
-    assert len(missed(sections)) == len(checks) > 10
-
-
-def fake_study(setting, runs):
-    """Ten runs of 8 UAVs have 130 degrees of freedom: the mean NEES of a consistent filter is 13."""
-    return LocalisationResult(
-        count=setting.agents, loss=setting.loss, scheduled=setting.scheduled, runs=runs, bound_m=0.1,
-        filter_m=0.149 if setting.batch else 0.2, batch_m=0.12 if setting.batch else None, predicted_m=0.1,
-        nees=14.0, nees_band=(10.0, 16.0),
-    )  # fmt: skip
-
-
-def test_studies_are_done_once_for_a_state_and_a_number_of_runs(tmp_path, monkeypatch):
-    """Only the article's geometry is held to 1.5 times the bound."""
-    monkeypatch.setattr(estimator_section, "START_METHOD", "fork")
-    monkeypatch.setattr(estimator_section, "study", fake_study)
-    seen = []
-
-    def go(plan):
-        seen.clear()
-        return estimator_section.studies(plan, tmp_path, workers=2, done=lambda *told: seen.append(told))
-
-    first = go(Plan(seeds=1))
-    assert seen == [(done, 5) for done in range(6)]
-    section = estimator_section.judge_estimator(first)
-    assert [check.passed for check in section.checks] == [False, True, True]  # ten runs are not enough
-    assert section.checks[1].value == pytest.approx(1.49)
-    assert [row[0] for row in section.tables[0].rows] == ["8", "8", "8", "4", "16"]
-    monkeypatch.setattr(estimator_section, "study", None)  # nothing is studied again ...
-    assert go(Plan(seeds=1)) == first
-    assert seen == [(5, 5)]
-    monkeypatch.setattr(estimator_section, "study", fake_study)
-    assert go(Plan(seeds=2)) != first  # ... but for another number of runs
-    enough = estimator_section.judge_estimator(go(Plan(seeds=10)))
-    assert [check.passed for check in enough.checks] == [True, True, True]
-    go(Plan(seeds=1))
-    assert seen == [(5, 5)]
-    with monkeypatch.context() as patch:
-        patch.setattr(estimator_section, "_SEED", 6)
-        go(Plan(seeds=1))
-        assert seen[0] == (0, 5)
-    monkeypatch.setattr(estimator_section, "_state", lambda: "another")
-    go(Plan(seeds=1))
-    assert seen[0] == (0, 5)
-
-
 # ---- the command line
 
 
@@ -417,14 +195,16 @@ def fly_made_up(task):
 
 @pytest.fixture
 def no_flying(monkeypatch):
-    """A campaign whose flights land at once, in this process, and are counted."""
+    """A campaign whose flights land at once, in this process, and are counted; one breaks at first."""
     flights = []
 
     def fly_here(tasks, store, _fly, *, done, **_):
         for task in tasks:
             result = fly_made_up(task)
-            if (task.case, task.seed) == (BASE.name, 2):
+            first = all(task.case != BASE.name or task.seed != 2 for task in flights)
+            if (task.case, task.seed) == (BASE.name, 2) and first:
                 result = Flown(case=task.case, seed=task.seed, digest=task.digest, broken="SwarmError: lost")
+            result = replace(result, state=task.state, plan_s=task.plan_s)
             flights.append(task)
             store.append(result)
             done(result)
@@ -440,34 +220,78 @@ def run_cli(*arguments):
 
 def test_a_second_run_flies_nothing_and_writes_the_same_page(tmp_path, no_flying, monkeypatch):
     monkeypatch.setattr(cli, "keep_stdout", lambda: sys.stdout)
-    arguments = (
-        "--only", "baselines", "--seeds", 3, "--data", tmp_path / "data", "--out", tmp_path / "docs",
-    )  # fmt: skip
+    arguments = ("--only", "baselines", "--data", tmp_path / "data", "--out", tmp_path / "docs")
     first = run_cli(*arguments)
-    assert first.exit_code == FINE, first.output
-    assert len(no_flying) == 4 * 3
+    assert first.exit_code == MISSED, first.output
+    assert len(no_flying) == 4 * 10
     page = (tmp_path / "docs" / "codesign-results.md").read_text()
+    assert "    python scripts/experiment_codesign.py --only baselines --out docs\n" in page
     assert "| FTM over the emulated channel | 0.200 (0.200 to 0.200) |" in page
     assert "- ftm-8-5n, seed 2: SwarmError: lost" in page
-    assert "12 flights" in page
+    assert "from 39 flights" in page
+    assert "9 to 10 of each of 4 cases." in " ".join(page.split())
+    assert str(tmp_path) not in page
     with (tmp_path / "docs" / "codesign-flights.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == 11
+    assert len(rows) == 39
     assert {row["shape_m"] for row in rows} == {"0.2"}
     assert not {"wall_s", "real_time_factor"} & rows[0].keys()  # the same sources write the same tables
     with (tmp_path / "docs" / "codesign-cases.csv").open() as file:
         means = {row["case"]: row for row in csv.DictReader(file)}
-    assert (means[BASE.name]["flights"], means[GPS_ALONE.name]["flights"]) == ("2", "3")
+    assert (means[BASE.name]["flights"], means[GPS_ALONE.name]["flights"]) == ("9", "10")
     second = run_cli(*arguments)
-    assert second.exit_code == FINE
-    assert len(no_flying) == 12
+    assert second.exit_code == MISSED
+    assert len(no_flying) == 40
     assert (tmp_path / "docs" / "codesign-results.md").read_text() == page
     retried = run_cli(*arguments, "--retry")
     assert retried.exit_code == FINE
-    assert [(task.case, task.seed) for task in no_flying[12:]] == [(BASE.name, 2)]
+    assert [(task.case, task.seed) for task in no_flying[40:]] == [(BASE.name, 2)]
     longer = run_cli(*arguments, "--duration", 40)
     assert longer.exit_code == FINE
-    assert len(no_flying) == 12 + 1 + 12
+    assert len(no_flying) == 40 + 1 + 40
+
+
+def words_of(flights, tasks, **changed):
+    """The introduction's text without its lines."""
+    text = introduction(Book(plan=PLAN, flights=flights), tasks, made_by=command(PLAN), **changed)
+    return " ".join(text.split())
+
+
+def test_the_page_says_what_it_rests_on():
+    """Of four cases one has no flight, one two and the others three; a cut of 10 s is flown for 40 s."""
+    cases = (BASE, cut(PLAN), LOSSY, GPS_ALONE)
+    tasks = make_tasks(cases, PLAN, folder=Path(), state="now")
+    flights = {}
+    for task in tasks:
+        if task.case != GPS_ALONE.name and task.seed <= 3 - (task.case == LOSSY.name):
+            flights[task.case, task.seed] = replace(flown(task), state="now")
+    text = words_of(flights, tasks)
+    assert "from 8 flights of `scenarios/article.toml`" in text
+    assert "30 to 40 s in formation each by the plan" in text
+    assert "2 to 3 of each of 3 cases, and none of 1 more." in text
+    assert "7 minutes were simulated in 1 minutes of flying" in text  # 8 of 50 s, in 10 s each
+    assert "the same sources give the same ones" in text
+    assert "the present one" not in text
+    flights[BASE.name, 1] = replace(flights[BASE.name, 1], digest="other", state="before")
+    text = words_of(flights, tasks)
+    assert "1 of the flights are of other states of the sources than the present one**, 2 states" in text
+    assert "same sources" not in text
+    assert "same winds" not in text
+    assert "neither state for sure" not in text
+    assert "neither state for sure" in words_of(flights, tasks, changed=True)
+    assert "without a flight of any of the 4 cases" in words_of({}, tasks)
+    assert "from simulated measurements, without a flight" in words_of({}, [])
+
+
+def test_the_page_names_the_command_that_makes_it():
+    program = "python scripts/experiment_codesign.py"
+    assert command(Plan()) == program
+    assert command(QUICK, quick=True) == f"{program} --quick"
+    plan = replace(Plan(), seeds=3, duration_s=40.0)
+    assert (
+        command(plan, ("ranging", "trouble"), stale=True)
+        == f"{program} --only ranging,trouble --seeds 3 --duration 40 --stale"
+    )
 
 
 @pytest.mark.usefixtures("no_flying")

@@ -9,6 +9,8 @@ from scipy import integrate, special
 
 from antenna.backend import BackendUnavailable, make_backend
 from antenna.geometry import Snapshot, endfire_voltages, grid
+from autopilot.onboard.scheduled_ranging import owner
+from harness import swarm
 from harness.codesign.cases import (
     BASE,
     LIAR,
@@ -23,6 +25,7 @@ from harness.codesign.cases import (
 )
 from harness.codesign.measures import TRACK_PERIOD_S, Tables, measure
 from harness.codesign.sensitivity import expected_gain, per_axis_sigma_m, vertical_sigma_m
+from harness.codesign.simulated import simulate
 from harness.codesign.statistics import mean_interval, ratio_interval
 from harness.codesign.trouble import judge_cut, judge_liar, shape_errors_ne_m, shape_over_time_m
 from harness.faults import RadioAttenuation, RangingBias
@@ -181,10 +184,24 @@ def test_every_case_is_a_scenario_that_differs_as_its_name_says():
     assert np.ptp(tight.places_ned_m()[:, 0]) == pytest.approx(1.25)
 
 
+def test_simulated_pairs_are_measured_by_whom_the_policy_says():
+    """Of N stations each pair has one initiator, its owner, in the simulation as in flight."""
+    for count in range(2, 10):
+        flown = simulate(
+            places_ned_m=np.pad(10.0 * np.arange(count)[:, None], ((0, 0), (0, 2))),
+            duration_s=2.0, rng=np.random.default_rng(count), scheduled=True,
+        )  # fmt: skip
+        seen = {(item.initiator, item.responder) for item in flown.known()[1]}
+        pairs = {(i, j) for i in range(count) for j in range(count) if i != j}
+        assert seen == {(i, j) for i, j in pairs if owner(i, j, count) == i}
+        assert len(seen) == count * (count - 1) // 2
+
+
 def test_a_cut_of_ten_seconds_leaves_twenty_to_recover():
     (fault,) = cut(PLAN).faults
     assert isinstance(fault, RadioAttenuation)
     assert (fault.uav, fault.start_s, fault.duration_s) == ("all", 10.0, 10.0)
+    assert fault.attenuation_db == swarm.CUT_DB
     assert cut(PLAN).scenario(PLAN, 1).run.duration_s == 40.0
     assert liar_in_flight(PLAN).faults[0].start_s == 5.0
     assert cut(QUICK).scenario(QUICK, 1).run.duration_s == pytest.approx(4 * QUICK.cut_s)
