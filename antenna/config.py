@@ -4,8 +4,6 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-Positive = Annotated[float, Meta(gt=0.0)]
-
 THIN_WIRE_SLENDERNESS = 8.0
 """Least segment length over wire radius for errors under 1 % (NEC-2 User's Guide, wire modelling)."""
 
@@ -13,14 +11,14 @@ THIN_WIRE_SLENDERNESS = 8.0
 class AntennaConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Elements, their feeds and how patterns are computed."""
 
-    wavelength_m: Positive = 10.0
-    element_length_m: Positive = 0.05
+    wavelength_m: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 10.0
+    element_length_m: Annotated[float, Meta(gt=0.0, le=1_000.0)] = 0.05
     """Vertical dipole on each vehicle: electrically small, as a size-limited antenna is."""
-    element_radius_m: Positive = 0.0002
+    element_radius_m: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.0002
     segments: Annotated[int, Meta(ge=3, le=99)] = 9
     """Thin-wire segments of a dipole; odd, so that the source sits in the middle."""
     backend: Literal["nec2"] = "nec2"
-    snapshot_rate_hz: Positive = 2.0
+    snapshot_rate_hz: Annotated[float, Meta(gt=0.0, le=1_000.0)] = 2.0
     """Instants of the flight, per simulated second, for which a pattern is computed."""
     grid_deg: Annotated[float, Meta(gt=0.0, le=30.0)] = 5.0
     """Step of the pattern in theta and phi; the maximum is refined beyond it."""

@@ -16,6 +16,11 @@ from pathlib import Path
 
 import msgspec
 
+from antenna import kernel_folder
+
+if "--supervised" not in sys.argv:  # else the launcher has
+    os.environ.update(kernel_folder.environment())  # read when numba is imported, which is next
+
 from autopilot import parameter_file
 from autopilot.config import AutopilotConfig, VehicleConfig, VehiclePorts
 from autopilot.host import Host, warnings
@@ -183,7 +188,8 @@ def _yield_to_the_simulator() -> None:
     yet to send the others theirs.
     """
     if sys.platform == "linux":
-        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+        with contextlib.suppress(OSError):  # a sandbox that forbids it costs time, and no flight
+            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
 def lone_vehicle(instance: int, connect_timeout_s: float, params: Path | None = None) -> VehicleConfig:

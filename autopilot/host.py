@@ -49,6 +49,7 @@ class Host:
         self._parser = HilParser(HilSensor)
         self._encoder = HilEncoder(system=config.instance + 1, component=1)
         self._waiting: list[Message] = []
+        self._links_waiting: Links = []
         self._log = None if config.log_path is None else RecordLog(config.log_path, VEHICLE_RECORD)
 
     def push(self, data: bytes) -> Iterator[list[Message]]:
@@ -66,8 +67,19 @@ class Host:
         link_messages: Links,
         link_active: tuple[bool, ...],
     ) -> tuple[bytes, Links]:
-        """One step; returns what goes back to the simulator, and what goes out on the links."""
+        """One step; returns what goes back to the simulator, and what goes out on the links.
+
+        A HIL_SENSOR that is not later than the one before is answered with the controls of before; what came
+        with it otherwise is kept for the next step.
+        """
         now_us: int = simulator_messages[-1].time_usec
+        if self.vehicle.has_been_at(now_us):
+            self._waiting = simulator_messages[:-1] + self._waiting
+            self._links_waiting += link_messages
+            repeated = self.vehicle.step(sim_messages=simulator_messages[-1:])
+            return self._encoder.encode(repeated.actuators), []
+        if self._links_waiting:
+            link_messages, self._links_waiting = self._links_waiting + link_messages, []
         output = self.vehicle.step(
             sim_messages=simulator_messages,
             link_messages=link_messages,

@@ -147,7 +147,7 @@ class Vehicle:
         """
         now_us: int = sim_messages[-1].time_usec
         first = self._last_us is None
-        if self._last_us is not None and now_us <= self._last_us:
+        if self.has_been_at(now_us):
             return StepOutput(
                 now_us=now_us, actuators=self._actuators(now_us), simulator=[], links=[], radio=()
             )
@@ -189,6 +189,10 @@ class Vehicle:
             radio=radio,
             save_parameters=saving,
         )
+
+    def has_been_at(self, now_us: int) -> bool:
+        """Whether a step was made at that time or later: then it takes nothing in."""
+        return self._last_us is not None and now_us <= self._last_us
 
     def set_parameter(self, name: str, value: float) -> None:
         """Change a parameter, which acts at once. Raises ParameterError, also for what cannot change now.

@@ -6,8 +6,12 @@ from typing import Protocol
 import msgspec
 
 from harness.physics.truth import Truth
+from netsim.hosted import LEAD_US
 from netsim.radio import ADVANCE_LIMIT_S, advance_key
 from netsim.wire.messages import Advance, Advanced, decode, encode, pack_rows
+
+LONGEST_REST_US = LEAD_US // 2
+"""How far a quiet air may be left behind. The emulator refuses a vehicle that is `LEAD_US` ahead of it."""
 
 
 class RadioSilent(ConnectionError):
@@ -38,7 +42,8 @@ class Carrier(Protocol):
 class Air:
     """The time master's side of the emulated channel.
 
-    Asks it to go on, and only when it has something to do; with guests on the channel that is always.
+    Asks it to go on when it has something to do, and so often that it is never left far behind; with guests
+    on the channel at every step.
     """
 
     def __init__(self, transport: Carrier, run_id: str, *, guests: bool = False) -> None:
@@ -48,6 +53,8 @@ class Air:
         self._pending: Answering | None = None
         self._quiet_until_us = 0
         self._handed_over = True
+        self._asked_us = 0
+        """How far it was let go on."""
         self.extra_attenuation_db: float | None = None
         """On every link, in the intervals that begin from now on; None is the scenario's own value."""
         self.range_offsets_m: Mapping[int, float] = {}
@@ -61,9 +68,11 @@ class Air:
         acceleration changes in a step is less than a tenth of a millimetre. The ``silent`` are gone.
         """
         to_us = time_us + step_us
-        if not self._guests and not self._handed_over and to_us < self._quiet_until_us:
+        quiet_us = min(self._quiet_until_us, self._asked_us + LONGEST_REST_US)
+        if not self._guests and not self._handed_over and to_us < quiet_us:
             return
         self._handed_over = False
+        self._asked_us = to_us
         self._ask(
             Advance(
                 to_us=to_us,

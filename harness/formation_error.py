@@ -6,6 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from harness.flight import Array, Flight
+from harness.physics.model import IRIS
+
+_OVER_ITS_PLACE_NED_M = np.array([0.0, 0.0, -IRIS.standing_height_m])
+"""Where the truth has a vehicle that is in a place at the origin.
+
+Heights of places, as autopilots', are from the standing vehicle; the truth's are of its centre of mass, from
+the ground.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +58,9 @@ class FormationError:
 def formation_error(flight: Flight) -> FormationError:
     """Absolute error and shape error of every vehicle at every instant.
 
+    A vehicle in its place is as high above where it stood as the place is above the ground: the 5.5 cm to the
+    standing vehicle's centre of mass are no error.
+
     The shape error is what remains after the translation and the rotation about the vertical that
     bring the living vehicles' places nearest to their positions, in the sense of least squares.
     """
@@ -57,7 +68,7 @@ def formation_error(flight: Flight) -> FormationError:
     aligned_ned_m, yaw_rad = _align(flight)
     shape_defined = alive & (alive.sum(axis=1, keepdims=True) >= 2)
     return FormationError(
-        absolute=_error_series(flight.pos_ned_m - flight.desired_pos_ned_m, alive),
+        absolute=_error_series(flight.pos_ned_m - flight.desired_pos_ned_m - _OVER_ITS_PLACE_NED_M, alive),
         shape=_error_series(flight.pos_ned_m - aligned_ned_m, shape_defined),
         yaw_rad=yaw_rad,
     )

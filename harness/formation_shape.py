@@ -62,6 +62,8 @@ def places_ned_m(config: FormationConfig, agents: int, wavelength_m: float) -> A
     Raises ValueError, with the field's path, if there are not so many or one is too low.
     """
     xyz_m = _places_m(config, agents, wavelength_m)
+    if not np.abs(xyz_m).max() <= FARTHEST_M:
+        raise ValueError(f"formation: {agents} places do not fit within {FARTHEST_M:g} m")
     height_m = config.height_m + xyz_m[:, 2]
     lowest = int(height_m.argmin())
     if height_m[lowest] < LOWEST_M:

@@ -65,7 +65,7 @@ class LocalCarrier:
         request = decode(Advance, payload)
         motion = None if request is None else self._emulator.motion(request)
         if request is None or motion is None:
-            raise ValueError("the vehicles' motion cannot be told to the 802.11 emulator")
+            raise ValueError("the 802.11 emulator refuses to go on as it is told")
         for station, batch in (self._emulator.advance(request, motion) or {}).items():
             if station < len(self._radios):  # a guest is not here
                 self._radios[station].deliveries.put(batch)

@@ -95,11 +95,12 @@ class Lockstep:
     def connect(self, wall_timeout_s: float, *, keep_waiting: Callable[[], bool]) -> None:
         """Wait until every vehicle has connected. Raises ConnectTimeout.
 
-        Returns early if told not to keep waiting.
+        Returns early if told not to keep waiting; called again it waits for those who are missing.
         """
         waiting = selectors.DefaultSelector()
         for instance, listener in enumerate(self._listeners):
-            waiting.register(listener, selectors.EVENT_READ, instance)
+            if not self.seats[instance].alive:
+                waiting.register(listener, selectors.EVENT_READ, instance)
         wall_deadline_s = time.monotonic() + wall_timeout_s
         while waiting.get_map() and keep_waiting():
             for key, _ in waiting.select(POLL_S):

@@ -176,9 +176,10 @@ class _Processes(Processes):
         wall_limit_s: float | None,
         on_message: Callable[[Message], None] | None,
     ) -> None:
-        super().__init__(scenario, folder, wall_limit_s=wall_limit_s, on_message=on_message)
         self._inside = _Inside(folder.logs)
-        self._supervisor = self._inside
+        super().__init__(
+            scenario, folder, wall_limit_s=wall_limit_s, on_message=on_message, supervisor=self._inside
+        )
 
     def _start(self) -> None:
         scenario = self._scenario
@@ -237,6 +238,8 @@ class OneProcessSwarm(Swarm):
     turns.
     """
 
+    _make_processes = _Processes
+
     def __init__(
         self,
         scenario: str | Path | Scenario,
@@ -258,9 +261,6 @@ class OneProcessSwarm(Swarm):
             out=out,
             wall_limit_s=wall_limit_s,
             on_message=on_message,
-        )
-        self._processes = _Processes(
-            self.scenario, self._folder, wall_limit_s=wall_limit_s, on_message=on_message
         )
 
     def mavlink(self, instance: int) -> Any:  # noqa: ANN401  see `Swarm.mavlink`

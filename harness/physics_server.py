@@ -54,8 +54,14 @@ def obey(
             case RunUntil() as command:
                 if not connected:
                     simulation.lockstep.connect(connect_timeout_s, keep_waiting=inbox.empty)
-                    connected = True
-                emit(_run(simulation, command, inbox, emit))
+                    connected = simulation.lockstep.living == len(simulation.lockstep.seats)
+                if connected:
+                    emit(_run(simulation, command, inbox, emit))
+                else:  # another command cut the rendezvous short; the next run goes on with it
+                    paused = Paused(
+                        time_us=simulation.time_us, reason="command", vehicles=simulation.vehicles()
+                    )
+                    emit(paused)
             case SetAttenuation(extra_attenuation_db=attenuation_db):
                 simulation.set_extra_attenuation_db(attenuation_db)
             case InjectFault(fault=fault):

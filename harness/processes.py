@@ -81,7 +81,8 @@ class Processes:
     """Physics server, 802.11 emulator and one process per vehicle.
 
     ``wall_limit_s`` bounds the run's wall time from `start` on; ``on_message`` is given all that is taken
-    from the processes, on the taker's thread.
+    from the processes, on the taker's thread. ``supervisor`` is whose children they are, if not children of
+    this process.
     """
 
     def __init__(
@@ -91,13 +92,17 @@ class Processes:
         *,
         wall_limit_s: float | None,
         on_message: Callable[[Message], None] | None,
+        supervisor: Supervisor | None = None,
     ) -> None:
         self._scenario = scenario
         self._folder = folder
         self._wall_limit_s = wall_limit_s
         self._wall_start_s = time.monotonic()
         self._on_message = on_message
-        self._supervisor = Supervisor(folder.logs, environment=_ENVIRONMENT | kernel_cache.environment())
+        if supervisor is None:
+            environment = _ENVIRONMENT | kernel_cache.environment()
+            supervisor = Supervisor(folder.logs, environment=environment)
+        self._supervisor = supervisor
         self._ports: set[int] = set()
         self._running = False
         self.ready: dict[str, Ready] = {}

@@ -21,6 +21,8 @@ from antenna.config import AntennaConfig
 from autopilot import formation_plan
 from autopilot.config import AutopilotConfig, Devices, OnboardConfig, Port, Site, VehicleConfig, VehiclePorts
 from autopilot.formation_plan import FormationPlan
+from autopilot.onboard.ranging import SESSION_S
+from autopilot.onboard.tracks import REMEMBERED_S
 from autopilot.parameter_file import ParameterFileError
 from harness import autopilot_settings, formation_shape
 from harness.faults import EXPECTED, MOST_TIME_S, AnyFault, check
@@ -102,9 +104,16 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
             radio_settings.check(self.radio, self.agents)
         except ValueError as error:
             raise ValueError(f"radio.{error}") from None
+        session_s = (2**self.radio.ftm.bursts_exponent - 1) * self.radio.ftm.burst_period_ms * 1e-3
+        if self.onboard.localisation == "ftm" and session_s > LONGEST_SESSION_S:
+            raise ValueError(
+                f"radio.ftm.bursts_exponent: sessions of {session_s:g} s; the application remembers for "
+                f"{REMEMBERED_S:g} s where the vehicle was, and beacons take some of it: "
+                f"at most {LONGEST_SESSION_S:g} s"
+            )
         places_ned_m = self.places_ned_m()
         nearest_m = min(pdist(places_ned_m), default=math.inf)
-        if nearest_m < MIN_SPACING_M:
+        if not nearest_m >= MIN_SPACING_M:
             raise ValueError(
                 f"formation: places {nearest_m:.2f} m apart; vehicles this size need {MIN_SPACING_M} m"
             )
@@ -177,6 +186,8 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         return steps * self.run.step_us
 
 
+LONGEST_SESSION_S = REMEMBERED_S - SESSION_S
+"""From the first to the last burst of a ranging session; the rest is for the queue and for beacons."""
 MIN_SPACING_M = 0.8
 """Least distance between two places: an Iris is 0.55 m across its rotors."""
 

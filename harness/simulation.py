@@ -77,14 +77,6 @@ class Simulation:
         self._plan = scenario.plan()
         spawn_ned_m = scenario.places_ned_m()  # on the ground below the places
         spawn_ned_m[:, 2] = -IRIS.standing_height_m
-        self._world = World(
-            model=IRIS,
-            spawn_pos_ned_m=spawn_ned_m,
-            spawn_yaw_rad=float(np.radians(scenario.formation.heading_deg)),
-            step_us=self._step_us,
-            environment=scenario.environment,
-            ground_altitude_m=scenario.site.altitude_m,
-        )
         self._wind = Wind(
             scenario.wind,
             n,
@@ -102,9 +94,6 @@ class Simulation:
         self._faults = Faults(scenario.faults, n, np.random.default_rng(streams[2]))
         self._encoder = SensorEncoder(scenario.site)
         self._tells_truth = scenario.onboard.enabled and scenario.onboard.localisation == "truth"
-        self._truth_log = RecordLog(config.truth_log_path, TRUTH_RECORD)
-        self._air_log = RecordLog(config.air_log_path, AIR_RECORD)
-        self._event_log = Path(config.event_log_path).open("wb", buffering=0)  # noqa: SIM115 - closed by close()
         self.time_us = self._step_us  # PX4 takes 0 for a clock that is not set
         self.formed = False
         self._controls: list[Sequence[float]] = [[0.0] * ROTORS for _ in range(n)]
@@ -121,7 +110,23 @@ class Simulation:
         self._touching: set[tuple[int, int]] = set()
         self._attenuation_db: float | None = None
         """On every radio link, as commanded; None is the scenario's."""
-        self.lockstep = meet(self)
+        with contextlib.ExitStack() as stack:  # nothing stays open if anything of it fails
+            keep = stack.enter_context
+            self._world = keep(
+                World(
+                    model=IRIS,
+                    spawn_pos_ned_m=spawn_ned_m,
+                    spawn_yaw_rad=float(np.radians(scenario.formation.heading_deg)),
+                    step_us=self._step_us,
+                    environment=scenario.environment,
+                    ground_altitude_m=scenario.site.altitude_m,
+                )
+            )
+            self._truth_log = keep(contextlib.closing(RecordLog(config.truth_log_path, TRUTH_RECORD)))
+            self._air_log = keep(contextlib.closing(RecordLog(config.air_log_path, AIR_RECORD)))
+            self._event_log = keep(Path(config.event_log_path).open("wb", buffering=0))  # noqa: SIM115
+            self.lockstep = keep(contextlib.closing(meet(self)))
+            self._open = stack.pop_all()
 
     @property
     def any_alive(self) -> bool:
@@ -236,7 +241,8 @@ class Simulation:
         flags = 0
         for i, answer in enumerate(answers):
             if answer is None:
-                self._stopped[i] = not self.lockstep.seats[i].alive
+                if not self.lockstep.seats[i].alive:
+                    self._stopped[i], self._armed[i] = True, False
                 continue
             self._controls[i], self._armed[i] = answer.controls[:ROTORS], is_armed(answer)
             flags |= answer.flags
@@ -269,12 +275,8 @@ class Simulation:
         return self._air.busy_ns / (self.time_us * 1e3) if self._air is not None and self.time_us else 0.0
 
     def close(self) -> None:
-        """End connections, world and logs; harmless when repeated."""
-        self.lockstep.close()
-        self._world.close()
-        self._truth_log.close()
-        self._air_log.close()
-        self._event_log.close()
+        """End connections, logs and world, each whatever becomes of the others; harmless when repeated."""
+        self._open.close()
 
     def _record(self, truth: Truth, alive: list[bool]) -> None:
         self._truth_log.append(

@@ -22,11 +22,11 @@ from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import msgspec
 
-from harness.faults import AnyFault, validated
+from harness.faults import MOST_ATTENUATION_DB, AnyFault, validated
 from harness.messages import InjectFault, Paused, RunUntil, SetAttenuation, VehicleLost
 from harness.processes import (
     Happening,
@@ -66,6 +66,8 @@ class Swarm:
     Raises ScenarioError for a scenario that cannot be used.
     """
 
+    _make_processes: ClassVar[type[Processes]] = Processes
+
     def __init__(
         self,
         scenario: str | Path | Scenario,
@@ -99,7 +101,7 @@ class Swarm:
         else:
             self.path = Path(out)
         self._folder = RunFolder(self.path)
-        self._processes = Processes(
+        self._processes = self._make_processes(
             self.scenario, self._folder, wall_limit_s=wall_limit_s, on_message=on_message
         )
         self._truth: Truth | None = None
@@ -126,7 +128,9 @@ class Swarm:
             raise
 
     def start(self) -> None:
-        """Start every process, at simulated time 0.
+        """Start every process and have every vehicle connect.
+
+        Simulated time is then that of the first step, ``run.step_us``: 0 would be a clock that is not set.
 
         Raises SetupError, or SwarmError if a process does not get ready; then all are stopped again.
         """
@@ -248,7 +252,12 @@ class Swarm:
         self._processes.send(SetAttenuation(extra_attenuation_db=CUT_DB))
 
     def degrade_channel(self, attenuation_db: float) -> None:
-        """From the next step on, attenuate every link by this in place of ``radio.extra_attenuation_db``."""
+        """From the next step on, attenuate every link by this in place of ``radio.extra_attenuation_db``.
+
+        Raises ValueError for what no link can have: 0 to `harness.faults.MOST_ATTENUATION_DB`.
+        """
+        if not 0.0 <= attenuation_db <= MOST_ATTENUATION_DB:  # neither is what is not a number
+            raise ValueError(f"attenuation_db {attenuation_db:g}: expected 0 to {MOST_ATTENUATION_DB:g} dB")
         self._intervene(f"attenuate the channel by {attenuation_db:g} dB")
         self._processes.send(SetAttenuation(extra_attenuation_db=attenuation_db))
 

@@ -32,11 +32,11 @@ class RecordLog:
             del self._rows[:BLOCK_ROWS]
 
     def close(self) -> None:
-        """Write what is left. Harmless when repeated."""
+        """Write what is left, and close the file even if that fails. Harmless when repeated."""
         if not self._file.closed:
-            self._write(self._rows)
-            self._rows.clear()
-            self._file.close()
+            with self._file:
+                self._write(self._rows)
+                self._rows.clear()
 
     def _write(self, rows: list[Any]) -> None:
         self._file.write(np.array(rows, dtype=self._dtype).tobytes())

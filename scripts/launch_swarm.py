@@ -1,6 +1,11 @@
 """Fly a scenario: ``python scripts/launch_swarm.py scenarios/article.toml``. See `harness.cli`."""
 
+import os
 import sys
+
+from harness import kernel_cache
+
+os.environ.update(kernel_cache.environment())  # read when numba is imported, which is next
 
 from harness.cli import main
 

@@ -4,9 +4,6 @@ Hamilton's convention, wxyz, float64 arrays; ``q_ab`` maps a vector's components
 ``quat_rotate(q_ned_frd, v_frd)`` is ``v_ned`` and ``quat_multiply(q_ab, q_bc)`` is ``q_ac``. Angles: radians.
 Every function returns a new array and expects unit quaternions unless it says otherwise. Equations: J. Sola,
 "Quaternion kinematics for the error-state Kalman filter", 2017 (arXiv 1711.02508).
-
-Numba caches each compiled function by its own source file: after a change here, remove the cached callers too
-(``__pycache__``/``*.nbi`` of estimation and control).
 """
 
 import math

@@ -5,7 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from harness.air import Air, RadioSilent
+from harness.air import LONGEST_REST_US, Air, RadioSilent
+from netsim.hosted import LEAD_US
 from netsim.wire.messages import Advance, Advanced, decode, encode, unpack_rows
 
 STEP_US = 4_000
@@ -74,6 +75,22 @@ def test_a_quiet_air_is_left_alone_until_its_time_or_until_somebody_speaks(air, 
     (q_ned_frd,) = {request.q_ned_frd for request in emulator.asked}
     assert np.array_equal(unpack_rows(vel_ned_m_s, stations=2, columns=3), VEL_NED_M_S)
     assert np.array_equal(unpack_rows(q_ned_frd, stations=2, columns=4), Q_NED_FRD)
+
+
+def test_an_air_that_stays_quiet_is_never_left_so_far_behind_that_it_refuses_who_speaks_next(air, emulator):
+    """A batch of any step, and a transmission of a second later, lie within `LEAD_US` of what it has reached.
+
+    The steps are 100 ms here. Of three minutes' 1800 it is asked for the first, and then for one in each rest
+    of `LONGEST_REST_US`: 180 s / 30 s of them, of which the last ends after the three minutes.
+    """
+    step_us, end_us = 100_000, 180_000_000
+    for time_us in range(0, end_us, step_us):
+        reached_us = emulator.asked[-1].to_us if emulator.asked else 0
+        assert time_us + 1_000_000 <= reached_us + LEAD_US
+        emulator.answers = [advanced(time_us + step_us, quiet_until_us=10**12)]
+        air.begin(time_us, step_us, TRUTH, ())
+        air.end()
+    assert len(emulator.asked) == end_us // LONGEST_REST_US
 
 
 def test_with_guests_no_step_is_left_out_for_they_may_speak_at_any_time(emulator):

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -6,6 +8,7 @@ from autopilot.config import RacetrackMotion
 from autopilot.formation_plan import FormationPlan
 from harness.flight import Flight
 from harness.formation_error import formation_error
+from harness.physics.model import IRIS
 
 PLACES_NED_M = np.array([[n, e, -10.0] for n in (-1.25, 1.25) for e in (-12.75, -4.25, 4.25, 12.75)])
 
@@ -15,7 +18,9 @@ def _turned(places_ned_m, yaw_rad):
     return places_ned_m @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _flight(pos_ned_m, alive=None, desired_ned_m=PLACES_NED_M):
+def _flight(flown_ned_m, alive=None, desired_ned_m=PLACES_NED_M):
+    """``flown_ned_m`` is as autopilots know it, from where each stood; the truth is of centres of mass."""
+    pos_ned_m = flown_ned_m - np.array([0.0, 0.0, IRIS.standing_height_m])
     instants, vehicles = pos_ned_m.shape[:2]
     return Flight(
         time_us=np.arange(instants, dtype=np.int64) * 20_000,
@@ -37,6 +42,14 @@ def test_rigid_motion_is_absolute_error_and_no_shape_error(yaw_deg):
     turn_m2 = np.mean(np.sum((_turned(PLACES_NED_M, np.radians(yaw_deg)) - PLACES_NED_M) ** 2, axis=1))
     assert error.absolute.rms_m == pytest.approx(np.sqrt(13.0**2 + turn_m2))
     assert error.absolute.horizontal_rms_m == pytest.approx(np.sqrt(5.0**2 + turn_m2))
+
+
+def test_who_flies_where_the_autopilots_zero_puts_it_has_no_error():
+    """Ten metres over where its feet stood: its centre is then 10.055 m over the ground."""
+    pos_ned_m = PLACES_NED_M - np.array([0.0, 0.0, 0.055])
+    error = formation_error(replace(_flight(pos_ned_m[np.newaxis]), pos_ned_m=pos_ned_m[np.newaxis]))
+    assert error.absolute.rms_m == pytest.approx(0.0, abs=1e-12)
+    assert error.shape.rms_m == pytest.approx(0.0, abs=1e-12)
 
 
 def test_clockwise_from_above_is_positive_yaw():

@@ -1,12 +1,16 @@
 """The cache of compiled kernels is another one whenever anything that they are compiled from is."""
 
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+from antenna import kernel_folder
 from harness import kernel_cache
-from harness.kernel_cache import VARIABLE, digest
+from harness.kernel_cache import KEPT_S, KEPT_STATES, VARIABLE, digest, forget_old
 
 KERNEL = "from autopilot.constants import G\nfrom numba import njit\n\n@njit\ndef f(x):\n    return G * x\n"
 
@@ -53,3 +57,90 @@ def test_a_folder_that_the_user_names_holds_one_for_each_state(monkeypatch, tmp_
     monkeypatch.delenv(VARIABLE)
     monkeypatch.setenv("XDG_CACHE_HOME", "/somewhere")
     assert compute() == Path("/somewhere/coflight/kernels") / folder.name
+
+
+@pytest.mark.parametrize(
+    "start",
+    [
+        "import autopilot.__main__",
+        "import runpy; runpy.run_path('scripts/launch_swarm.py', run_name='script')",
+    ],
+)
+def test_a_process_that_is_started_by_hand_compiles_into_the_folder_of_the_sources_state(tmp_path, start):
+    """Beside the sources a kernel would stay as it was when only another module's, that it calls, changes."""
+    program = (
+        f"{start}; import sys; from antenna import kernel_folder\n"
+        "from numba.core.dispatcher import Dispatcher\n"
+        "paths = {kernel._cache.cache_path for name, module in sys.modules.items()\n"
+        "         if name.partition('.')[0] in kernel_folder.PACKAGES\n"
+        "         for kernel in vars(module).values() if isinstance(kernel, Dispatcher)}\n"
+        "assert paths and all(path.startswith(str(kernel_folder.folder())) for path in paths), paths\n"
+    )
+    environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=Path(__file__).parents[2],
+        env=environment | {"XDG_CACHE_HOME": str(tmp_path)},
+        capture_output=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr.decode()
+
+
+@pytest.fixture
+def states(monkeypatch, tmp_path):
+    """Folders of ten states; the first was used ten days ago, the last but one two days ago."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    base = tmp_path / "coflight" / "kernels"
+    folders = [base / f"{k:016x}" for k in range(10)]
+    for k, path in enumerate(folders):
+        path.mkdir(parents=True)
+        (path / "kernel.nbi").touch()
+        os.utime(path, (NOW_S - (10 - k) * KEPT_S - 1.0,) * 2)
+    monkeypatch.setattr(kernel_cache, "folder", lambda: folders[9])
+    monkeypatch.setenv(VARIABLE, str(folders[9]))  # as our scripts have it
+    return folders
+
+
+NOW_S = 1_800_000_000.0
+
+
+def test_old_states_go_but_for_the_latest_also_where_our_scripts_have_set_the_folder(states):
+    """Those that never came to be complete as well; what is none of ours stays."""
+    notes = states[0].parent / "notes"
+    notes.mkdir()
+    forget_old(NOW_S)
+    assert [path.exists() for path in states] == [k >= 10 - KEPT_STATES for k in range(10)]
+    assert notes.exists()
+
+
+def test_what_was_used_within_a_day_stays_however_many_there_are(states):
+    for path in states[:2]:
+        os.utime(path, (NOW_S - KEPT_S + 1.0,) * 2)
+    forget_old(NOW_S)  # the latest eight are 0, 1 and 4 to 9
+    assert [k for k, path in enumerate(states) if not path.exists()] == [2, 3]
+    for path in states:
+        path.mkdir(exist_ok=True)
+        os.utime(path, (NOW_S - KEPT_S + 1.0,) * 2)
+    forget_old(NOW_S)
+    assert all(path.exists() for path in states)
+
+
+def test_a_folder_that_the_user_names_is_not_tidied(states, monkeypatch, tmp_path):
+    theirs = tmp_path / "theirs"
+    theirs.mkdir()
+    for path in states:
+        shutil.move(path, theirs / path.name)
+    monkeypatch.setattr(kernel_cache, "folder", lambda: theirs / states[9].name)
+    forget_old(NOW_S)
+    assert len(list(theirs.iterdir())) == 10
+
+
+def test_who_asks_where_the_kernels_are_marks_them_as_used(monkeypatch, tmp_path):
+    folder = tmp_path / "state"
+    monkeypatch.setattr(kernel_folder, "folder", lambda: folder)
+    assert kernel_folder.environment() == {VARIABLE: str(folder)}  # not yet there
+    folder.mkdir()
+    os.utime(folder, (1.0, 1.0))
+    kernel_folder.environment()
+    assert folder.stat().st_mtime > 1.0

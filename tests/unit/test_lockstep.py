@@ -1,12 +1,14 @@
 """The rendezvous of a step: every living vehicle's answer is waited for, and whoever is gone is named."""
 
 import contextlib
+import queue
 import signal
 import socket
 import subprocess
 import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import psutil
 import pytest
@@ -14,7 +16,10 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot.mavlink.codec import Encoder, Parser
 from harness.lockstep import ConnectTimeout, Lockstep
+from harness.messages import RunUntil, SetAttenuation
 from harness.patience import COMPUTING_LIMIT_S, LOOK_AFTER_S, REPORT_AFTER_S, Patience
+from harness.physics_server import obey
+from netsim.child import Stop
 
 
 class Vehicles:
@@ -150,6 +155,68 @@ def test_who_does_not_connect_is_named():
     ):
         lockstep.connect(0.2, keep_waiting=lambda: True)
     lockstep.close()
+
+
+def test_a_rendezvous_that_was_cut_short_goes_on_with_those_who_are_missing():
+    listeners = [socket.create_server(("127.0.0.1", 0)) for _ in range(2)]
+    nothing = {"on_message": None, "on_silent": None, "on_lost": None}
+    lockstep = Lockstep(listeners, patience=Patience(1.0), **nothing)
+    with contextlib.closing(lockstep), socket.create_connection(listeners[1].getsockname()):
+        lockstep.connect(5.0, keep_waiting=lambda: lockstep.living < 1)
+        assert [seat.alive for seat in lockstep.seats] == [False, True]
+        with socket.create_connection(listeners[0].getsockname()):
+            lockstep.connect(5.0, keep_waiting=lambda: True)
+            assert lockstep.living == 2
+
+
+class Rendezvous:
+    """Stands for a simulation that has yet to meet its two vehicles: one comes with each time it waits."""
+
+    def __init__(self, inbox):
+        self.inbox = inbox
+        self.seats = [SimpleNamespace(alive=False) for _ in range(2)]
+        self.lockstep = self
+        self.time_us = 4_000
+        self.any_alive, self.must_end, self.formed = True, False, False
+        self.met_at_steps = []
+
+    @property
+    def living(self):
+        return sum(seat.alive for seat in self.seats)
+
+    def connect(self, wall_timeout_s, *, keep_waiting):
+        assert wall_timeout_s == 5.0
+        self.seats[self.living].alive = True
+        if self.living == 1:
+            self.inbox.put(SetAttenuation(extra_attenuation_db=0.0))
+            self.inbox.put(RunUntil(time_us=8_000))
+            assert not keep_waiting()
+
+    def step(self):
+        self.met_at_steps.append(self.living)
+        self.time_us += 4_000
+        self.inbox.put(Stop())
+
+    def set_extra_attenuation_db(self, value):
+        assert value == 0.0
+
+    def settle(self):
+        pass
+
+    def notice_collisions(self):
+        pass
+
+    def vehicles(self):
+        return ()
+
+
+def test_nobody_flies_before_everybody_has_come_though_a_command_cut_the_waiting_short():
+    inbox, said = queue.SimpleQueue(), []
+    simulation = Rendezvous(inbox)
+    inbox.put(RunUntil(time_us=8_000))
+    obey(simulation, inbox, connect_timeout_s=5.0, emit=said.append)
+    assert simulation.met_at_steps == [2]
+    assert [(event.time_us, event.reason) for event in said] == [(4_000, "command"), (8_000, "time")]
 
 
 class Process:

@@ -4,6 +4,7 @@ That its logs are a swarm of many processes', byte for byte, is in multiprocess/
 """
 
 import json
+import math
 import multiprocessing
 import os
 import subprocess
@@ -11,6 +12,7 @@ import sys
 import threading
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -20,6 +22,7 @@ import pytest
 from autopilot.recording import VEHICLE_RECORD
 from autopilot.vehicle import Vehicle
 from harness import kernel_cache
+from harness.air import Air
 from harness.cli import FINE, main
 from harness.local import LocalCarrier, LocalRadio
 from harness.messages import Progress, VehicleLost
@@ -126,6 +129,24 @@ def test_a_cut_channel_delivers_nothing_from_its_step_on_and_a_restored_one_does
     assert not delivered[during].any()
     for outside in (starts_s < 4.0, starts_s >= 5.0):
         assert delivered[outside].any()
+
+
+def test_an_attenuation_that_no_link_can_have_is_refused_and_the_run_goes_on(tmp_path):
+    with OneProcessSwarm(scenario(), out=tmp_path / "run") as swarm:
+        for attenuation_db in (-5.0, 1_500.0, math.inf, math.nan):
+            with pytest.raises(
+                ValueError, match=rf"^attenuation_db {attenuation_db:g}: expected 0 to 1000 dB$"
+            ):
+                swarm.degrade_channel(attenuation_db)
+        for attenuation_db in (0.0, 1_000.0):
+            swarm.degrade_channel(attenuation_db)
+            swarm.run_for(0.1)
+        swarm.summary(draw=False)
+    manifest = json.loads((tmp_path / "run" / "manifest.json").read_bytes())
+    assert [line.partition(": ")[2] for line in manifest["interventions"]] == [
+        "attenuate the channel by 0 dB",
+        "attenuate the channel by 1000 dB",
+    ]
 
 
 def test_a_killed_vehicle_is_gone_from_the_next_step_on_and_the_others_fly_on(tmp_path):
@@ -279,9 +300,28 @@ def test_what_is_handed_over_in_a_later_step_waits_for_that_steps_interval():
     assert len(channel.heard(1, 10**9)) == 1
 
 
+def test_who_speaks_after_minutes_of_silence_is_heard():
+    """Nobody speaks for two minutes, in steps of a second, and the air has nothing to do."""
+    channel, second_us = Channel(), 1_000_000
+    air = Air(channel.asker, "test")
+    truth = SimpleNamespace(
+        pos_ned_m=np.array([[0.0, 0.0, -10.0], [10.0, 0.0, -10.0]]),
+        vel_ned_m_s=np.zeros((2, 3)),
+        q_ned_frd=np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)),
+    )
+    for time_us in range(0, 120 * second_us, second_us):
+        air.begin(time_us, second_us, truth, ())
+        air.end()
+    now_us = 120 * second_us
+    channel.radios[0].send(now_us, [Broadcast(seq=0, at_us=now_us, payload=b"again")])
+    air.handed_over()
+    air.begin(now_us, second_us, truth, ())
+    assert [item.payload for item in channel.heard(1, now_us + 2 * second_us)] == [b"again"]
+
+
 def test_motion_that_makes_no_sense_and_times_that_cannot_be_are_refused():
     channel = Channel()
-    with pytest.raises(ValueError, match="motion"):
+    with pytest.raises(ValueError, match="refuses to go on"):
         channel.advance(STEP_US, pos_ned_m=pack_rows(np.full((2, 3), np.nan)))
     far_us = 10**9
     with pytest.raises(ValueError, match="refuses"):

@@ -1,6 +1,7 @@
 """Binary logs: whole blocks by row count, readable up to the last whole record whatever happened."""
 
 import numpy as np
+import pytest
 
 from netsim.logs import FRAME_LOG, SESSION_LOG
 from netsim.record_log import BLOCK_ROWS, RecordLog, read
@@ -39,6 +40,16 @@ def test_a_record_cut_short_is_left_out_and_a_missing_file_is_empty(tmp_path):
     (tmp_path / "log.bin").write_bytes(whole[:-1])
     assert len(read(tmp_path / "log.bin", PAIR)) == 2
     assert len(read(tmp_path / "none.bin", PAIR)) == 0
+
+
+def test_a_log_that_cannot_be_written_is_closed_all_the_same():
+    """A full disk is an error once, and holds no file open."""
+    log = RecordLog("/dev/full", PAIR)
+    log.append(rows(3))
+    with pytest.raises(OSError, match="No space left"):
+        log.close()
+    log.close()
+    assert log._file.closed
 
 
 def test_the_emulators_logs_have_the_fields_of_its_records():

@@ -235,7 +235,20 @@ def test_overrides_take_numbers_strings_words_and_new_tables():
         ),
         (
             'formation.motion={kind="track", length_m=inf}',
-            "formation.motion.length_m: expected a finite number",
+            "formation.motion.length_m: expected `float` <= 100000.0",
+        ),
+        (
+            'formation.motion={kind="racetrack", length_m=1e308}',
+            "formation.motion.length_m: expected `float` <= 100000.0",
+        ),
+        (
+            'formation.motion={kind="track", speed_m_s=1e-200, acceleration_m_s2=1e-200, length_m=1e-200}',
+            "formation.motion.speed_m_s: expected `float` >= 0.01",
+        ),
+        ("onboard.gps_bias_std_m=inf", "onboard.gps_bias_std_m: expected `float` <= 1000.0"),
+        (
+            "onboard.odometry_drift_m_sqrt_s=1e200",
+            "onboard.odometry_drift_m_sqrt_s: expected `float` <= 10.0",
         ),
         ("ports.simulator_tcp=65530", "ports.simulator_tcp: 65530 + 7 vehicles is over 65535"),
         ("wind.kind=breeze", "wind.kind: invalid enum value 'breeze'"),
@@ -374,3 +387,28 @@ def test_a_vehicle_is_told_of_its_devices_what_their_models_say():
     assert told.devices.gps_delay_s == 0.2
     assert told.devices.ftm_trip_std_m == pytest.approx(0.161, abs=0.001)  # 1075 ps, c/2
     assert Vehicle(told).parameters.get("EKF2_GPS_DELAY") == pytest.approx(200.0)
+
+
+def test_ranging_sessions_may_not_last_longer_than_odometry_is_remembered():
+    """Four bursts 0.5 s apart end 1.5 s after the first, eight 3.5 s."""
+    period = "radio.ftm.burst_period_ms=500"
+    load(ARTICLE, [period, "radio.ftm.bursts_exponent=2"])
+    with pytest.raises(
+        ScenarioError, match=r"radio\.ftm\.bursts_exponent: sessions of 3\.5 s.*at most 1\.5 s"
+    ):
+        load(ARTICLE, [period, "radio.ftm.bursts_exponent=3"])
+    load(ARTICLE, [period, "radio.ftm.bursts_exponent=3", "onboard.localisation=gps"])
+
+
+@pytest.mark.parametrize(
+    ("override", "where"),
+    [
+        ("antenna.wavelength_m=inf", "antenna.wavelength_m"),
+        ("antenna.wavelength_m=9000", "formation"),
+        ("antenna.snapshot_rate_hz=inf", "antenna.snapshot_rate_hz"),
+        ("antenna.element_length_m=nan", "antenna.element_length_m"),
+    ],
+)
+def test_no_length_is_boundless(override, where):
+    with pytest.raises(ScenarioError, match=where):
+        load(ARTICLE, [override])
