@@ -162,7 +162,8 @@ def test_grandchild_in_a_session_of_its_own_does_not_stay(supervisor: Supervisor
     ready = hear(supervisor, Ready, "parent")
     assert isinstance(ready, Ready)
     grandchild = psutil.Process(ready.details["grandchild"])
-    # between fork and exec it still has its parent's environment, which is no matter: that is marked as well
+    # between fork and exec it has its parent's environment, which is marked as well; within exec it has none
+    wait_for(lambda: grandchild.environ() != {}, "grandchild's environment")
     assert grandchild.environ()[MARK] == f"{supervisor.token}/parent"
     left = supervisor.stop()
     assert len(left) == 1
