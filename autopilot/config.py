@@ -8,6 +8,11 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 from msgspec.structs import replace
 
+REMEMBERED_S = 2.0
+"""For so long the application knows where its vehicle was; distances that come later are of no use."""
+SESSION_S = 0.5
+"""From a ranging request to when the formation knows the distance: a queue, one burst, and beacons."""
+
 Port = Annotated[int, Meta(ge=0, le=65_535)]
 Vector = tuple[float, float, float]
 Position = Annotated[float, Meta(ge=-1e6, le=1e6)]

@@ -19,10 +19,18 @@ from scipy.spatial.distance import pdist
 
 from antenna.config import AntennaConfig
 from autopilot import formation_plan
-from autopilot.config import AutopilotConfig, Devices, OnboardConfig, Port, Site, VehicleConfig, VehiclePorts
+from autopilot.config import (
+    REMEMBERED_S,
+    SESSION_S,
+    AutopilotConfig,
+    Devices,
+    OnboardConfig,
+    Port,
+    Site,
+    VehicleConfig,
+    VehiclePorts,
+)
 from autopilot.formation_plan import FormationPlan
-from autopilot.onboard.ranging import SESSION_S
-from autopilot.onboard.tracks import REMEMBERED_S
 from autopilot.parameter_file import ParameterFileError
 from harness import autopilot_settings, formation_shape
 from harness.faults import EXPECTED, MOST_TIME_S, AnyFault, check

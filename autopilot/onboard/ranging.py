@@ -11,11 +11,11 @@ from typing import Protocol
 
 import numpy as np
 
+from autopilot.config import SESSION_S
+
 MAX_OUTSTANDING = 2
 """A second session may be asked for while one runs: a slow peer then does not hold up the round, and a full
 channel slows the policy down instead of filling its queue."""
-SESSION_S = 0.5
-"""From a request to when its distance is known to the formation: a queue, the session, and beacons."""
 GIVE_UP_US = 2_000_000
 """A request without any result is forgotten after this, longer than any driver's time-out."""
 

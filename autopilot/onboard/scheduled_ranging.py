@@ -36,7 +36,8 @@ then after pauses that double.
 
 import math
 
-from autopilot.onboard.ranging import SESSION_S, Outstanding, VarianceOf
+from autopilot.config import SESSION_S
+from autopilot.onboard.ranging import Outstanding, VarianceOf
 
 GUARD = 0.125
 """Share of a slot that passes before its session begins, for clocks that disagree."""

@@ -7,9 +7,7 @@ import numpy as np
 from autopilot.onboard.kernels import Array, odometry_at, odometry_between
 
 SAMPLES = 64
-"""Kept per UAV: two seconds of the own ones at 30 Hz, six of a neighbour's at 10 Hz."""
-REMEMBERED_S = 2.0
-"""Distances that are known later than this after they were measured are of no use."""
+"""Kept per UAV: `REMEMBERED_S` of the own ones at 30 Hz, six seconds of a neighbour's at 10 Hz."""
 JUMP_M = 0.5
 """No step of odometry, beside what velocity explains, is that large in flight..."""
 JUMP_M_S2 = 10.0

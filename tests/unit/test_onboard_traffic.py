@@ -9,12 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from autopilot.config import Devices, OnboardConfig, Site
+from autopilot.config import SESSION_S, Devices, OnboardConfig, Site
 from autopilot.onboard import beacon as wire
 from autopilot.onboard.localisation import SILENCE_US
 from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.phases import Phase
-from autopilot.onboard.ranging import SESSION_S
 from autopilot.onboard.scheduled_ranging import CHECK_LATEST_US, CHECK_US, UNKNOWN_PERIOD_US, owner
 from autopilot.onboard.traffic import SHIFTS, WAIT_US, Traffic
 from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult, Survey
