@@ -1,8 +1,13 @@
 """Settings of the synthetic aperture: what a scenario's ``[antenna]`` table may say."""
 
+import math
+from functools import lru_cache
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
+
+from antenna.deck import read_element
+from antenna.elements import Element, dipole, loop
 
 THIN_WIRE_SLENDERNESS = 8.0
 """Least segment length over wire radius for errors under 1 % (NEC-2 User's Guide, wire modelling)."""
@@ -12,24 +17,75 @@ class AntennaConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Elements, their feeds and how patterns are computed."""
 
     wavelength_m: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 10.0
+    element_kind: Literal["dipole", "loop", "deck"] = "dipole"
+    """A dipole along the vehicle's vertical axis, a level loop about it, or the wires of a NEC deck."""
     element_length_m: Annotated[float, Meta(gt=0.0, le=1_000.0)] = 0.05
-    """Vertical dipole on each vehicle: electrically small, as a size-limited antenna is."""
+    """Of the dipole, electrically small, as a size-limited antenna is; of a loop its circumference."""
     element_radius_m: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.0002
-    segments: Annotated[int, Meta(ge=3, le=99)] = 9
-    """Thin-wire segments of a dipole; odd, so that the source sits in the middle."""
-    backend: Literal["nec2"] = "nec2"
+    """Of the wire."""
+    segments: Annotated[int, Meta(ge=3, le=199)] = 9
+    """Thin-wire segments of a dipole or loop; a dipole's are odd, so that the source sits in the middle."""
+    element_deck: str = ""
+    """A NEC deck's text: what ``element_file`` says, or said here instead."""
+    element_file: str = ""
+    """NEC deck beside the scenario, for the kind deck."""
+    excitation: Literal["end_fire", "hansen_woodyard", "optimum"] = "end_fire"
+    feeds_for: Literal["places", "estimates", "truth"] = "places"
+    """Positions that the feeds are made for: the formation's places, where the vehicles believe themselves to
+    be, or where they are."""
+    ground: Literal["none", "perfect", "real"] = "none"
+    """Level, at height 0 of the site."""
+    ground_permittivity: Annotated[float, Meta(ge=1.0, le=100.0)] = 13.0
+    ground_conductivity_s_m: Annotated[float, Meta(ge=0.0, le=1e8)] = 0.005
+    """Of a real ground; average land (ITU-R P.527)."""
+    backend: Literal["batch", "nec2", "nec2c"] = "batch"
     snapshot_rate_hz: Annotated[float, Meta(gt=0.0, le=1_000.0)] = 2.0
     """Instants of the flight, per simulated second, for which a pattern is computed."""
     grid_deg: Annotated[float, Meta(gt=0.0, le=30.0)] = 5.0
     """Step of the pattern in theta and phi; the maximum is refined beyond it."""
+    keep_patterns: bool = False
+    """Write a flight's patterns to patterns.nc."""
 
     def __post_init__(self) -> None:
         """Check what no single field can."""
-        if self.segments % 2 == 0:
-            raise ValueError(f"segments: {self.segments} is even; a source in the middle needs an odd number")
-        slenderness = self.element_length_m / self.segments / self.element_radius_m
-        if slenderness < THIN_WIRE_SLENDERNESS:
+        if self.element_kind == "deck":
+            if not self.element_deck.strip():
+                raise ValueError("element_file: the kind deck needs one; expected a NEC deck's file")
+            self.element()
+        elif self.element_file or self.element_deck:
+            named = "element_file" if self.element_file else "element_deck"
+            raise ValueError(f"{named}: a {self.element_kind} has none; expected element_kind deck")
+        else:
+            if self.element_kind == "dipole" and self.segments % 2 == 0:
+                raise ValueError(
+                    f"segments: {self.segments} is even; a source in the middle needs an odd number"
+                )
+            slenderness = self.element_length_m / self.segments / self.element_radius_m
+            if slenderness < THIN_WIRE_SLENDERNESS:
+                raise ValueError(
+                    f"element_radius_m: a segment is {slenderness:.1f} radii long;"
+                    f" the thin-wire kernel needs {THIN_WIRE_SLENDERNESS:g}"
+                    " (fewer segments or a thinner wire)"
+                )
+        if self.ground == "real" and self.backend == "batch":
+            raise ValueError("backend: batch knows no real ground; expected nec2 or nec2c")
+        if self.ground == "real" and self.excitation == "optimum":
             raise ValueError(
-                f"element_radius_m: a segment is {slenderness:.1f} radii long;"
-                f" the thin-wire kernel needs {THIN_WIRE_SLENDERNESS:g} (fewer segments or a thinner wire)"
+                "excitation: the batch solver finds the optimum, and knows no real ground;"
+                " expected end_fire or hansen_woodyard"
             )
+
+    def element(self) -> Element:
+        """Wires of one element; raises DeckError."""
+        match self.element_kind:
+            case "dipole":
+                return dipole(self.element_length_m, self.element_radius_m, self.segments)
+            case "loop":
+                return loop(self.element_length_m / (2.0 * math.pi), self.element_radius_m, self.segments)
+            case "deck":
+                return _element_of(self.element_deck)
+
+
+@lru_cache(maxsize=8)
+def _element_of(deck: str) -> Element:
+    return read_element(deck)

@@ -5,17 +5,20 @@ and z up. Directions have the article's angles: theta from +z, phi from +x towar
 """
 
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Voltages = NDArray[np.complex128]
+Complex = NDArray[np.complex128]
+Voltages = Complex
 
 
 class ElementsTouch(Exception):
-    """Two elements of a snapshot touch or cross, so that no antenna pattern exists."""
+    """Two elements of a snapshot touch or cross, or one the ground: there is no antenna pattern.
+
+    ``second`` is -1 for the ground.
+    """
 
     def __init__(self, first: int, second: int, distance_m: float) -> None:
         super().__init__(first, second, distance_m)
@@ -24,32 +27,67 @@ class ElementsTouch(Exception):
         self.distance_m = distance_m
 
     def __str__(self) -> str:
+        if self.second < 0:
+            return f"element {self.first} touches the ground: its lowest point is at {self.distance_m:.2g} m"
         return f"elements {self.first} and {self.second} touch: their axes are {self.distance_m:.2g} m apart"
+
+
+class ElementsTooNear(ElementsTouch):
+    """Two elements do not touch, but are so near that their wires' currents have no credible solution.
+
+    NEC2's thin-wire equations then give a pattern which radiates far more or less than the sources feed in.
+    """
+
+    def __str__(self) -> str:
+        other = "the ground" if self.second < 0 else f"element {self.second}"
+        return f"element {self.first} is too near {other} for a solution: {self.distance_m:.2g} m"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
-    """The array at one instant: n dipoles, each fed at its centre."""
+    """The array at one instant: n elements alike, each with its place, attitude and feed."""
 
     centres_m: Array
     """(n, 3) in the antenna's frame."""
-    axes: Array
-    """(n, 3) unit vectors along the dipoles, antenna's frame; a voltage is positive towards the axis."""
+    rotations: Array
+    """(n, 3, 3) map the elements' own frames into the antenna's; a dipole lies along its own z."""
     voltages: Voltages
     """(n,) peak volts."""
 
     def __post_init__(self) -> None:
         """Raise ValueError unless the three belong together and are finite."""
         n = len(self.centres_m)
-        shapes = self.centres_m.shape, self.axes.shape, self.voltages.shape
-        if n == 0 or shapes != ((n, 3), (n, 3), (n,)):
-            raise ValueError(f"a snapshot of n >= 1 elements has shapes (n, 3), (n, 3), (n,), not {shapes}")
+        shapes = self.centres_m.shape, self.rotations.shape, self.voltages.shape
+        if n == 0 or shapes != ((n, 3), (n, 3, 3), (n,)):
+            raise ValueError(
+                f"a snapshot of n >= 1 elements has shapes (n, 3), (n, 3, 3), (n,), not {shapes}"
+            )
         if not np.isfinite(self.centres_m).all():
             raise ValueError("a snapshot's positions are finite")
         if not np.isfinite(self.voltages).all() or not self.voltages.any():
             raise ValueError("a snapshot's voltages are finite, and one is not zero")
-        if not np.allclose(np.linalg.norm(self.axes, axis=1), 1.0, atol=1e-6, rtol=0.0):
-            raise ValueError("a snapshot's dipole axes are unit vectors")
+        orthogonal = np.einsum("nxy,nxz->nyz", self.rotations, self.rotations)
+        turned = np.abs(orthogonal - np.eye(3)).max() < 1e-6 and (np.linalg.det(self.rotations) > 0.0).all()
+        if not turned:
+            raise ValueError("a snapshot's rotations are rotations")
+
+    @property
+    def axes(self) -> Array:
+        """(n, 3) the elements' own z axes, antenna's frame."""
+        return self.rotations[:, :, 2]
+
+
+def along(axes: Array) -> Array:
+    """(n, 3, 3) rotations that take z to unit vectors (n, 3) by the shortest turn."""
+    x, y, z = axes.T
+    fold = 1.0 / np.where(z > -1.0 + 1e-12, 1.0 + z, np.inf)
+    turned = np.stack([
+        np.stack([1.0 - x * x * fold, -x * y * fold, x], -1),
+        np.stack([-x * y * fold, 1.0 - y * y * fold, y], -1),
+        np.stack([-x, -y, z], -1),
+    ], axis=1)  # fmt: skip
+    turned[z <= -1.0 + 1e-12] = np.diag([1.0, -1.0, -1.0])
+    return np.asarray(turned)
 
 
 def grid(count: int, columns: int, broadside_spacing_m: float, endfire_spacing_m: float) -> Array:
@@ -66,42 +104,6 @@ def grid(count: int, columns: int, broadside_spacing_m: float, endfire_spacing_m
     return np.stack([x_m, y_m, np.zeros(count)], axis=1)
 
 
-def endfire_voltages(places_m: Array, wavelength_m: float) -> Voltages:
-    """(n,) feeds exp(-j k y) of an ordinary end-fire array towards +y, for (n, 3) places in its frame."""
-    phase_rad = -2.0 * np.pi / wavelength_m * places_m[:, 1]
-    voltages: Voltages = np.exp(1j * phase_rad)
-    return voltages
-
-
-def vertical_snapshot(places_m: Array, wavelength_m: float) -> Snapshot:
-    """Make the undisturbed array: vertical dipoles at (n, 3) places, with the feeds of these places."""
-    axes = np.tile([0.0, 0.0, 1.0], (len(places_m), 1))
-    return Snapshot(places_m, axes, endfire_voltages(places_m, wavelength_m))
-
-
-def check_apart(snapshot: Snapshot, length_m: float, clearance_m: float) -> None:
-    """Raise `ElementsTouch` for the first two dipoles whose axes come nearer than ``clearance_m``."""
-    half_m = 0.5 * length_m * snapshot.axes
-    starts_m, ends_m = snapshot.centres_m - half_m, snapshot.centres_m + half_m
-    for i, j in combinations(range(len(half_m)), 2):
-        if np.linalg.norm(snapshot.centres_m[i] - snapshot.centres_m[j]) >= length_m + clearance_m:
-            continue
-        distance_m = segment_distance_m(starts_m[i], ends_m[i], starts_m[j], ends_m[j])
-        if distance_m < clearance_m:
-            raise ElementsTouch(i, j, distance_m)
-
-
-def segment_distance_m(start_a_m: Array, end_a_m: Array, start_b_m: Array, end_b_m: Array) -> float:
-    """Least distance between two straight segments, each of (3,) end points and of a length above zero.
-
-    Ericson, Real-Time Collision Detection, 5.1.9: the nearest points of the lines, clamped to the segments.
-    """
-    along_a, along_b, between = end_a_m - start_a_m, end_b_m - start_b_m, start_a_m - start_b_m
-    aa, bb, ab = along_a @ along_a, along_b @ along_b, along_a @ along_b
-    a_between, b_between = along_a @ between, along_b @ between
-    sine_squared = aa * bb - ab * ab
-    parallel = sine_squared <= 1e-12 * aa * bb
-    s = 0.0 if parallel else np.clip((ab * b_between - a_between * bb) / sine_squared, 0.0, 1.0)
-    t = np.clip((ab * s + b_between) / bb, 0.0, 1.0)
-    s = np.clip((ab * t - a_between) / aa, 0.0, 1.0)
-    return float(np.linalg.norm(between + s * along_a - t * along_b))
+def upright(places_m: Array, voltages: Voltages) -> Snapshot:
+    """Make the undisturbed array: elements upright at (n, 3) places."""
+    return Snapshot(places_m, np.tile(np.eye(3), (len(places_m), 1, 1)), voltages)

@@ -1,19 +1,20 @@
-"""NEC2 as backend, through PyNEC: the method of moments on thin wires, in free space.
+"""NEC2 as backend, through PyNEC: the method of moments on thin wires.
 
 This is the only import of PyNEC, which is optional. PyNEC keeps the interpreter's lock while it computes:
 several cores take several processes, see `antenna.parallel`.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
-from antenna.backend import BackendUnavailable
+import numpy as np
+
+from antenna.backend import Accuracy, BackendUnavailable
+from antenna.clearance import check_apart, credible, near_m, placed_wires_m
 from antenna.config import AntennaConfig
-from antenna.geometry import Array, ElementsTouch, Snapshot, check_apart
-from antenna.patterns import Pattern, directions_deg, make_pattern
-
-SPEED_OF_LIGHT_M_S = 299_792_458.0
-SEGMENT_MATCH = 1e-3
-"""Wire ends nearer than this part of a segment are one node to NEC2 (User's Guide, structure geometry)."""
+from antenna.deck import SPEED_OF_LIGHT_M_S, feed
+from antenna.geometry import Array, ElementsTooNear, ElementsTouch, Snapshot
+from antenna.patterns import Pattern, average_gain, directions_deg, from_dbi, make_pattern, resolving_step_deg
 
 
 class Nec2Unavailable(BackendUnavailable):
@@ -27,16 +28,14 @@ except ImportError as error:
 
 
 class Nec2:
-    """Patterns of straight dipoles, each fed at the middle one of its segments."""
+    """Patterns of arrays of alike elements."""
 
     name = "nec2"
+    accuracy = Accuracy.REFERENCE
 
     def __init__(self, config: AntennaConfig) -> None:
         self._config = config
-        self._theta_deg, self._phi_deg = directions_deg(config.grid_deg)
-        segment_m = config.element_length_m / config.segments
-        # NEC2 does not notice wires that overlap in parallel, and joins ends that nearly meet.
-        self._clearance_m = max(2.0 * config.element_radius_m, SEGMENT_MATCH * segment_m)
+        self._element = config.element()
 
     def patterns(self, snapshots: Sequence[Snapshot]) -> list[Pattern | ElementsTouch]:
         """See `antenna.backend.Backend`."""
@@ -49,48 +48,77 @@ class Nec2:
         return results
 
     def pattern(self, snapshot: Snapshot) -> Pattern:
-        """Pattern of one snapshot; raises `ElementsTouch`."""
-        check_apart(snapshot, self._config.element_length_m, self._clearance_m)
-        far_field = _FarField(snapshot, self._config)
-        step_deg = float(self._theta_deg[1])
-        gain_dbi = far_field.gain_dbi(len(self._theta_deg), len(self._phi_deg), step_deg)
-        return make_pattern(gain_dbi, far_field.gain_at, snapshot, self._config.wavelength_m)
+        """Pattern of one snapshot; raises `ElementsTouch`, `ElementsTooNear`."""
+        found = check_apart(snapshot, self._element, grounded=self._config.ground != "none")
+        far_field = FarField(snapshot, self._config)
+        wavelength_m, grounded = self._config.wavelength_m, self._config.ground != "none"
+        if found.distance_m < near_m(wavelength_m) and self._config.ground != "real":  # which takes power
+            resolving_deg = resolving_step_deg(snapshot.centres_m, wavelength_m, grounded=grounded)
+            step_deg = min(resolving_deg, self._config.grid_deg)
+            fed = average_gain(far_field.partial_gains(step_deg).sum(axis=0), grounded=grounded)
+            if not credible(fed):
+                raise ElementsTooNear(*found)
+
+        def gain_at(theta: Array, phi: Array) -> Array:
+            pairs = zip(theta.ravel().tolist(), phi.ravel().tolist(), strict=True)
+            return np.array([far_field.gain_dbi(*pair) for pair in pairs]).reshape(theta.shape)
+
+        theta_gain, phi_gain = far_field.partial_gains(self._config.grid_deg)
+        return make_pattern(
+            theta_gain, phi_gain, gain_at, snapshot, wavelength_m, self.name, grounded=grounded
+        )
 
 
-class _FarField:
+class FarField:
     """One array in NEC2: built on construction, solved by the first request for gains."""
 
     def __init__(self, snapshot: Snapshot, config: AntennaConfig) -> None:
+        element = config.element()
         self._context = PyNEC.nec_context()
         self._requests = 0
+        self._grounded = config.ground != "none"
         geometry = self._context.get_geometry()
-        half_m = 0.5 * config.element_length_m * snapshot.axes
-        starts_m, ends_m = (snapshot.centres_m - half_m).tolist(), (snapshot.centres_m + half_m).tolist()
-        for tag, (start_m, end_m) in enumerate(zip(starts_m, ends_m, strict=True), start=1):
-            geometry.wire(tag, config.segments, *start_m, *end_m, config.element_radius_m, 1.0, 1.0)
-        self._context.geometry_complete(0)
-        frequency_mhz = SPEED_OF_LIGHT_M_S / config.wavelength_m / 1e6
-        self._context.fr_card(0, 1, frequency_mhz, 0.0)
-        middle = config.segments // 2 + 1
-        for tag, voltage in enumerate(snapshot.voltages.tolist(), start=1):
+        tag = 0
+        for placed in placed_wires_m(snapshot, element).tolist():
+            for wire, (start_m, end_m) in zip(element.wires, placed, strict=True):
+                tag += 1
+                geometry.wire(tag, wire.segments, *start_m, *end_m, wire.radius_m, 1.0, 1.0)
+        self._context.geometry_complete(1 if self._grounded else 0)
+        if config.ground == "perfect":
+            self._context.gn_card(1, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        elif config.ground == "real":
+            self._context.gn_card(
+                2, 0, config.ground_permittivity, config.ground_conductivity_s_m, 0.0, 0.0, 0.0, 0.0
+            )
+        self._context.fr_card(0, 1, SPEED_OF_LIGHT_M_S / config.wavelength_m / 1e6, 0.0)
+        fed_wire, segment = feed(element)
+        for k, voltage in enumerate(snapshot.voltages.tolist()):
             if voltage != 0.0:  # NEC2 takes a source of 0 V for one of 1 V
-                self._context.ex_card(0, tag, middle, 0, voltage.real, voltage.imag, 0.0, 0.0, 0.0, 0.0)
+                tag = k * len(element.wires) + fed_wire + 1
+                self._context.ex_card(0, tag, segment + 1, 0, voltage.real, voltage.imag, 0.0, 0.0, 0.0, 0.0)
 
-    def gain_dbi(self, theta_count: int, phi_count: int, step_deg: float) -> Array:
-        """(theta_count, phi_count) gains from theta = phi = 0 in equal steps."""
-        return self._request(theta_count, phi_count, 0.0, 0.0, step_deg)
+    def partial_gains(self, step_deg: float) -> Array:
+        """(2, T, P) linear gains in the theta and phi polarisations on the grid of `directions_deg`."""
+        theta_deg, phi_deg = directions_deg(step_deg)
+        columns = len(phi_deg)
+        rows = len(theta_deg) // 2 + 1 if self._grounded else len(theta_deg)
+        pattern = self._request(rows, columns, 0.0, 0.0, float(theta_deg[1]))
+        # get_gain_vert and get_gain_horiz are of the polarisation ellipse's axes; the fields are phi-major
+        powers = np.array([np.abs(f) ** 2 for f in (pattern.get_e_theta(), pattern.get_e_phi())])
+        powers = powers.reshape(2, columns, rows).transpose(0, 2, 1)
+        share = powers / np.maximum(powers.sum(axis=0), np.finfo(float).tiny)
+        gains = np.zeros((2, len(theta_deg), columns))
+        gains[:, :rows] = share * from_dbi(pattern.get_gain())
+        return gains
 
-    def gain_at(self, theta_deg: float, phi_deg: float) -> float:
-        """Gain in one direction."""
-        return float(self._request(1, 1, theta_deg, phi_deg, 0.0)[0, 0])
+    def gain_dbi(self, theta_deg: float, phi_deg: float) -> float:
+        """Total gain in one direction; below a ground that of the mirror image's, see `make_pattern`."""
+        if self._grounded:
+            theta_deg = min(theta_deg, 180.0 - theta_deg)
+        return float(self._request(1, 1, theta_deg, phi_deg, 0.0).get_gain()[0, 0])
 
-    def _request(
-        self, theta_count: int, phi_count: int, theta_deg: float, phi_deg: float, step_deg: float
-    ) -> Array:
-        """Power gains (theta_count, phi_count) of one RP card in normal mode."""
-        self._context.rp_card(
-            0, theta_count, phi_count, 0, 0, 0, 0, theta_deg, phi_deg, step_deg, step_deg, 0.0, 0.0
-        )
-        gain_dbi: Array = self._context.get_radiation_pattern(self._requests).get_gain()
+    def _request(self, rows: int, columns: int, theta_deg: float, phi_deg: float, step_deg: float) -> Any:  # noqa: ANN401  PyNEC has no types
+        """Let one RP card in normal mode be computed."""
+        self._context.rp_card(0, rows, columns, 0, 0, 0, 0, theta_deg, phi_deg, step_deg, step_deg, 0.0, 0.0)
         self._requests += 1
-        return gain_dbi
+        return self._context.get_radiation_pattern(self._requests - 1)

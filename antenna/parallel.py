@@ -33,9 +33,12 @@ def compute_patterns(
 ) -> list[Pattern | ElementsTouch]:
     """One result for each snapshot, the same whatever ``workers`` is.
 
-    One worker computes in this process; more are processes of their own, started and ended here. Raises
-    BackendUnavailable, WorkerError.
+    One worker computes in this process; more are processes of their own, started and ended here, or for the
+    batch backend, which does not hold the interpreter's lock, threads. Raises BackendUnavailable,
+    WorkerError.
     """
+    if config.backend == "batch":
+        return make_backend(config, threads=workers).patterns(snapshots)
     backend = make_backend(config)  # one that cannot be had is said here, not by every worker
     workers = min(workers, -(-len(snapshots) // CHUNK))
     if workers <= 1:

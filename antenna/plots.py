@@ -1,27 +1,28 @@
-"""Figures of patterns and of the maximum gain, in the manner of the article's figures 3 and 4.
+"""Figures of patterns and of the maximum gain, like the article's figures 3 and 4; cuts and envelopes.
 
 Figures are made by matplotlib's objects alone, without pyplot: no window, no global state. The caller
 saves them.
 """
 
 from collections.abc import Mapping
+from typing import cast
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
-from scipy.ndimage import label
+from matplotlib.projections.polar import PolarAxes
 
+from antenna.features import main_lobe
 from antenna.geometry import Array
-from antenna.patterns import Pattern
-from antenna.statistics import gain_density
+from antenna.patterns import HALF_POWER_DB, Pattern
+from antenna.statistics import Envelope, gain_density, gain_towards_dbi
 
 GAIN_RANGE_DBI = (-30.0, 18.0)
 """Colours of a pattern: the article's."""
 GAIN_STEP_DB = 6.0
-MAIN_LOBE_DB = 3.0
-"""The main lobe is outlined at its half power."""
+CUT_FLOOR_DBI = -20.0
+"""Middle of a polar cut; what is less lies there."""
 
 
 def patterns_figure(patterns: Mapping[str, Pattern]) -> Figure:
@@ -60,6 +61,94 @@ def gain_density_figure(series: Mapping[str, Array], ideal_dbi: float) -> Figure
     return figure
 
 
+def cuts_figure(patterns: Mapping[str, Pattern]) -> Figure:
+    """Polar cuts of total gain: the horizon by phi, and the great circle through zenith and end-fire axis."""
+    figure = Figure(figsize=(9.6, 5.4), layout="constrained")
+    azimuth, elevation = (
+        cast("PolarAxes", figure.add_subplot(1, 2, panel, projection="polar")) for panel in (1, 2)
+    )
+    angles_deg = np.arange(0.0, 360.5, 1.0)
+    highest_dbi = max(pattern.max_gain_dbi for pattern in patterns.values())
+    for i, (name, pattern) in enumerate(patterns.items()):
+        title = f"{name}: {pattern.max_gain_dbi:.2f} dBi"
+        horizon_dbi = [gain_towards_dbi([pattern], 90.0, phi)[0] for phi in angles_deg]
+        # of 90 and 270 degrees, the two halves of the circle
+        meridian_dbi = [
+            gain_towards_dbi([pattern], min(a, 360.0 - a), 90.0 if a <= 180.0 else 270.0)[0]
+            for a in angles_deg
+        ]
+        azimuth.plot(
+            np.radians(angles_deg), np.maximum(horizon_dbi, CUT_FLOOR_DBI), color=f"C{i}", label=title
+        )
+        elevation.plot(np.radians(angles_deg), np.maximum(meridian_dbi, CUT_FLOOR_DBI), color=f"C{i}")
+    elevation.set_theta_zero_location("N")
+    elevation.set_theta_direction(-1)
+    elevation.set_xticks(np.radians(np.arange(0, 360, 45)))
+    elevation.set_xticklabels(["θ 0°", "45°", "90°", "135°", "180°", "135°", "90°", "45°"])
+    azimuth.set_xlabel("horizon (θ 90°), by φ")
+    elevation.set_xlabel("through the end-fire axis: φ 90° on the right")
+    top_dbi = 5.0 * np.ceil(highest_dbi / 5.0)
+    for axes in (azimuth, elevation):
+        axes.set_ylim(CUT_FLOOR_DBI, max(top_dbi, CUT_FLOOR_DBI + 10.0))
+        axes.set_yticks(np.arange(CUT_FLOOR_DBI + 10.0, axes.get_ylim()[1] + 0.1, 10.0))
+        axes.set_rlabel_position(22.5)
+        axes.grid(alpha=0.4)
+    figure.legend(*azimuth.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize="small")
+    return figure
+
+
+def envelope_figure(envelope: Envelope, ideal: Pattern | None = None) -> Figure:
+    """Mean, middle parts and extremes of many patterns in the horizon and through the end-fire axis."""
+    figure = Figure(figsize=(9.6, 6.4), layout="constrained")
+    quantiles = sorted(envelope.quantiles_dbi)
+    bands = [
+        (envelope.min_dbi, envelope.max_dbi, 0.12, "least to greatest"),
+        *(
+            (envelope.quantiles_dbi[a], envelope.quantiles_dbi[1.0 - a], 0.2, f"middle {1.0 - 2.0 * a:.0%}")
+            for a in quantiles
+            if a < 0.5 and 1.0 - a in envelope.quantiles_dbi
+        ),
+    ]
+    panels = figure.subplots(2, 1, sharey=True)
+    top_dbi = max(GAIN_RANGE_DBI[1], float(np.ceil(envelope.max_dbi.max())))
+    for axes, cut, grid_deg in (
+        (panels[0], horizon_cut, envelope.phi_deg),
+        (panels[1], meridian_cut, envelope.theta_deg),
+    ):
+        for low_dbi, high_dbi, alpha, name in bands:
+            angles_deg, lows_dbi = cut(grid_deg, low_dbi)
+            axes.fill_between(
+                angles_deg, lows_dbi, cut(grid_deg, high_dbi)[1], color="C0", alpha=alpha, label=name
+            )
+        axes.plot(*cut(grid_deg, envelope.mean_dbi), color="C0", label=f"mean of {envelope.samples}")
+        if ideal is not None:
+            own_deg = ideal.phi_deg if cut is horizon_cut else ideal.theta_deg
+            axes.plot(
+                *cut(own_deg, ideal.gain_dbi), color="black", linewidth=1.0, linestyle="--", label="ideal"
+            )
+        axes.set(xlim=(0.0, 360.0), ylim=(GAIN_RANGE_DBI[0], top_dbi), ylabel="Gain (dBi)")
+        axes.set_xticks(np.arange(0, 361, 45))
+        axes.grid(alpha=0.3)
+    panels[0].set(xlabel="φ from broadside axis, θ 90° (°)")
+    panels[1].set(xlabel="from zenith through φ 90°, nadir (180°) and φ 270° (°)")
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize="small"
+    )
+    return figure
+
+
+def horizon_cut(phi_deg: Array, gain_dbi: Array) -> tuple[Array, Array]:
+    """Angles 0 to 360 and gains of (T, P) gains at theta 90."""
+    return np.append(phi_deg, 360.0), np.append(gain_dbi[len(gain_dbi) // 2], gain_dbi[len(gain_dbi) // 2, 0])
+
+
+def meridian_cut(theta_deg: Array, gain_dbi: Array) -> tuple[Array, Array]:
+    """Angles 0 to 360 from the zenith and gains of (T, P) gains: down at phi 90, and up again at phi 270."""
+    quarter = gain_dbi.shape[1] // 4
+    down, up = gain_dbi[:, quarter], gain_dbi[::-1, 3 * quarter]
+    return np.append(theta_deg, 180.0 + theta_deg[1:]), np.append(down, up[1:])
+
+
 def draw_pattern(axes: Axes, pattern: Pattern) -> QuadMesh:
     """Gain over phi and theta with the main lobe outlined in black; returns the image, for a colour bar."""
     phi_deg = np.append(pattern.phi_deg, 360.0)
@@ -82,25 +171,11 @@ def draw_pattern(axes: Axes, pattern: Pattern) -> QuadMesh:
     return image
 
 
-def main_lobe(pattern: Pattern) -> NDArray[np.bool_]:
-    """(T, P) grid directions that are within `MAIN_LOBE_DB` of the maximum and connected with it."""
-    high = pattern.gain_dbi >= pattern.max_gain_dbi - MAIN_LOBE_DB
-    lobes, _ = label(
-        np.tile(high, (1, 3))
-    )  # three turns, so that a lobe across phi = 0 is whole in the middle
-    turn = len(pattern.phi_deg)
-    row = int(np.argmin(np.abs(pattern.theta_deg - pattern.max_theta_deg)))
-    column = turn + int(np.argmin(np.abs(pattern.phi_deg - pattern.max_phi_deg)))
-    inside = lobes == (lobes[row, column] or -1)
-    lobe: NDArray[np.bool_] = inside.reshape(len(lobes), 3, turn).any(axis=1)
-    return lobe
-
-
 def _outline_main_lobe(axes: Axes, pattern: Pattern) -> None:
     """Draw the half-power contour of the main lobe alone: other lobes are sunk below the level first."""
-    level_dbi = pattern.max_gain_dbi - MAIN_LOBE_DB
+    level_dbi = pattern.max_gain_dbi - HALF_POWER_DB
     others = (pattern.gain_dbi >= level_dbi) & ~main_lobe(pattern)
-    gain_dbi = np.where(others, level_dbi - MAIN_LOBE_DB, np.maximum(pattern.gain_dbi, GAIN_RANGE_DBI[0]))
+    gain_dbi = np.where(others, level_dbi - HALF_POWER_DB, np.maximum(pattern.gain_dbi, GAIN_RANGE_DBI[0]))
     turns_deg = np.concatenate([pattern.phi_deg + turn_deg for turn_deg in (-360.0, 0.0, 360.0)])
     three_turns_dbi = np.tile(gain_dbi, (1, 3))
     axes.contour(turns_deg, pattern.theta_deg, three_turns_dbi, [level_dbi], colors="black", linewidths=1.5)

@@ -1,15 +1,28 @@
-"""Maximum gain over time as statistics: moments, quantiles and its probability density."""
+"""Many patterns as statistics: density of maximum gain, gain in one direction, pointing, mean, envelope.
 
+What concerns whole patterns is kept running: no more than one of them is held.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 from scipy.stats import gaussian_kde
 
 from antenna.geometry import Array
+from antenna.patterns import FLOOR_DBI, Pattern, from_dbi, to_dbi
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 LEAST_SPREAD_DB = 1e-3
 """Below this a series is constant for all purposes, and has no density."""
+LEVELS_DBI = (-60.0, 40.0)
+"""Gains that an envelope's quantiles tell apart; what is outside counts as these."""
+LEVEL_STEP_DB = 0.25
+_BINS = round((LEVELS_DBI[1] - LEVELS_DBI[0]) / LEVEL_STEP_DB)
+_AROUND = 8
+"""Directions of the grid, along theta and along phi, between which a gain is interpolated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +53,37 @@ class GainDensity:
     """(G,) Gaussian kernels of Scott's width."""
 
 
+@dataclass(frozen=True, slots=True)
+class PointingStatistics:
+    """Angles between the directions of K maxima and the wanted one."""
+
+    samples: int
+    mean_deg: float
+    rms_deg: float
+    max_deg: float
+    quantiles_deg: dict[float, float]
+    """By `QUANTILES`."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Envelope:
+    """What K patterns have in common, for every direction of their grid, total gain."""
+
+    samples: int
+    theta_deg: Array
+    """(T,)"""
+    phi_deg: Array
+    """(P,)"""
+    mean_dbi: Array
+    """(T, P) the mean of the linear gains: the mean power density, as decibels."""
+    min_dbi: Array
+    """(T, P)"""
+    max_dbi: Array
+    """(T, P)"""
+    quantiles_dbi: dict[float, Array]
+    """(T, P) by `QUANTILES`, good to `LEVEL_STEP_DB`."""
+
+
 def gain_statistics(max_gain_dbi: Array) -> GainStatistics:
     """Summarise (K,) gains; raises ValueError when there are none."""
     if len(max_gain_dbi) == 0:
@@ -66,3 +110,134 @@ def gain_density(max_gain_dbi: Array, *, points: int = 201) -> GainDensity:
     reach_db = 4.0 * float(np.sqrt(kernel.covariance[0, 0]))
     at_dbi = np.linspace(low_dbi - reach_db, high_dbi + reach_db, points)
     return GainDensity(edges_dbi, histogram_per_db, at_dbi, kernel(at_dbi))
+
+
+class RunningEnvelope:
+    """Takes patterns of one grid one after the other; `Envelope` of all of them at any time.
+
+    Quantiles come from a histogram in each direction, 1.6 kB of memory each.
+    """
+
+    def __init__(self) -> None:
+        self._samples = 0
+        self._angles_deg = np.empty(0), np.empty(0)
+        self._sum = self._min = self._max = np.empty((0, 0))
+        self._counts = np.empty((0, 0, 0), np.uint32)
+
+    def add(self, pattern: Pattern) -> None:
+        """Count one pattern; raises ValueError if its grid is not that of the first."""
+        if self._samples == 0:
+            shape = pattern.theta_gain_dbi.shape
+            self._angles_deg = pattern.theta_deg, pattern.phi_deg
+            self._sum, self._min, self._max = np.zeros(shape), np.full(shape, np.inf), np.zeros(shape)
+            self._counts = np.zeros((*shape, _BINS), np.uint32)
+        elif pattern.theta_gain_dbi.shape != self._sum.shape:
+            raise ValueError(
+                f"a pattern of {pattern.theta_gain_dbi.shape} directions among {self._sum.shape}"
+            )
+        gain_dbi = np.asarray(pattern.gain_dbi, float)
+        gain = from_dbi(gain_dbi)
+        self._samples += 1
+        self._sum += gain
+        np.minimum(self._min, gain, out=self._min)
+        np.maximum(self._max, gain, out=self._max)
+        _count_levels(gain_dbi, LEVELS_DBI[0], LEVEL_STEP_DB, self._counts)
+
+    def result(self) -> Envelope:
+        """Of the patterns so far; raises ValueError when there are none."""
+        if self._samples == 0:
+            raise ValueError("an envelope needs at least one pattern")
+        theta_deg, phi_deg = self._angles_deg
+        min_dbi, max_dbi = to_dbi(self._min), to_dbi(self._max)
+        return Envelope(
+            samples=self._samples, theta_deg=theta_deg, phi_deg=phi_deg,
+            mean_dbi=to_dbi(self._sum / self._samples), min_dbi=min_dbi, max_dbi=max_dbi,
+            quantiles_dbi={q: np.clip(self._quantile_dbi(q), min_dbi, max_dbi) for q in QUANTILES},
+        )  # fmt: skip
+
+    def _quantile_dbi(self, quantile: float) -> Array:
+        """(T, P) levels below which this part of the gains lies, straight within the histogram's bins."""
+        below = np.cumsum(self._counts, axis=-1)
+        wanted = quantile * self._samples
+        bins = (below < wanted).sum(axis=-1)
+        inside = np.take_along_axis(self._counts, bins[..., None], axis=-1)[..., 0]
+        before = np.take_along_axis(below, bins[..., None], axis=-1)[..., 0] - inside
+        return np.asarray(LEVELS_DBI[0] + LEVEL_STEP_DB * (bins + (wanted - before) / inside), float)
+
+
+@njit(cache=True, error_model="numpy")
+def _count_levels(gain_dbi: Array, low_dbi: float, step_db: float, counts: NDArray[np.uint32]) -> None:
+    levels = counts.shape[2]
+    for t in range(gain_dbi.shape[0]):
+        for p in range(gain_dbi.shape[1]):
+            level = np.floor((gain_dbi[t, p] - low_dbi) / step_db)
+            counts[t, p, int(min(max(level, 0.0), levels - 1.0))] += 1
+
+
+def gain_towards_dbi(patterns: Sequence[Pattern], theta_deg: float, phi_deg: float) -> Array:
+    """(K,) total gains in one direction of patterns of one grid.
+
+    On the grid, as +y always is, they are the grid's; between its directions they are polynomials of the
+    linear gain through the eight nearest along theta and along phi, over the poles as well. Patterns with
+    nothing below the horizon are continued there by their mirror image, as over perfect ground they are.
+    """
+    if not patterns:
+        return np.empty(0)
+    grounded = _ends_at_horizon(patterns[0])
+    if grounded and theta_deg > 90.0:
+        return np.full(len(patterns), FLOOR_DBI)
+    step_deg = float(patterns[0].theta_deg[1])
+    intervals, turn = len(patterns[0].theta_deg) - 1, len(patterns[0].phi_deg)
+    rows, row_weights = _lagrange(theta_deg / step_deg)
+    columns, column_weights = _lagrange(phi_deg / step_deg)
+    over = (rows < 0) | (rows > intervals)
+    rows = np.where(over, np.where(rows < 0, -rows, 2 * intervals - rows), rows)
+    column_of = (columns[None, :] + np.where(over, turn // 2, 0)[:, None]) % turn
+    rows = np.minimum(rows, intervals - rows) if grounded else rows
+    weights = row_weights[:, None] * column_weights
+    near = [p.theta_gain_dbi[rows[:, None], column_of] for p in patterns]
+    near_phi = [p.phi_gain_dbi[rows[:, None], column_of] for p in patterns]
+    gains = from_dbi(np.array(near, float)) + from_dbi(np.array(near_phi, float))
+    return np.asarray(to_dbi(np.maximum((gains * weights).sum(axis=(1, 2)), 0.0)), float)
+
+
+def _ends_at_horizon(pattern: Pattern) -> bool:
+    below = len(pattern.theta_deg) // 2 + 1
+    grids = (pattern.theta_gain_dbi, pattern.phi_gain_dbi)
+    return all(bool((grid[below:] <= FLOOR_DBI).all()) for grid in grids)
+
+
+def _lagrange(at: float) -> tuple[NDArray[np.int64], Array]:
+    """The integers around a place, and the weights of values there in the polynomial through them."""
+    nodes = int(np.floor(at)) - _AROUND // 2 + 1 + np.arange(_AROUND)
+    weights = np.ones(_AROUND)
+    for i in range(_AROUND):
+        for j in range(_AROUND):
+            if i != j:
+                weights[i] *= (at - nodes[j]) / (nodes[i] - nodes[j])
+    return nodes, weights
+
+
+def pointing_errors_deg(patterns: Sequence[Pattern], theta_deg: float, phi_deg: float) -> Array:
+    """(K,) angles, 0 to 180, between the direction of each maximum and the wanted one."""
+    at = np.radians([(pattern.max_theta_deg, pattern.max_phi_deg) for pattern in patterns]).reshape(-1, 2)
+    theta, phi = np.radians(theta_deg), np.radians(phi_deg)
+    # half angles, since the arc cosine of their product loses small ones
+    square = (
+        np.sin((at[:, 0] - theta) / 2.0) ** 2
+        + np.sin(at[:, 0]) * np.sin(theta) * np.sin((at[:, 1] - phi) / 2.0) ** 2
+    )
+    return np.asarray(np.degrees(2.0 * np.arcsin(np.sqrt(np.minimum(square, 1.0)))))
+
+
+def pointing_statistics(errors_deg: Array) -> PointingStatistics:
+    """Summarise (K,) angles; raises ValueError when there are none."""
+    if len(errors_deg) == 0:
+        raise ValueError("statistics need at least one direction")
+    return PointingStatistics(
+        samples=len(errors_deg),
+        mean_deg=float(np.mean(errors_deg)),
+        rms_deg=float(np.sqrt(np.mean(errors_deg**2))),
+        max_deg=float(np.max(errors_deg)),
+        quantiles_deg=dict(zip(QUANTILES, np.quantile(errors_deg, QUANTILES).tolist(), strict=True)),
+    )

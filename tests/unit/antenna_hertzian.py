@@ -9,17 +9,29 @@ import numpy as np
 from scipy.special import spherical_jn
 
 from antenna.geometry import Array, Snapshot
+from antenna.patterns import directions_deg, make_pattern
 
 
 def gain_dbi(snapshot: Snapshot, wavelength_m: float, theta_deg: Array, phi_deg: Array) -> Array:
     """Directivity in the directions of two broadcastable arrays of angles."""
+    theta_gain, phi_gain = partial_gains(snapshot, wavelength_m, theta_deg, phi_deg)
+    return 10.0 * np.log10(np.maximum(theta_gain + phi_gain, 1e-30))
+
+
+def partial_gains(
+    snapshot: Snapshot, wavelength_m: float, theta_deg: Array, phi_deg: Array
+) -> tuple[Array, Array]:
+    """Directivity in the theta and phi polarisations, linear."""
     theta, phi = np.broadcast_arrays(np.radians(theta_deg), np.radians(phi_deg))
     r = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+    theta_hat = np.stack([np.cos(theta) * np.cos(phi), np.cos(theta) * np.sin(phi), -np.sin(theta)], axis=-1)
+    phi_hat = np.stack([-np.sin(phi), np.cos(phi), np.zeros_like(phi)], axis=-1)
     phases = np.exp(2j * np.pi / wavelength_m * (r @ snapshot.centres_m.T)) * snapshot.voltages
     moment = phases @ snapshot.axes
-    along = np.einsum("...i,...i->...", moment, r)
-    intensity = np.einsum("...i,...i->...", moment, moment.conj()).real - np.abs(along) ** 2
-    return 10.0 * np.log10(np.maximum(intensity, 1e-30) / mean_intensity(snapshot, wavelength_m))
+    mean = mean_intensity(snapshot, wavelength_m)
+    along = (np.einsum("...i,...i->...", moment, hat) for hat in (theta_hat, phi_hat))
+    theta_gain, phi_gain = (np.abs(part) ** 2 / mean for part in along)
+    return theta_gain, phi_gain
 
 
 def mean_intensity(snapshot: Snapshot, wavelength_m: float) -> float:
@@ -31,3 +43,16 @@ def mean_intensity(snapshot: Snapshot, wavelength_m: float) -> float:
     along = np.einsum("mi,mni->mn", u, towards) * np.einsum("ni,mni->mn", u, towards)
     coupling = (u @ u.T) * (spherical_jn(0, x) - spherical_jn(1, x) / x) + along * spherical_jn(2, x)
     return float((currents.conj() @ coupling @ currents).real)
+
+
+def exact_patterns(snapshots, wavelength_m, step_deg=5.0):
+    """Make patterns as a backend does that knows no error."""
+    theta_deg, phi_deg = directions_deg(step_deg)
+    return [
+        make_pattern(
+            *partial_gains(one, wavelength_m, theta_deg[:, np.newaxis], phi_deg),
+            lambda theta, phi, one=one: gain_dbi(one, wavelength_m, theta, phi),
+            one, wavelength_m, "exact",
+        )
+        for one in snapshots
+    ]  # fmt: skip

@@ -2,15 +2,10 @@ import numpy as np
 import pytest
 from antenna_hertzian import gain_dbi
 
-from antenna.geometry import (
-    ElementsTouch,
-    Snapshot,
-    check_apart,
-    endfire_voltages,
-    grid,
-    segment_distance_m,
-    vertical_snapshot,
-)
+from antenna.clearance import check_apart, segment_distance_m
+from antenna.elements import dipole
+from antenna.excitation import end_fire, vertical_snapshot
+from antenna.geometry import ElementsTouch, Snapshot, along, grid
 
 
 def test_article_grid_is_four_by_two_about_the_origin():
@@ -40,7 +35,7 @@ def test_empty_grid_is_refused(count, columns):
 
 
 def test_endfire_feeds_lag_by_the_travel_time_along_y():
-    voltages = endfire_voltages(grid(8, 4, 8.5, 2.5), 10.0)
+    voltages = end_fire(grid(8, 4, 8.5, 2.5), 10.0)
     np.testing.assert_allclose(np.abs(voltages), 1.0)
     np.testing.assert_allclose(np.angle(voltages[4:] / voltages[:4], deg=True), -90.0)
     np.testing.assert_allclose(voltages[:4], voltages[0])
@@ -92,16 +87,40 @@ def test_touching_elements_are_named():
     centres_m[6] = centres_m[3] + [0.0001, 0.0, 0.03]
     snapshot = vertical_snapshot(centres_m, 10.0)
     with pytest.raises(ElementsTouch, match="elements 3 and 6 touch") as caught:
-        check_apart(snapshot, 0.05, 0.0004)
+        check_apart(snapshot, dipole(0.05, 0.0002, 9), grounded=False)
     assert (caught.value.first, caught.value.second) == (3, 6)
     assert caught.value.distance_m == pytest.approx(0.0001)
-    check_apart(snapshot, 0.02, 0.0004)  # shorter ones pass each other in height
+    check_apart(snapshot, dipole(0.02, 0.0002, 9), grounded=False)  # shorter ones pass each other in height
+
+
+def test_who_reaches_the_ground_is_named():
+    places_m = grid(8, 4, 8.5, 2.5) + np.array([0.0, 0.0, 1.0])
+    places_m[2, 2] = 0.02
+    snapshot = vertical_snapshot(places_m, 10.0)
+    with pytest.raises(
+        ElementsTouch, match=r"element 2 touches the ground: its lowest point is at -0\.005 m"
+    ):
+        check_apart(snapshot, dipole(0.05, 0.0002, 9), grounded=True)
+    check_apart(snapshot, dipole(0.05, 0.0002, 9), grounded=False)
+    check_apart(snapshot, dipole(0.03, 0.0002, 9), grounded=True)
+
+
+def test_rotations_along_axes_are_the_shortest_turns():
+    rng = np.random.default_rng(6)
+    axes = rng.normal(size=(50, 3))
+    axes[:2] = [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    rotations = along(axes)
+    np.testing.assert_allclose(rotations[:, :, 2], axes, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(rotations), 1.0)
+    # of a turn by alpha the trace is 1 + 2 cos alpha, and alpha is the angle between z and the axis
+    np.testing.assert_allclose(np.trace(rotations, axis1=1, axis2=2), 1.0 + 2.0 * axes[:, 2], atol=1e-12)
 
 
 def _good():
     return {
         "centres_m": np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]),
-        "axes": np.tile([0.0, 0.0, 1.0], (2, 1)),
+        "rotations": np.tile(np.eye(3), (2, 1, 1)),
         "voltages": np.ones(2, complex),
     }
 
@@ -112,8 +131,9 @@ def _good():
         ("centres_m", np.zeros((0, 3))),
         ("centres_m", np.zeros((3, 3))),
         ("centres_m", np.full((2, 3), np.nan)),
-        ("axes", np.ones((2, 3))),
-        ("axes", np.full((2, 3), np.nan)),
+        ("rotations", np.ones((2, 3, 3))),
+        ("rotations", np.tile(np.diag([1.0, 1.0, -1.0]), (2, 1, 1))),
+        ("rotations", np.full((2, 3, 3), np.nan)),
         ("voltages", np.zeros(2, complex)),
         ("voltages", np.array([1.0, np.inf])),
     ],

@@ -5,17 +5,19 @@ import sys
 import numpy as np
 import psutil
 import pytest
+from antenna_arrays import ideal, perturbed
 from antenna_hertzian import gain_dbi
 
 from antenna import parallel
 from antenna.backend import BackendUnavailable, make_backend
 from antenna.config import AntennaConfig
-from antenna.geometry import ElementsTouch, Snapshot, grid, vertical_snapshot
+from antenna.excitation import vertical_snapshot
+from antenna.geometry import ElementsTouch, Snapshot, along, grid
 from antenna.parallel import CHUNK, compute_patterns
 from antenna.patterns import Pattern, directions_deg
 
 LAMBDA_M = 10.0
-CONFIG = AntennaConfig(wavelength_m=LAMBDA_M)
+CONFIG = AntennaConfig(wavelength_m=LAMBDA_M, backend="nec2")
 
 
 @pytest.fixture
@@ -25,21 +27,10 @@ def nec2():
     return importlib.import_module("antenna.nec2")
 
 
-def _ideal(wavelength_m=LAMBDA_M):
-    return vertical_snapshot(grid(8, 4, 0.85 * wavelength_m, 0.25 * wavelength_m), wavelength_m)
-
-
-def _perturbed(rng, sigma_m, tilt=0.0):
-    ideal = _ideal()
-    axes = ideal.axes + rng.normal(0.0, tilt, (8, 3))
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    return Snapshot(ideal.centres_m + rng.normal(0.0, sigma_m, (8, 3)), axes, ideal.voltages)
-
-
 @pytest.mark.nec2
 @pytest.mark.parametrize("wavelength_m", [5.0, 7.5, 10.0, 15.0, 20.0])
 def test_ideal_formation_has_13_26_dbi_along_endfire(nec2, wavelength_m):
-    pattern = nec2.Nec2(AntennaConfig(wavelength_m=wavelength_m)).pattern(_ideal(wavelength_m))
+    pattern = nec2.Nec2(AntennaConfig(wavelength_m=wavelength_m, backend="nec2")).pattern(ideal(wavelength_m))
     assert 13.262 <= pattern.max_gain_dbi <= 13.264
     assert (pattern.max_theta_deg, pattern.max_phi_deg) == pytest.approx((90.0, 90.0), abs=0.1)
     # NEC2's average power gain is its own measure of its error; without it the exact directivity is left.
@@ -52,7 +43,7 @@ def test_pattern_is_that_of_hertzian_dipoles(nec2):
     """Positions, tilts, feeds and both angles: everything that a mapping into NEC2 could get wrong."""
     rng = np.random.default_rng(11)
     for _ in range(3):
-        snapshot = _perturbed(rng, 0.5, tilt=0.3)
+        snapshot = perturbed(rng, LAMBDA_M, 0.5, tilt_rad=0.3)
         pattern = nec2.Nec2(CONFIG).pattern(snapshot)
         exact_dbi = gain_dbi(snapshot, LAMBDA_M, pattern.theta_deg[:, np.newaxis], pattern.phi_deg)
         directivity_dbi = pattern.gain_dbi - 10.0 * np.log10(pattern.average_gain)
@@ -66,12 +57,12 @@ def test_maximum_is_within_a_hundredth_of_that_of_a_half_degree_grid(nec2):
     rng = np.random.default_rng(12)
     theta_deg, phi_deg = directions_deg(0.5)
     for _ in range(4):
-        snapshot = _perturbed(rng, 1.0, tilt=0.15)
+        snapshot = perturbed(rng, LAMBDA_M, 1.0, tilt_rad=0.15)
         exact_dbi = gain_dbi(snapshot, LAMBDA_M, theta_deg[:, np.newaxis], phi_deg)
         row, column = np.unravel_index(exact_dbi.argmax(), exact_dbi.shape)
-        far_field = nec2._FarField(snapshot, CONFIG)
+        far_field = nec2.FarField(snapshot, CONFIG)
         fine_dbi = max(
-            far_field.gain_at(theta_deg[row] + 0.5 * a, phi_deg[column] + 0.5 * b)
+            far_field.gain_dbi(theta_deg[row] + 0.5 * a, phi_deg[column] + 0.5 * b)
             for a in range(-20, 21)
             for b in range(-20, 21)
         )
@@ -83,7 +74,7 @@ def test_gain_falls_with_position_errors_as_it_should(nec2):
     """0.5 m at 10 m: 12.62 +- 0.28 dB over 1000 samples (2 degree grid), here within four standard errors."""
     rng = np.random.default_rng(13)
     samples = 64
-    results = nec2.Nec2(CONFIG).patterns([_perturbed(rng, 0.5) for _ in range(samples)])
+    results = nec2.Nec2(CONFIG).patterns([perturbed(rng, LAMBDA_M, tilt_rad=0.0) for _ in range(samples)])
     gains = np.array([result.max_gain_dbi for result in results])
     assert gains.mean() == pytest.approx(12.62, abs=4 * 0.28 / np.sqrt(samples))
     assert gains.std(ddof=1) == pytest.approx(0.28, abs=4 * 0.28 / np.sqrt(2 * samples))
@@ -92,7 +83,7 @@ def test_gain_falls_with_position_errors_as_it_should(nec2):
 @pytest.mark.nec2
 def test_undriven_element_is_no_source(nec2):
     places_m = grid(2, 2, 5.0, 0.0)
-    snapshot = Snapshot(places_m, np.tile([0.0, 0.0, 1.0], (2, 1)), np.array([1.0, 0.0], complex))
+    snapshot = Snapshot(places_m, np.tile(np.eye(3), (2, 1, 1)), np.array([1.0, 0.0], complex))
     pattern = nec2.Nec2(CONFIG).pattern(snapshot)
     assert pattern.max_gain_dbi - 10.0 * np.log10(pattern.average_gain) == pytest.approx(1.761, abs=0.005)
 
@@ -100,12 +91,12 @@ def test_undriven_element_is_no_source(nec2):
 @pytest.mark.nec2
 def test_touching_elements_are_a_result_and_not_a_crash(nec2):
     rng = np.random.default_rng(14)
-    crossed = _ideal()
+    crossed = ideal(LAMBDA_M)
     crossed.centres_m[5] = crossed.centres_m[2] + [0.0, 0.0001, 0.0]
-    crossed.axes[5] = [1.0, 0.0, 0.0]
-    coincident = _ideal()
+    crossed.rotations[5] = along(np.array([[1.0, 0.0, 0.0]]))[0]
+    coincident = ideal(LAMBDA_M)
     coincident.centres_m[1] = coincident.centres_m[0]
-    snapshots = [_perturbed(rng, 0.1), crossed, coincident, _ideal()]
+    snapshots = [perturbed(rng, LAMBDA_M, 0.1), crossed, coincident, ideal(LAMBDA_M)]
     first, second, third, fourth = nec2.Nec2(CONFIG).patterns(snapshots)
     assert isinstance(first, Pattern)
     assert isinstance(fourth, Pattern)
@@ -119,7 +110,11 @@ def test_touching_elements_are_a_result_and_not_a_crash(nec2):
 def test_long_dipoles_have_the_gain_that_the_literature_has_for_one(nec2):
     """A thin half-wave dipole has 2.15 dBi."""
     config = AntennaConfig(
-        wavelength_m=LAMBDA_M, element_length_m=0.5 * LAMBDA_M, element_radius_m=0.001, segments=21
+        wavelength_m=LAMBDA_M,
+        element_length_m=0.5 * LAMBDA_M,
+        element_radius_m=0.001,
+        segments=21,
+        backend="nec2",
     )
     pattern = nec2.Nec2(config).pattern(vertical_snapshot(np.zeros((1, 3)), LAMBDA_M))
     assert pattern.max_gain_dbi == pytest.approx(2.15, abs=0.03)
@@ -129,8 +124,8 @@ def test_long_dipoles_have_the_gain_that_the_literature_has_for_one(nec2):
 @pytest.mark.usefixtures("nec2")
 def test_workers_give_the_same_results_in_the_same_order():
     rng = np.random.default_rng(15)
-    config = AntennaConfig(wavelength_m=LAMBDA_M, grid_deg=15.0)
-    snapshots = [_perturbed(rng, 0.5) for _ in range(2 * CHUNK + 3)]
+    config = AntennaConfig(wavelength_m=LAMBDA_M, grid_deg=15.0, backend="nec2")
+    snapshots = [perturbed(rng, LAMBDA_M, tilt_rad=0.0) for _ in range(2 * CHUNK + 3)]
     snapshots[3].centres_m[1] = snapshots[3].centres_m[0]
     alone = compute_patterns(config, snapshots, workers=1)
     shared = compute_patterns(config, snapshots, workers=2)
@@ -171,11 +166,12 @@ def test_a_script_without_a_guard_is_run_once(tmp_path):
     script.write_text(
         "import numpy as np\n"
         "from antenna.config import AntennaConfig\n"
-        "from antenna.geometry import grid, vertical_snapshot\n"
+        "from antenna.excitation import vertical_snapshot\n"
+        "from antenna.geometry import grid\n"
         "from antenna.parallel import CHUNK, compute_patterns\n"
         "print('run')\n"
         "snapshots = [vertical_snapshot(grid(2, 2, 8.5, 2.5), 10.0)] * (2 * CHUNK)\n"
-        "print(len(compute_patterns(AntennaConfig(grid_deg=15.0), snapshots, workers=2)))\n"
+        "print(len(compute_patterns(AntennaConfig(grid_deg=15.0, backend='nec2'), snapshots, workers=2)))\n"
     )
     done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True)
     assert done.stdout == "run\n16\n"

@@ -1,57 +1,40 @@
 import numpy as np
 import pytest
-from antenna_hertzian import gain_dbi
+from antenna_arrays import ideal, perturbed
+from antenna_hertzian import exact_patterns
 from matplotlib.contour import QuadContourSet
 
-from antenna.geometry import Snapshot, grid, vertical_snapshot
-from antenna.patterns import directions_deg, make_pattern
-from antenna.plots import gain_density_figure, main_lobe, patterns_figure
+from antenna.geometry import Snapshot
+from antenna.plots import (
+    CUT_FLOOR_DBI,
+    cuts_figure,
+    envelope_figure,
+    gain_density_figure,
+    horizon_cut,
+    meridian_cut,
+    patterns_figure,
+)
+from antenna.statistics import QUANTILES, RunningEnvelope
+
+LAMBDA_M = 10.0
 
 
-def _pattern(turn_deg=0.0, step_deg=2.0):
+def _pattern(turn_deg=0.0, step_deg=3.0):
     """Make the pattern of the article's array, turned about the vertical towards larger phi."""
-    ideal = vertical_snapshot(grid(8, 4, 8.5, 2.5), 10.0)
+    array = ideal(LAMBDA_M)
     c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
-    turned = Snapshot(
-        ideal.centres_m @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]), ideal.axes, ideal.voltages
-    )
-    theta_deg, phi_deg = directions_deg(step_deg)
-    gains = gain_dbi(turned, 10.0, theta_deg[:, np.newaxis], phi_deg)
-    return make_pattern(gains, lambda t, p: float(gain_dbi(turned, 10.0, t, p)), turned, 10.0)
-
-
-@pytest.mark.parametrize("turn_deg", [0.0, -90.0, 100.0])
-def test_main_lobe_has_the_half_power_widths(turn_deg):
-    """About 15 degrees in azimuth and 87 in elevation, wherever it points, across phi = 0 as well."""
-    pattern = _pattern(turn_deg)
-    lobe = main_lobe(pattern)
-    assert pattern.max_phi_deg == pytest.approx((90.0 + turn_deg) % 360.0, abs=0.01)
-    equator, meridian = len(lobe) // 2, round(((90.0 + turn_deg) % 360.0) / 2.0)
-    assert 2.0 * lobe[equator].sum() == pytest.approx(15.0, abs=2.0)
-    assert 2.0 * lobe[:, meridian].sum() == pytest.approx(87.0, abs=3.0)
-    assert lobe.any(axis=0).sum() * 2.0 < 20.0  # side lobes are 8 dB lower
-
-
-def test_other_lobes_as_high_are_not_the_main_lobe():
-    """Two dipoles a wavelength apart, in phase: four lobes of one height, in two pairs of mirror images."""
-    snapshot = vertical_snapshot(np.array([[-5.0, 0.0, 0.0], [5.0, 0.0, 0.0]]), 10.0)
-    theta_deg, phi_deg = directions_deg(3.0)
-    gains = gain_dbi(snapshot, 10.0, theta_deg[:, np.newaxis], phi_deg)
-    pattern = make_pattern(gains, lambda t, p: float(gain_dbi(snapshot, 10.0, t, p)), snapshot, 10.0)
-    high = gains >= pattern.max_gain_dbi - 3.0
-    lobe = main_lobe(pattern)
-    assert lobe.any()
-    assert not (lobe & ~high).any()
-    assert 2 * lobe.sum() < high.sum()
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    turned = Snapshot(array.centres_m @ turn.T, turn @ array.rotations, array.voltages)
+    return exact_patterns([turned], LAMBDA_M, step_deg)[0]
 
 
 def test_patterns_share_one_scale_and_each_has_its_lobe_outlined():
     figure = patterns_figure({"Ideal": _pattern(), "Flown": _pattern(20.0)})
-    ideal, flown, colour_bar = figure.axes
-    assert ideal.get_title() == "Ideal: 13.28 dBi at θ 90°, φ 90°"
+    first, flown, colour_bar = figure.axes
+    assert first.get_title() == "Ideal: 13.28 dBi at θ 90°, φ 90°"
     assert flown.get_title() == "Flown: 13.28 dBi at θ 90°, φ 110°"
     assert colour_bar.get_ylabel() == "Gain (dBi)"
-    for axes in (ideal, flown):
+    for axes in (first, flown):
         assert axes.collections[0].get_clim() == (-30.0, 18.0)
         assert sum(isinstance(artist, QuadContourSet) for artist in axes.collections) == 1
     (outline,) = (artist for artist in flown.collections if isinstance(artist, QuadContourSet))
@@ -67,3 +50,45 @@ def test_gain_density_shows_every_series_even_a_constant_one():
     labels = [text.get_text() for text in axes.get_legend().get_texts()]
     assert labels[0].startswith("2 N: 1")
     assert labels[1:] == ["calm: 13.20 ± 0.00 dBi", "ideal: 13.26 dBi"]
+
+
+def test_cuts_are_rows_and_columns_of_the_grid_all_the_way_round():
+    """The values are theta + phi / 1000, so that each says where it comes from."""
+    theta_deg, phi_deg = np.linspace(0.0, 180.0, 7), np.arange(0.0, 360.0, 30.0)
+    values = theta_deg[:, np.newaxis] + phi_deg / 1000.0
+    angles_deg, horizon = horizon_cut(phi_deg, values)
+    np.testing.assert_allclose(horizon, 90.0 + (angles_deg % 360.0) / 1000.0)
+    angles_deg, meridian = meridian_cut(theta_deg, values)
+    assert (angles_deg[0], angles_deg[-1]) == (0.0, 360.0)
+    down = angles_deg <= 180.0
+    np.testing.assert_allclose(meridian[down], angles_deg[down] + 0.09)
+    np.testing.assert_allclose(meridian[~down], 360.0 - angles_deg[~down] + 0.27)
+
+
+def test_polar_cuts_reach_the_maximum_and_stop_at_the_floor():
+    pattern = _pattern()
+    azimuth, elevation = cuts_figure({"Ideal": pattern}).axes
+    for axes, peak_rad in ((azimuth, np.pi / 2.0), (elevation, np.pi / 2.0)):
+        (line,) = axes.get_lines()
+        angles_rad, gain_dbi = line.get_data()
+        assert gain_dbi.max() == pytest.approx(pattern.max_gain_dbi, abs=1e-6)
+        assert angles_rad[np.argmax(gain_dbi)] == pytest.approx(peak_rad)
+        assert gain_dbi.min() == CUT_FLOOR_DBI == axes.get_ylim()[0]
+        assert axes.get_ylim()[1] == 15.0
+
+
+def test_envelope_contains_its_patterns():
+    rng = np.random.default_rng(3)
+    patterns = exact_patterns([perturbed(rng, LAMBDA_M) for _ in range(12)], LAMBDA_M)
+    running = RunningEnvelope()
+    for pattern in patterns:
+        running.add(pattern)
+    figure = envelope_figure(running.result(), _pattern())
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert QUANTILES[0] == 0.05
+    assert labels == ["least to greatest", "middle 90%", "middle 50%", "mean of 12", "ideal"]
+    for axes in figure.axes:
+        mean, _ = axes.get_lines()
+        band = axes.collections[0].get_paths()[0].vertices
+        assert band[:, 1].max() >= mean.get_ydata().max()
+        assert axes.get_ylim() == (-30.0, 18.0)

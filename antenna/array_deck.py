@@ -1,0 +1,35 @@
+"""An array at one instant as a NEC deck: its wires, feeds, ground and wavelength by its settings."""
+
+from collections.abc import Sequence
+
+from antenna.config import AntennaConfig
+from antenna.deck import Ground, write_deck
+from antenna.geometry import Snapshot
+from antenna.patterns import Pattern
+
+
+def ground_of(config: AntennaConfig) -> Ground | None:
+    """Ground as decks have it; None is free space."""
+    match config.ground:
+        case "none":
+            return None
+        case "perfect":
+            return Ground()
+        case "real":
+            return Ground(
+                permittivity=config.ground_permittivity, conductivity_s_m=config.ground_conductivity_s_m
+            )
+
+
+def deck_of(
+    snapshot: Snapshot, config: AntennaConfig, pattern: Pattern, *, comments: Sequence[str] = ()
+) -> str:
+    """NEC deck of a snapshot; its comments say which frame it is in and what maximum it has."""
+    maximum = (
+        f"{pattern.backend}: {pattern.max_gain_dbi:.2f} dBi at theta {pattern.max_theta_deg:.1f},"
+        f" phi {pattern.max_phi_deg:.1f}"
+    )
+    return write_deck(
+        snapshot, config.element(), config.wavelength_m, ground=ground_of(config),
+        step_deg=config.grid_deg, comments=[*comments, "coflight: x broadside, y end-fire, z up", maximum],
+    )  # fmt: skip

@@ -1,0 +1,270 @@
+"""Currents of many arrays: how the elements of each drive one another, and what they take from their sources.
+
+A vector current moment p at r' makes at r, R away in the direction of the unit vector u, the field
+E = -(j eta k / 4 pi) (e^{-jkR} / R) [p (1 - j/kR - 1/(kR)^2) - (p.u)u (1 - 3j/kR - 3/(kR)^2)].
+Its reaction with another moment is the same with the two exchanged, so every pair is computed once. Over
+perfect ground each moment has an image below it, with the horizontal components turned round.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from antenna.batch.moments import ETA_OHM
+from antenna.batch.response import NODES, respond
+from antenna.clearance import clearance_m, measure, wire_ends_m
+from antenna.elements import Element
+from antenna.geometry import Array, Complex
+
+COUPLING_ACCURACY = 1e-4
+"""Relative error aimed at for the coupling of two elements."""
+SETTLED = 1e-10
+"""Part of the currents by which the last repetition may still have changed them."""
+REPETITIONS = 12
+LEVELS = np.array(NODES)
+
+
+@njit(cache=True, nogil=True)
+def level_for(distance_m: float, half_m: float) -> int:
+    """Index into `NODES` for two wires of this half-length that come as near as this.
+
+    On a wire whose nearest source is d half-lengths away, a field's Legendre coefficients fall like those of
+    a function analytic within the ellipse of parameter d + sqrt(d^2 + 1); both wires are integrated over.
+    """
+    d = distance_m / half_m
+    wanted = -math.log(COUPLING_ACCURACY) / math.log(d + math.sqrt(d * d + 1.0))
+    for level in range(len(LEVELS) - 1):
+        if LEVELS[level] >= wanted:
+            return level
+    return len(LEVELS) - 1
+
+
+class Kind(NamedTuple):
+    """An element's response in plain arrays, as compiled code takes it; all levels of `NODES` in turn."""
+
+    firsts: NDArray[np.int64]
+    """(L + 1,) where the nodes of a level begin."""
+    places_m: Array
+    """(M, 3)"""
+    axes: Array
+    """(M, 3)"""
+    moments_am: Complex
+    """(M, K)"""
+    scattering: Complex
+    """(K, K)"""
+    feed_a: Complex
+    """(K,)"""
+    wires_m: Array
+    """(W, 2, 3) ends of the wires."""
+    half_m: float
+    """Half of the longest wire's length."""
+    clearance_m: float
+    """Least distance of two elements."""
+    k_rad_m: float
+    image: bool
+    """Whether all this stands over perfect ground, at height 0."""
+
+
+def make_kind(element: Element, wavelength_m: float, *, image: bool) -> Kind:
+    """Compute the response of an element at a wavelength."""
+    response = respond(element, wavelength_m)
+    sizes = [len(nodes.places_m) for nodes in response.nodes]
+    return Kind(
+        firsts=np.concatenate([[0], np.cumsum(sizes)]),
+        places_m=np.concatenate([nodes.places_m for nodes in response.nodes]),
+        axes=np.concatenate([nodes.axes for nodes in response.nodes]),
+        moments_am=np.concatenate([nodes.moments_am for nodes in response.nodes]),
+        scattering=response.scattering,
+        feed_a=response.feed_a,
+        wires_m=wire_ends_m(element),
+        half_m=0.5 * max(wire.length_m for wire in element.wires),
+        clearance_m=clearance_m(element),
+        k_rad_m=2.0 * np.pi / wavelength_m,
+        image=image,
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def reactions(
+    first_m: Array,
+    first_axes: Array,
+    second_m: Array,
+    second_axes: Array,
+    moments_am: Complex,
+    k_rad_m: float,
+    fields: Complex,
+    found: Complex,
+) -> None:
+    """Write into ``found`` (K, K) the reactions of the first element's moments with the second's fields.
+
+    ``fields`` (M, K) is room to work in.
+    """  # fmt: skip
+    scale = ETA_OHM * k_rad_m / (4.0 * np.pi)
+    currents = moments_am.shape[1]
+    for p in range(len(first_m)):
+        for c in range(currents):
+            fields[p, c] = 0.0
+        for q in range(len(second_m)):
+            x, y, z = (
+                first_m[p, 0] - second_m[q, 0],
+                first_m[p, 1] - second_m[q, 1],
+                first_m[p, 2] - second_m[q, 2],
+            )
+            r = 1.0 / math.sqrt(x * x + y * y + z * z)
+            u0, u1, u2 = first_axes[p, 0], first_axes[p, 1], first_axes[p, 2]
+            v0, v1, v2 = second_axes[q, 0], second_axes[q, 1], second_axes[q, 2]
+            level = u0 * v0 + u1 * v1 + u2 * v2
+            along = (u0 * x + u1 * y + u2 * z) * (v0 * x + v1 * y + v2 * z) * r * r
+            kr = k_rad_m / r
+            i = 1.0 / kr
+            i2 = i * i
+            real = level * (1.0 - i2) - along * (1.0 - 3.0 * i2)
+            imag = (3.0 * along - level) * i
+            sine, cosine = math.sin(kr), math.cos(kr)
+            # -j (real + j imag) (cosine - j sine)
+            a, b = real * cosine + imag * sine, imag * cosine - real * sine
+            green = complex(b, -a) * (scale * r)
+            for c in range(currents):
+                fields[p, c] += green * moments_am[q, c]
+    for b in range(currents):
+        for c in range(currents):
+            total = 0.0j
+            for p in range(len(first_m)):
+                total += moments_am[p, b] * fields[p, c]
+            found[b, c] = total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def turn(rotation: Array, offset_m: Array, vectors: Array, turned: Array) -> None:
+    """Write vectors (M, 3), turned and then moved, into ``turned``."""
+    for m in range(len(vectors)):
+        for x in range(3):
+            turned[m, x] = (
+                rotation[x, 0] * vectors[m, 0]
+                + rotation[x, 1] * vectors[m, 1]
+                + rotation[x, 2] * vectors[m, 2]
+            ) + offset_m[x]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def solve_arrays(
+    kind: Kind,
+    centres_m: Array,
+    rotations: Array,
+    voltages: Complex,
+    currents: Complex,
+    power_w: Array,
+    nearest: NDArray[np.int64],
+    nearest_m: Array,
+) -> None:
+    """Solve S arrays of n elements: centres (S, n, 3), rotations (S, n, 3, 3), voltages (S, n).
+
+    Writes the currents (S, n, K), the power taken from the sources (S,), and which two elements of each array
+    are nearest to each other, (S, 2) and (S,), as `antenna.clearance.measure` does. Where that is no more
+    than the clearance nothing is solved.
+    """
+    arrays, n = voltages.shape
+    kept, levels = len(kind.feed_a), len(kind.firsts) - 1
+    most = kind.firsts[-1] - kind.firsts[-2]
+    none = np.zeros(3)
+    ends_m = np.empty((n, len(kind.wires_m), 2, 3))
+    ends_image_m = np.empty((n, len(kind.wires_m), 2, 3))
+    nodes_m, nodes_axes = np.empty((n, kind.firsts[-1], 3)), np.empty((n, kind.firsts[-1], 3))
+    ready = np.zeros((n, levels), np.bool_)
+    apart_m, image_apart_m = np.full((n, n), np.inf), np.full((n, n), np.inf)
+    image_m, image_axes = np.empty((most, 3)), np.empty((most, 3))
+    fields = np.empty((most, kept), np.complex128)
+    found = np.empty((kept, kept), np.complex128)
+    reaction = np.zeros((n, n, kept, kept), np.complex128)
+    system = np.empty((n * kept, n * kept), np.complex128)
+    for s in range(arrays):
+        for i in range(n):
+            for w in range(len(kind.wires_m)):
+                turn(rotations[s, i], centres_m[s, i], kind.wires_m[w], ends_m[i, w])
+        measure(ends_m, kind.image, ends_image_m, apart_m, image_apart_m, nearest[s], nearest_m[s : s + 1])
+        if nearest_m[s] <= kind.clearance_m:
+            continue
+        ready[:] = False
+        for i in range(n):
+            for j in range(i, n):
+                reaction[i, j] = 0.0
+                for mirrored in range(2 if kind.image else 1):
+                    if i == j and not mirrored:
+                        continue
+                    level = level_for(image_apart_m[i, j] if mirrored else apart_m[i, j], kind.half_m)
+                    a, b = kind.firsts[level], kind.firsts[level + 1]
+                    for e in (i, j):
+                        if not ready[e, level]:
+                            turn(rotations[s, e], centres_m[s, e], kind.places_m[a:b], nodes_m[e, a:b])
+                            turn(rotations[s, e], none, kind.axes[a:b], nodes_axes[e, a:b])
+                            ready[e, level] = True
+                    other_m, other_axes = nodes_m[j, a:b], nodes_axes[j, a:b]
+                    if mirrored:
+                        image_m[: b - a], image_axes[: b - a] = other_m, -other_axes
+                        image_m[: b - a, 2] *= -1.0
+                        image_axes[: b - a, 2] *= -1.0
+                        other_m, other_axes = image_m[: b - a], image_axes[: b - a]
+                    reactions(
+                        nodes_m[i, a:b], nodes_axes[i, a:b], other_m, other_axes,
+                        kind.moments_am[a:b], kind.k_rad_m, fields, found,
+                    )  # fmt: skip
+                    reaction[i, j] += found
+        # each answers with S times the reactions of all others' currents: (1 - S Z) a = V
+        for i in range(n):
+            for j in range(n):
+                for b in range(kept):
+                    for c in range(kept):
+                        total = 0.0j
+                        for d in range(kept):
+                            z = reaction[i, j, d, c] if j >= i else reaction[j, i, c, d]
+                            total += kind.scattering[b, d] * z
+                        system[i * kept + b, j * kept + c] = total
+        repeat(system, voltages[s], currents[s])
+        watts = 0.0
+        for i in range(n):
+            at_feed = 0.0j
+            for c in range(kept):
+                at_feed += currents[s, i, c] * kind.feed_a[c]
+            watts += 0.5 * (voltages[s, i].conjugate() * at_feed).real
+        power_w[s] = watts
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def repeat(coupling: Complex, voltages: Complex, currents: Complex) -> None:
+    """Solve a = V + C a for ``currents`` (n, K), by repeating it if that settles, or else by elimination."""
+    n, kept = currents.shape
+    size = n * kept
+    source, answer, following = (
+        np.zeros(size, np.complex128),
+        np.zeros(size, np.complex128),
+        np.zeros(size, np.complex128),
+    )
+    for i in range(n):
+        source[i * kept] = voltages[i]
+    answer[:] = source
+    settled = False
+    for _ in range(REPETITIONS):
+        change, whole = 0.0, 0.0
+        for i in range(size):
+            total = source[i]
+            for j in range(size):
+                total += coupling[i, j] * answer[j]
+            following[i] = total
+        for i in range(size):
+            d, w = following[i] - answer[i], following[i]
+            change += d.real * d.real + d.imag * d.imag
+            whole += w.real * w.real + w.imag * w.imag
+            answer[i] = w
+        if change <= SETTLED * SETTLED * whole:
+            settled = True
+            break
+        if change > 0.1 * whole:
+            break
+    if not settled:
+        answer[:] = np.linalg.solve(np.eye(size) - coupling, source)
+    for i in range(n):
+        for c in range(kept):
+            currents[i, c] = answer[i * kept + c]

@@ -1,0 +1,246 @@
+"""The batch backend: patterns of many snapshots by few unknowns each, compiled, on all cores it is given."""
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from antenna.backend import Accuracy
+from antenna.batch.coupling import Kind, make_kind, solve_arrays, turn
+from antenna.batch.dense import Dense
+from antenna.batch.far_field import Single, radiate
+from antenna.batch.maximum import survey_arrays
+from antenna.batch.moments import ETA_OHM
+from antenna.batch.response import NODES
+from antenna.clearance import credible, near_m, wire_ends_m
+from antenna.config import AntennaConfig
+from antenna.geometry import Array, Complex, ElementsTooNear, ElementsTouch, Snapshot
+from antenna.patterns import Pattern, directions_deg, row_weights, to_dbi
+from antenna.radiated import mean_intensity
+
+FAR_FIELD_NODES = ((0.03, 1), (0.15, 2), (0.5, 4), (1.0, 6), (1.8, 8), (3.3, 12), (8.0, 20), (np.inf, 40))
+"""Points of a wire for its far field, by its greatest k times half-length."""
+SMALL_K_EXTENT = 0.3
+"""Small elements are within a tenth of the wavelength: k times the farthest end's distance."""
+SLICE = 128
+"""Snapshots a thread takes at a time."""
+
+
+class Grid(NamedTuple):
+    """The first quarter of a pattern's directions, theta up to pi/2 (M,) and phi below pi (H,)."""
+
+    cos_theta: Single
+    sin_theta: Single
+    cos_phi: Single
+    sin_phi: Single
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def place_points(
+    kind: Kind,
+    first: int,
+    last: int,
+    centres_m: Array,
+    rotations: Array,
+    currents: Complex,
+    points_m: Array,
+    axes: Array,
+    moments: Complex,
+) -> None:
+    """Write the points (S, N, 3) that radiate of S arrays: the kind's from ``first`` on, with images."""
+    n, m = centres_m.shape[1], last - first
+    none = np.zeros(3)
+    for s in range(len(centres_m)):
+        for i in range(n):
+            a = i * m
+            turn(rotations[s, i], centres_m[s, i], kind.places_m[first:last], points_m[s, a : a + m])
+            turn(rotations[s, i], none, kind.axes[first:last], axes[s, a : a + m])
+            for q in range(m):
+                total = 0.0j
+                for c in range(currents.shape[2]):
+                    total += currents[s, i, c] * kind.moments_am[first + q, c]
+                moments[s, a + q] = total
+        if kind.image:
+            for q in range(n * m):
+                for x in range(3):
+                    turned = -1.0 if x == 2 else 1.0
+                    points_m[s, n * m + q, x] = turned * points_m[s, q, x]
+                    axes[s, n * m + q, x] = -turned * axes[s, q, x]
+                moments[s, n * m + q] = moments[s, q]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def radiate_arrays(
+    points_m: Array,
+    axes: Array,
+    moments: Complex,
+    wavelength_m: float,
+    grid: Grid,
+    gain_theta: Single,
+    gain_phi: Single,
+) -> None:
+    """Write the partial gains (S, T, P) of S arrays of N points, whose moments are scaled for gains."""
+    count = moments.shape[1]
+    single, single_axes = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
+    single_moments = np.empty(count, np.complex64)
+    for s in range(len(moments)):
+        for q in range(count):
+            for x in range(3):
+                single[q, x] = points_m[s, q, x] / wavelength_m
+                single_axes[q, x] = axes[s, q, x]
+            single_moments[q] = moments[s, q]
+        radiate(
+            single, single_axes, single_moments,
+            grid.cos_theta, grid.sin_theta, grid.cos_phi, grid.sin_phi, gain_theta[s], gain_phi[s],
+        )  # fmt: skip
+
+
+class Currents(NamedTuple):
+    """What radiates of S arrays: N points each."""
+
+    points_m: Array
+    """(S, N, 3)"""
+    axes: Array
+    """(S, N, 3)"""
+    moments: Complex
+    """(S, N) scaled so that |sum of moment times axis times e^{jk r.p}|^2 across r is the gain."""
+    nearest: NDArray[np.int64]
+    """(S, 2) as `antenna.clearance.measure` gives them."""
+    nearest_m: Array
+    """(S,)"""
+
+
+class Batch:
+    """Patterns of arrays of alike elements, in free space or over perfect ground."""
+
+    name = "batch"
+
+    def __init__(self, config: AntennaConfig, *, threads: int = 1) -> None:
+        self._config = config
+        self._threads = threads
+        self._element = config.element()
+        image = config.ground == "perfect"
+        self.kind = make_kind(self._element, config.wavelength_m, image=image)
+        self._near_m = near_m(config.wavelength_m)
+        extent_m = float(np.linalg.norm(wire_ends_m(self._element), axis=-1).max())
+        small = self.kind.k_rad_m * extent_m < SMALL_K_EXTENT
+        self.accuracy = Accuracy.SMALL_ELEMENTS if small else Accuracy.LARGE_ELEMENTS
+        size = self.kind.k_rad_m * self.kind.half_m
+        nodes = next(count for limit, count in FAR_FIELD_NODES if size < limit)
+        level = NODES.index(nodes)
+        self._first, self._last = int(self.kind.firsts[level]), int(self.kind.firsts[level + 1])
+        self._dense = Dense(self._element, config.wavelength_m, nodes=nodes, image=image)
+        self._theta_deg, self._phi_deg = directions_deg(config.grid_deg)
+        self._weights = row_weights(len(self._theta_deg), grounded=image)
+        theta = np.radians(self._theta_deg[: len(self._theta_deg) // 2 + 1])
+        phi = np.radians(self._phi_deg[: len(self._phi_deg) // 2])
+        self._grid = Grid(*(f(angle).astype(np.float32) for angle in (theta, phi) for f in (np.cos, np.sin)))
+
+    def patterns(self, snapshots: Sequence[Snapshot]) -> list[Pattern | ElementsTouch]:
+        """See `antenna.backend.Backend`; equal whatever the number of threads."""
+        slices = [snapshots[first : first + SLICE] for first in range(0, len(snapshots), SLICE)]
+        if self._threads <= 1 or len(slices) <= 1:
+            found = [self._of_slice(part) for part in slices]
+        else:
+            with ThreadPoolExecutor(self._threads) as pool:
+                found = list(pool.map(self._of_slice, slices))
+        return [result for part in found for result in part]
+
+    def _of_slice(self, snapshots: Sequence[Snapshot]) -> list[Pattern | ElementsTouch]:
+        """Results of few snapshots, those of equally many elements together."""
+        by_count: dict[int, list[int]] = {}
+        for s, snapshot in enumerate(snapshots):
+            by_count.setdefault(len(snapshot.voltages), []).append(s)
+        if len(by_count) == 1:
+            return self._of_alike(snapshots)
+        results: dict[int, Pattern | ElementsTouch] = {}
+        for indices in by_count.values():
+            results |= zip(indices, self._of_alike([snapshots[s] for s in indices]), strict=True)
+        return [results[s] for s in range(len(snapshots))]
+
+    def _of_alike(self, snapshots: Sequence[Snapshot]) -> list[Pattern | ElementsTouch]:
+        radiating = self.currents(snapshots)
+        gain_theta, gain_phi = self.gains(radiating)
+        maximum, average = np.empty((len(snapshots), 3)), np.empty(len(snapshots))
+        survey_arrays(
+            np.array([snapshot.centres_m for snapshot in snapshots]),
+            radiating.points_m, radiating.axes, radiating.moments, self._config.wavelength_m,
+            gain_theta, gain_phi, self._weights, maximum, average,
+        )  # fmt: skip
+        return self._patterns(radiating, to_dbi(gain_theta), to_dbi(gain_phi), maximum, average)
+
+    def currents(self, snapshots: Sequence[Snapshot]) -> Currents:
+        """Solve snapshots of equally many elements."""
+        kind, count = self.kind, len(snapshots)
+        centres_m = np.array([snapshot.centres_m for snapshot in snapshots])
+        rotations = np.array([snapshot.rotations for snapshot in snapshots])
+        voltages = np.array([snapshot.voltages for snapshot in snapshots], complex)
+        n = voltages.shape[1]
+        currents, power_w = np.zeros((count, n, len(kind.feed_a)), complex), np.zeros(count)
+        nearest, nearest_m = np.empty((count, 2), np.int64), np.empty(count)
+        solve_arrays(kind, centres_m, rotations, voltages, currents, power_w, nearest, nearest_m)
+        points = n * (self._last - self._first) * (2 if kind.image else 1)
+        points_m, axes = np.empty((2, count, points, 3))
+        moments = np.empty((count, points), complex)
+        place_points(kind, self._first, self._last, centres_m, rotations, currents, points_m, axes, moments)
+        apart = nearest_m > kind.clearance_m
+        for s in np.flatnonzero(apart & (nearest_m < self._near_m)).tolist():
+            moments[s], power_w[s] = self._near(snapshots[s], points_m[s], axes[s])
+        radiates = apart & np.isfinite(power_w) & (power_w > 0.0)
+        watts = np.where(radiates, power_w, np.inf)
+        moments *= np.sqrt(kind.k_rad_m**2 * ETA_OHM / (8.0 * np.pi * watts))[:, None]
+        moments[~radiates] = 0.0
+        return Currents(points_m, axes, moments, nearest, nearest_m)
+
+    def _near(self, snapshot: Snapshot, points_m: Array, axes: Array) -> tuple[Complex, float]:
+        """Moments (N,) of the points and power of elements near each other; 0 W if they are not credible."""
+        kind = self.kind
+        own, power_w = self._dense.solve(snapshot)
+        moments = np.tile(own.ravel(), 2 if kind.image else 1)
+        intensity_w = (
+            kind.k_rad_m**2 * ETA_OHM / (8.0 * np.pi) * mean_intensity(points_m, axes, moments, kind.k_rad_m)
+        )
+        radiated_w = intensity_w * (0.5 if kind.image else 1.0)
+        return moments, power_w if power_w > 0.0 and credible(radiated_w / power_w) else 0.0
+
+    def gains(self, radiating: Currents) -> tuple[Single, Single]:
+        """Linear partial gains (S, T, P) on the grid."""
+        shape = len(radiating.moments), len(self._theta_deg), len(self._phi_deg)
+        gain_theta, gain_phi = np.empty(shape, np.float32), np.empty(shape, np.float32)
+        radiate_arrays(
+            radiating.points_m, radiating.axes, radiating.moments, self._config.wavelength_m,
+            self._grid, gain_theta, gain_phi,
+        )  # fmt: skip
+        if self.kind.image:
+            below = shape[1] // 2 + 1
+            gain_theta[:, below:] = gain_phi[:, below:] = 0.0
+        return gain_theta, gain_phi
+
+    def _patterns(
+        self, radiating: Currents, theta_dbi: Array, phi_dbi: Array, maximum: Array, average: Array
+    ) -> list[Pattern | ElementsTouch]:
+        results: list[Pattern | ElementsTouch] = []
+        rows = zip(
+            radiating.nearest.tolist(), radiating.nearest_m.tolist(), maximum.tolist(), average.tolist(),
+            strict=True,
+        )  # fmt: skip
+        for s, ((first, second), distance_m, (gain_dbi, theta_deg, phi_deg), mean) in enumerate(rows):
+            if distance_m <= self.kind.clearance_m:
+                results.append(ElementsTouch(first, second, distance_m))
+            elif not math.isfinite(gain_dbi):
+                results.append(ElementsTooNear(first, second, distance_m))
+            else:
+                results.append(
+                    Pattern(
+                        theta_deg=self._theta_deg, phi_deg=self._phi_deg,
+                        theta_gain_dbi=theta_dbi[s], phi_gain_dbi=phi_dbi[s],
+                        max_gain_dbi=gain_dbi,
+                        max_theta_deg=min(theta_deg, 180.0 - theta_deg) if self.kind.image else theta_deg,
+                        max_phi_deg=phi_deg, average_gain=mean, backend=self.name,
+                    )
+                )  # fmt: skip
+        return results

@@ -1,0 +1,154 @@
+"""Where the wires of an array are, and whether its elements are apart: a collision has no antenna pattern."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from antenna.elements import Element
+from antenna.geometry import Array, ElementsTouch, Snapshot
+
+SEGMENT_MATCH = 1e-3
+"""Wire ends nearer than this part of a segment are one node to NEC2 (User's Guide, structure geometry)."""
+GROUND = -1
+"""Stands for the ground where an element's number is expected."""
+NEAR_RAD = 0.45
+"""Phase of the wave over the distance of elements that are near each other."""
+CREDIBLE = 0.8, 1.25
+"""Radiated over input power, within 1 dB of each other."""
+
+
+class Nearest(NamedTuple):
+    """Two elements, or one and the `GROUND`, and how far their wires are apart."""
+
+    first: int
+    second: int
+    distance_m: float
+
+
+def wire_ends_m(element: Element) -> Array:
+    """(W, 2, 3) starts and ends of the wires, in the element's frame."""
+    return np.array([(wire.start_m, wire.end_m) for wire in element.wires])
+
+
+def placed_wires_m(snapshot: Snapshot, element: Element) -> Array:
+    """(n, W, 2, 3) the same of every element of an array, in its frame."""
+    turned = np.einsum("nxy,wey->nwex", snapshot.rotations, wire_ends_m(element))
+    return np.asarray(turned + snapshot.centres_m[:, None, None])
+
+
+def clearance_m(element: Element) -> float:
+    """Least distance between the axes of wires of two elements.
+
+    NEC2 does not notice wires that overlap in parallel, and joins ends that nearly meet.
+    """
+    radii = [2.0 * wire.radius_m for wire in element.wires]
+    joined = [SEGMENT_MATCH * wire.length_m / wire.segments for wire in element.wires]
+    return max(radii + joined)
+
+
+def near_m(wavelength_m: float) -> float:
+    """Distance within which elements count as near each other: `NEAR_RAD` of the wave's phase.
+
+    The near field of an element is stronger than what it radiates by the cube of that phase, so that even the
+    last digits of a coupling count against the power that is radiated.
+    """
+    return NEAR_RAD * wavelength_m / (2.0 * math.pi)
+
+
+def credible(average_gain: float) -> bool:
+    """Whether a solution radiates what its sources feed in, where nothing else takes it."""
+    return CREDIBLE[0] < average_gain < CREDIBLE[1]
+
+
+def check_apart(snapshot: Snapshot, element: Element, *, grounded: bool) -> Nearest:
+    """Find which two elements are nearest; raises `ElementsTouch` if they, or one and the ground, touch."""
+    found = nearest(placed_wires_m(snapshot, element), grounded=grounded)
+    if found.distance_m <= clearance_m(element):
+        raise ElementsTouch(*found)
+    return found
+
+
+def nearest(placed_m: Array, *, grounded: bool) -> Nearest:
+    """Find what is nearest to each other of elements' wires (n, W, 2, 3)."""
+    n = len(placed_m)
+    pair, distance_m = np.empty(2, np.int64), np.empty(1)
+    measure(placed_m, grounded, np.empty_like(placed_m), np.empty((n, n)), np.empty((n, n)), pair, distance_m)
+    return Nearest(int(pair[0]), int(pair[1]), float(distance_m[0]))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def measure(
+    ends_m: Array,
+    grounded: bool,  # noqa: FBT001  # numba knows no keyword-only arguments
+    ends_image_m: Array,
+    apart_m: Array,
+    image_apart_m: Array,
+    nearest: NDArray[np.int64],
+    nearest_m: Array,
+) -> None:
+    """Write which two of n elements are nearest to each other, (2,), and the distance of their wires, (1,).
+
+    `GROUND` as the second is the ground, the distance then the height of the first one's lowest point, which
+    may be negative. A lone element in free space is infinitely far from -1. The wires are ``ends_m`` (n, W,
+    2, 3); written too are those of the images in the ground, and for i < j the distances of two elements (n,
+    n), for i <= j of one and the other's image (n, n).
+    """
+    n = len(ends_m)
+    nearest[0], nearest[1], nearest_m[0] = 0, GROUND, np.inf
+    if grounded:
+        for i in range(n):
+            ends_image_m[i] = ends_m[i]
+            ends_image_m[i, :, :, 2] *= -1.0
+            lowest_m = ends_m[i, :, :, 2].min()
+            if lowest_m < nearest_m[0]:
+                nearest[0], nearest_m[0] = i, lowest_m
+    for i in range(n):
+        for j in range(i, n):
+            if grounded:
+                image_apart_m[i, j] = least_distance_m(ends_m[i], ends_image_m[j])
+            if i == j:
+                continue
+            apart_m[i, j] = least_distance_m(ends_m[i], ends_m[j])
+            if apart_m[i, j] < nearest_m[0]:
+                nearest[0], nearest[1], nearest_m[0] = i, j, apart_m[i, j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def least_distance_m(wires_m: Array, others_m: Array) -> float:
+    """Least distance of the wires (W, 2, 3) of two elements."""
+    least_m = np.inf
+    for a in range(len(wires_m)):
+        for b in range(len(others_m)):
+            distance_m = segment_distance_m(wires_m[a, 0], wires_m[a, 1], others_m[b, 0], others_m[b, 1])
+            least_m = min(least_m, distance_m)
+    return least_m
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def segment_distance_m(p_m: Array, q_m: Array, r_m: Array, s_m: Array) -> float:
+    """Least distance between the straight pieces from p to q and from r to s, (3,); none is a point.
+
+    Ericson, Real-Time Collision Detection, 5.1.9: the nearest points of the lines, clamped to the pieces.
+    """
+    aa = bb = ab = ac = bc = 0.0
+    for x in range(3):
+        a, b, c = q_m[x] - p_m[x], s_m[x] - r_m[x], p_m[x] - r_m[x]
+        aa += a * a
+        bb += b * b
+        ab += a * b
+        ac += a * c
+        bc += b * c
+    sine_squared = aa * bb - ab * ab
+    s = 0.0
+    if sine_squared > 1e-12 * aa * bb:
+        s = min(max((ab * bc - ac * bb) / sine_squared, 0.0), 1.0)
+    t = min(max((ab * s + bc) / bb, 0.0), 1.0)
+    s = min(max((ab * t - ac) / aa, 0.0), 1.0)
+    square = 0.0
+    for x in range(3):
+        d = p_m[x] + s * (q_m[x] - p_m[x]) - r_m[x] - t * (s_m[x] - r_m[x])
+        square += d * d
+    return math.sqrt(square)

@@ -1,0 +1,210 @@
+"""Patterns of many instants as one labelled dataset, and as a NetCDF-4 file that netCDF and HDF5 tools open.
+
+A row is one instant of a flight (``time``) or one draw (``sample``). Elements that touched are rows like all
+others, with no gains (NaN) and with what touched. Attributes say which solver made the gains, how accurate it
+is, of which antenna, and what the numbers mean.
+"""
+
+import os
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from antenna.config import AntennaConfig
+from antenna.geometry import ElementsTouch
+from antenna.patterns import FLOOR_DBI, Pattern
+
+FORMAT = "coflight antenna patterns 1"
+NO_ELEMENT = -1
+COMPRESSION = {"zlib": True, "complevel": 4, "shuffle": True}
+_MAXIMUM = {
+    "max_gain_dbi": ("dBi", "greatest gain of all directions, refined beyond the grid"),
+    "max_theta_deg": ("degree", "theta of the greatest gain"),
+    "max_phi_deg": ("degree", "phi of the greatest gain"),
+    "average_gain": ("1", "radiated over input power, linear; gain over this is directivity"),
+}
+_GRIDS = {
+    "gain_theta_dbi": ("dBi", "gain over input power in the theta polarisation, vertical at the horizon"),
+    "gain_phi_dbi": ("dBi", "gain over input power in the phi polarisation, horizontal"),
+}
+
+
+class NotPatterns(ValueError):
+    """A file is not a dataset of patterns; the text is one line with its name."""
+
+
+def to_dataset(
+    results: Sequence[Pattern | ElementsTouch],
+    config: AntennaConfig,
+    *,
+    accuracy: str,
+    time_us: NDArray[np.int64] | None = None,
+) -> xr.Dataset:
+    """Label results, in order; ``time_us`` (K,) are their simulated times, without which they are samples.
+
+    Raises ValueError when none is a pattern, or their grids differ.
+    """  # fmt: skip
+    patterns = [result for result in results if isinstance(result, Pattern)]
+    if not patterns:
+        raise ValueError("no pattern to keep: in every one of them elements touch")
+    first, row = patterns[0], "sample" if time_us is None else "time"
+    shape = first.theta_gain_dbi.shape
+    if any(pattern.theta_gain_dbi.shape != shape for pattern in patterns):
+        raise ValueError("patterns of one dataset have one grid")
+    grids = np.full((2, len(results), *shape), np.nan, np.float32)
+    maxima = np.full((len(_MAXIMUM), len(results)), np.nan)
+    touching = np.full((2, len(results)), NO_ELEMENT, np.int32)
+    distance_m = np.full(len(results), np.nan)
+    for k, result in enumerate(results):
+        if isinstance(result, Pattern):
+            grids[:, k] = result.theta_gain_dbi, result.phi_gain_dbi
+            maxima[:, k] = result.max_gain_dbi, result.max_theta_deg, result.max_phi_deg, result.average_gain
+        else:
+            touching[:, k], distance_m[k] = (result.first, result.second), result.distance_m
+    about_touching = "of the two elements that touch, from 0; -1: none"
+    return xr.Dataset(
+        {
+            **{
+                name: ((row, "theta", "phi"), grids[i], _about(*_GRIDS[name]))
+                for i, name in enumerate(_GRIDS)
+            },
+            **{name: (row, maxima[i], _about(*_MAXIMUM[name])) for i, name in enumerate(_MAXIMUM)},
+            "touching_first": (row, touching[0], {"long_name": f"first {about_touching}"}),
+            "touching_second": (row, touching[1], {"long_name": f"second {about_touching}, or the ground"}),
+            "touching_distance_m": (row, distance_m, _about("m", "between the axes of what touches")),
+            "settings": (
+                (),
+                msgspec.json.encode(config).decode(),
+                {"long_name": "the [antenna] table, as JSON"},
+            ),
+        },
+        coords={
+            "theta": ("theta", first.theta_deg, _about("degree", "from +z (up)")),
+            "phi": (
+                "phi",
+                first.phi_deg,
+                _about("degree", "from +x (broadside axis) towards +y (end-fire axis)"),
+            ),
+            row: (row, *_rows(len(results), time_us)),
+        },
+        attrs={
+            "format": FORMAT,
+            "Conventions": "CF-1.11",
+            "title": "Power gain of a swarm's synthetic aperture",
+            "backend": first.backend,
+            "accuracy": str(accuracy),
+            "wavelength_m": config.wavelength_m,
+            "element": describe_element(config),
+            "ground": describe_ground(config),
+            "excitation": config.excitation,
+            "feeds_for": config.feeds_for,
+            "frame": "x broadside, y end-fire, z up; theta from +z, phi from +x towards +y",
+            "gain": f"over input power, dBi; {FLOOR_DBI} where nothing is radiated, NaN where elements touch",
+        },
+    )
+
+
+def from_dataset(dataset: xr.Dataset) -> list[Pattern | ElementsTouch]:
+    """Results in the order of the rows: the inverse of `to_dataset`, but for the grids' single precision."""
+    theta_deg, phi_deg = (np.asarray(dataset[name].values, float) for name in ("theta", "phi"))
+    grids = [np.asarray(dataset[name].values) for name in _GRIDS]
+    maxima = np.stack([np.asarray(dataset[name].values) for name in _MAXIMUM], axis=1).tolist()
+    first, second = (dataset[f"touching_{which}"].values.tolist() for which in ("first", "second"))
+    distance_m = dataset["touching_distance_m"].values.tolist()
+    results: list[Pattern | ElementsTouch] = []
+    for k, (gain_dbi, max_theta_deg, max_phi_deg, average) in enumerate(maxima):
+        if first[k] != NO_ELEMENT:
+            results.append(ElementsTouch(first[k], second[k], distance_m[k]))
+            continue
+        results.append(
+            Pattern(
+                theta_deg=theta_deg, phi_deg=phi_deg, theta_gain_dbi=grids[0][k], phi_gain_dbi=grids[1][k],
+                max_gain_dbi=gain_dbi, max_theta_deg=max_theta_deg, max_phi_deg=max_phi_deg,
+                average_gain=average, backend=str(dataset.attrs["backend"]),
+            )
+        )  # fmt: skip
+    return results
+
+
+def settings_of(dataset: xr.Dataset) -> AntennaConfig:
+    """Configuration that a dataset was made with."""
+    return msgspec.json.decode(str(dataset["settings"].item()), type=AntennaConfig)
+
+
+def write_dataset(dataset: xr.Dataset, path: Path) -> None:
+    """Write a NetCDF-4 file, whole or not at all; its folder is there. Raises OSError."""
+    encoding = {name: {**COMPRESSION, "chunksizes": _chunk(dataset[name])} for name in _GRIDS}
+    try:
+        descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
+    os.close(descriptor)
+    try:
+        dataset.to_netcdf(name, engine="h5netcdf", format="NETCDF4", encoding=encoding)
+        Path(name).chmod(0o644)
+        Path(name).replace(path)
+    except BaseException:
+        Path(name).unlink()
+        raise
+
+
+def read_dataset(path: Path) -> xr.Dataset:
+    """Read a file of `write_dataset` into memory; raises OSError and NotPatterns."""
+    path.open("rb").close()  # what is not there, or may not be read, says so by itself
+    try:
+        dataset = xr.load_dataset(path, engine="h5netcdf")
+    except (OSError, ValueError, KeyError) as error:
+        raise NotPatterns(f"{path}: not a NetCDF-4 file ({error.__class__.__name__})") from None
+    wanted = {*_GRIDS, *_MAXIMUM, "touching_first", "touching_second", "touching_distance_m", "settings"}
+    if dataset.attrs.get("format") != FORMAT or not wanted <= set(dataset.variables):
+        raise NotPatterns(f"{path}: not patterns of an antenna; expected the attribute format = {FORMAT!r}")
+    return dataset
+
+
+def describe_element(config: AntennaConfig) -> str:
+    """One line, for people."""
+    match config.element_kind:
+        case "dipole" | "loop":
+            around = "length" if config.element_kind == "dipole" else "circumference"
+            return (
+                f"{config.element_kind}, {around} {config.element_length_m:g} m, wire radius"
+                f" {config.element_radius_m:g} m, {config.segments} segments"
+            )
+        case "deck":
+            element = config.element()
+            segments = sum(wire.segments for wire in element.wires)
+            return f"NEC deck, {len(element.wires)} wires, {segments} segments"
+
+
+def describe_ground(config: AntennaConfig) -> str:
+    """One line, for people."""
+    if config.ground != "real":
+        return {"none": "none: free space", "perfect": "perfect, at z = 0"}[config.ground]
+    return (
+        f"real, at z = 0: relative permittivity {config.ground_permittivity:g},"
+        f" conductivity {config.ground_conductivity_s_m:g} S/m"
+    )
+
+
+def _about(units: str, long_name: str) -> dict[str, str]:
+    return {"units": units, "long_name": long_name}
+
+
+def _rows(count: int, time_us: NDArray[np.int64] | None) -> tuple[NDArray[np.int64], dict[str, str]]:
+    if time_us is None:
+        return np.arange(count), {"long_name": "draw"}
+    if time_us.shape != (count,):
+        raise ValueError(f"{count} results have as many instants, not {time_us.shape}")
+    # CF calls a coordinate time by a unit "since" an epoch; simulated time has none
+    return time_us.astype(np.int64), {"long_name": "simulated time", "unit_of_time": "us"}
+
+
+def _chunk(grids: xr.DataArray) -> tuple[int, int, int]:
+    """Whole patterns, about a megabyte of them: read one by one as well as all together."""
+    rows, theta, phi = grids.shape
+    return max(1, min(rows, 262_144 // (theta * phi))), theta, phi

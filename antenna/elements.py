@@ -1,0 +1,55 @@
+"""What an antenna is made of: straight wires on the vehicle that carries it, and where it is fed.
+
+The frame of an element has its origin at the vehicle and z up when the vehicle stands upright.
+"""
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wire:
+    """A straight wire, cut into equal segments."""
+
+    start_m: tuple[float, float, float]
+    end_m: tuple[float, float, float]
+    radius_m: float
+    segments: int
+
+    @property
+    def length_m(self) -> float:
+        """Distance between its ends."""
+        return math.dist(self.start_m, self.end_m)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Element:
+    """Wires of one vehicle, fed by one source; ends that meet are joined."""
+
+    wires: tuple[Wire, ...]
+    feed_segment: int
+    """Segment across which the voltage is, counted from 0 over all wires; positive along its wire."""
+
+    def __post_init__(self) -> None:
+        """Raise ValueError unless it can be fed."""
+        count = sum(wire.segments for wire in self.wires)
+        if not 0 <= self.feed_segment < count:
+            raise ValueError(f"an element of {count} segments cannot be fed at segment {self.feed_segment}")
+
+
+def dipole(length_m: float, radius_m: float, segments: int) -> Element:
+    """Make a vertical dipole about the origin, fed in the middle; ``segments`` is odd."""
+    half_m = 0.5 * length_m
+    wire = Wire(start_m=(0.0, 0.0, -half_m), end_m=(0.0, 0.0, half_m), radius_m=radius_m, segments=segments)
+    return Element(wires=(wire,), feed_segment=segments // 2)
+
+
+def loop(radius_m: float, wire_radius_m: float, sides: int) -> Element:
+    """Make a level loop about the origin: a polygon of wires of one segment, fed at the one towards +x."""
+    corners = [2.0 * math.pi * (k - 0.5) / sides for k in range(sides)]
+    corners_m = [(radius_m * math.cos(angle), radius_m * math.sin(angle), 0.0) for angle in corners]
+    wires = tuple(
+        Wire(start_m=corners_m[k], end_m=corners_m[(k + 1) % sides], radius_m=wire_radius_m, segments=1)
+        for k in range(sides)
+    )
+    return Element(wires=wires, feed_segment=0)

@@ -1,0 +1,57 @@
+"""How an array is fed: phases for its main lobe along +y, and the weights that give the most gain there.
+
+Uniform amplitudes, but for the optimum. Positions are those that the feeds are made for, (n, 3) in the
+antenna's frame: of the ideal formation, or of where the vehicles believe themselves to be.
+"""
+
+from typing import Literal
+
+import numpy as np
+
+from antenna.geometry import Array, Complex, Snapshot, Voltages, upright
+
+Excitation = Literal["end_fire", "hansen_woodyard", "optimum"]
+ROW_APART_LAMBDA = 0.05
+"""Positions nearer to each other along y belong to one row."""
+
+
+def end_fire(places_m: Array, wavelength_m: float) -> Voltages:
+    """(n,) exp(-j k y): all contributions add up in phase along +y."""
+    voltages: Voltages = np.exp(-2j * np.pi / wavelength_m * places_m[:, 1])
+    return voltages
+
+
+def hansen_woodyard(places_m: Array, wavelength_m: float) -> Voltages:
+    """(n,) phases that lag by 2.92 / N rad more from each of N rows along y to the next.
+
+    W. W. Hansen and J. R. Woodyard, "A new principle in directional antenna design", Proc. IRE 26 (1938).
+    Raises ValueError with a single row, which has no end.
+    """
+    along_m = np.sort(places_m[:, 1])
+    rows = 1 + int((np.diff(along_m) > ROW_APART_LAMBDA * wavelength_m).sum())
+    if rows < 2:
+        raise ValueError("Hansen-Woodyard phases need two rows or more along the end-fire axis")
+    between_m = float(along_m[-1] - along_m[0]) / (rows - 1)
+    lag_rad = 2.92 / rows * (places_m[:, 1] - along_m[0]) / between_m
+    voltages: Voltages = end_fire(places_m, wavelength_m) * np.exp(-1j * lag_rad)
+    return voltages
+
+
+def optimum(conductance_s: Array, towards: Complex) -> Voltages:
+    """(n,) voltages of the greatest gain in a direction.
+
+    Gain is v^H B v / v^H G v with G (n, n) the real part of the admittance matrix, symmetric, and B = F^H F
+    of the far fields F (2, n) that 1 V at each element makes there, in two polarisations. The greatest is the
+    greatest eigenvalue of G^-1 B, which has that of the 2 x 2 matrix F G^-1 F^H. (R. F. Harrington, Field
+    computation by moment methods, 1968, chapter 10.)
+    """
+    spread = np.linalg.solve(conductance_s, towards.conj().T)
+    _, vectors = np.linalg.eigh(towards @ spread)
+    weights = spread @ vectors[:, -1]
+    voltages: Voltages = weights * (np.sqrt(len(weights)) / np.linalg.norm(weights))
+    return voltages
+
+
+def vertical_snapshot(places_m: Array, wavelength_m: float) -> Snapshot:
+    """Make the undisturbed array: elements upright at (n, 3) places, fed as an ordinary end-fire array."""
+    return upright(places_m, end_fire(places_m, wavelength_m))

@@ -1,0 +1,115 @@
+"""What engineers read off a pattern: widths of the main lobe, side lobes, nulls, front to back, pointing."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import RectBivariateSpline
+from scipy.ndimage import label, maximum_filter
+from scipy.optimize import brentq
+
+from antenna.geometry import Array
+from antenna.patterns import HALF_POWER_DB, Pattern, from_dbi
+
+_BEYOND = 3
+"""Rows beyond a pole by which a grid is continued on its other side."""
+
+
+@dataclass(frozen=True, slots=True)
+class Features:
+    """Of one pattern; None where there is no such thing."""
+
+    azimuth_width_deg: float | None
+    """Between the half-power directions at the maximum's theta; None at a pole, and where all is above it."""
+    elevation_width_deg: float | None
+    """Between the half-power directions along the great circle through the poles and the maximum."""
+    side_lobe_dbi: float | None
+    """Highest maximum of the grid outside the main lobe."""
+    back_dbi: float
+    """In the direction opposite to the maximum; over a ground at the same height over the horizon."""
+    null_dbi: float
+    """Least gain of the horizon, on the grid."""
+
+
+def features(pattern: Pattern) -> Features:
+    """Measure a pattern, by cubic splines of the linear gain between the grid's directions.
+
+    Over a ground lobes end at the horizon.
+    """
+    gain = from_dbi(pattern.gain_dbi)
+    grounded = not gain[len(gain) // 2 + 1 :].any()
+    at = _above_ground(pattern, gain) if grounded else _interpolated(pattern, gain)
+    theta, phi = pattern.max_theta_deg, pattern.max_phi_deg
+    half = 10.0 ** ((pattern.max_gain_dbi - HALF_POWER_DB) / 10.0)
+    step_deg = float(pattern.theta_deg[1])
+    tops = (gain == maximum_filter(gain, size=3, mode=("nearest", "wrap"))) & ~main_lobe(pattern)
+    at_a_pole = min(theta, 180.0 - theta) < 1e-3
+    horizon = gain[len(gain) // 2]
+    return Features(
+        azimuth_width_deg=None
+        if at_a_pole
+        else _width_deg(lambda off: at(theta, phi + off) - half, step_deg),
+        elevation_width_deg=_width_deg(lambda off: at(theta + off, phi) - half, step_deg),
+        side_lobe_dbi=_dbi(float(gain[tops].max())) if tops.any() else None,
+        back_dbi=_dbi(at(theta if grounded else 180.0 - theta, phi + 180.0)),
+        null_dbi=_dbi(float(horizon.min())),
+    )
+
+
+def main_lobe(pattern: Pattern) -> NDArray[np.bool_]:
+    """(T, P) grid directions that are within half power of the maximum and connected with it."""
+    high = pattern.gain_dbi >= pattern.max_gain_dbi - HALF_POWER_DB
+    lobes, _ = label(np.tile(high, (1, 3)))  # three turns: a lobe across phi = 0 is whole in the middle one
+    turn = len(pattern.phi_deg)
+    row = int(np.argmin(np.abs(pattern.theta_deg - pattern.max_theta_deg)))
+    column = turn + int(np.argmin(np.abs(pattern.phi_deg - pattern.max_phi_deg)))
+    inside = lobes == (lobes[row, column] or -1)
+    lobe: NDArray[np.bool_] = inside.reshape(len(lobes), 3, turn).any(axis=1)
+    return lobe
+
+
+def _above_ground(pattern: Pattern, gain: Array) -> Callable[[float, float], float]:
+    """Gain at any theta and phi, nothing below the horizon.
+
+    The mirror image continues the grid there, or the spline would swing at the jump.
+    """
+    half_rows = len(gain) // 2
+    mirrored = _interpolated(pattern, np.concatenate([gain[: half_rows + 1], gain[:half_rows][::-1]]))
+    return lambda theta, phi: mirrored(theta, phi) if abs((theta + 180.0) % 360.0 - 180.0) <= 90.0 else 0.0
+
+
+def _interpolated(pattern: Pattern, gain: Array) -> Callable[[float, float], float]:
+    """Gain at any theta and phi, beyond the poles and round the circle."""
+    rows, columns = gain.shape
+    opposite = np.roll(gain, columns // 2, axis=1)
+    upper, lower = opposite[1 : _BEYOND + 1][::-1], opposite[-_BEYOND - 1 : -1][::-1]
+    tall = np.concatenate([upper, gain, lower])
+    wide = np.concatenate([tall[:, -_BEYOND:], tall, tall[:, : _BEYOND + 1]], axis=1)
+    step_deg = float(pattern.theta_deg[1])
+    theta_deg = step_deg * np.arange(-_BEYOND, rows + _BEYOND)
+    phi_deg = step_deg * np.arange(-_BEYOND, columns + _BEYOND + 1)
+    spline = RectBivariateSpline(theta_deg, phi_deg, wide, kx=3, ky=3)
+
+    def at(theta: float, phi: float) -> float:
+        theta %= 360.0
+        if theta > 180.0:
+            theta, phi = 360.0 - theta, phi + 180.0
+        return float(spline(theta, phi % 360.0)[0, 0])
+
+    return at
+
+
+def _width_deg(excess: Callable[[float], float], step_deg: float) -> float | None:
+    """Angle between the first zeros on either side of 0; None if there is none within half a turn."""
+    found = []
+    for sign in (1.0, -1.0):
+        for k in range(int(180.0 / step_deg)):
+            if excess(sign * (k + 1) * step_deg) < 0.0 <= excess(sign * k * step_deg):
+                found.append(abs(brentq(excess, sign * k * step_deg, sign * (k + 1) * step_deg)))
+                break
+    return sum(found) if len(found) == 2 else None
+
+
+def _dbi(gain: float) -> float:
+    return float(10.0 * np.log10(max(gain, 1e-12)))

@@ -1,0 +1,178 @@
+"""What a pattern costs: the batch solver beside NEC2 on the same machine, in the same minutes, one core each.
+
+Both get the same formations of eight dipoles, displaced by 0.5 m and tilted by 10 degrees, and both give
+gains in two polarisations on the same grid of 5 degrees. Solvers are set up and kernels compiled before the
+clock runs. Short spells of both alternate, and medians are compared, so that a machine with other work does
+not favour one; one core's time is the processor time of the calling thread.
+"""
+
+import statistics
+import time
+from collections.abc import Callable
+from itertools import islice
+
+import numpy as np
+from msgspec import Struct
+
+from antenna.batch.solver import SLICE, Batch, Currents
+from antenna.clearance import check_apart
+from antenna.config import AntennaConfig
+from antenna.geometry import Array, ElementsTouch, Snapshot, grid
+from antenna.lab.formations import Disorder, draws
+from antenna.patterns import directions_deg, to_dbi
+
+SHORT_DIPOLE = AntennaConfig(wavelength_m=10.0)
+LONG_DIPOLE = AntennaConfig(wavelength_m=10.0, element_length_m=5.0, element_radius_m=0.001, segments=11)
+DISORDER = Disorder(sigma_m=0.5, tilt_rad=float(np.radians(10.0)), seed=1)
+SNAPSHOTS = 4 * SLICE
+NEC2_AT_A_TIME = 2
+LEAST_ROUNDS = 3
+
+
+class Speed(Struct, frozen=True, kw_only=True):
+    """Of one kind of element; microseconds of one core for a pattern, medians."""
+
+    speedup: float
+    """NEC2's time over the batch solver's, both with a refined maximum."""
+    speedup_grid_only: float
+    """The same of solution and grid alone, without looking for the maximum."""
+    nec2_us: float
+    nec2_grid_only_us: float
+    batch_us: float
+    batch_grid_only_us: float
+    batch_solve_us: float
+    """Couplings, and the currents that they make."""
+    batch_far_field_us: float
+    """Both polarisations on the grid, in decibels."""
+    batch_maximum_us: float
+    """The rest of ``batch_us``: refined maximum, average over the sphere, making of patterns."""
+
+
+class Benchmark(Struct, frozen=True, kw_only=True):
+    """What ``benchmark`` prints."""
+
+    speedup_short_dipole: float
+    speedup_5m_dipole: float
+    speedup_two_cores: float
+    """Shortest wall time with one thread over that with two, short dipoles."""
+    speedup_short_dipole_grid_only: float
+    speedup_5m_dipole_grid_only: float
+    short_dipole: Speed
+    dipole_5m: Speed
+    elements: int
+    directions: int
+    rounds: int
+    """Of alternation, for each kind."""
+
+
+def benchmark(seconds: float) -> Benchmark:
+    """Measure for about so long, and for `LEAST_ROUNDS` rounds; raises BackendUnavailable without PyNEC."""
+    short, rounds = compare(SHORT_DIPOLE, seconds * 0.4)
+    long, _ = compare(LONG_DIPOLE, seconds * 0.4)
+    return Benchmark(
+        speedup_short_dipole=short.speedup,
+        speedup_5m_dipole=long.speedup,
+        speedup_two_cores=two_cores(SHORT_DIPOLE, seconds * 0.2),
+        speedup_short_dipole_grid_only=short.speedup_grid_only,
+        speedup_5m_dipole_grid_only=long.speedup_grid_only,
+        short_dipole=short,
+        dipole_5m=long,
+        elements=len(_places(SHORT_DIPOLE)),
+        directions=int(np.prod([len(angles) for angles in directions_deg(SHORT_DIPOLE.grid_deg)])),
+        rounds=rounds,
+    )
+
+
+def compare(config: AntennaConfig, seconds: float) -> tuple[Speed, int]:
+    """Time both solvers in turns; the number of rounds is the second of what is given."""
+    from antenna.nec2 import FarField, Nec2  # noqa: PLC0415 - optional: PyNEC
+
+    snapshots = formations(config, SNAPSHOTS)
+    parts = [snapshots[first : first + SLICE] for first in range(0, SNAPSHOTS, SLICE)]
+    batch, nec2 = Batch(config), Nec2(config)
+    element = config.element()
+    few = iter(snapshots * 1000)
+    solved: list[Currents] = []
+
+    def nec2_grids() -> None:
+        for snapshot in islice(few, NEC2_AT_A_TIME):
+            check_apart(snapshot, element, grounded=False)
+            to_dbi(FarField(snapshot, config).partial_gains(config.grid_deg))
+
+    def solve() -> None:
+        solved[:] = [batch.currents(part) for part in parts]
+
+    def far_field() -> None:
+        for radiating in solved:
+            for gain in batch.gains(radiating):
+                to_dbi(gain)
+
+    times: dict[str, list[float]] = {}
+    rounds, until = 0, time.monotonic() + seconds
+    works: dict[str, tuple[Callable[[], object], int]] = {
+        "nec2": (lambda: nec2.patterns(list(islice(few, NEC2_AT_A_TIME))), NEC2_AT_A_TIME),
+        "nec2_grid_only": (nec2_grids, NEC2_AT_A_TIME),
+        "batch": (lambda: batch.patterns(snapshots), SNAPSHOTS),
+        "solve": (solve, SNAPSHOTS),
+        "far_field": (far_field, SNAPSHOTS),
+    }
+    for work, _ in works.values():
+        work()
+    while rounds < LEAST_ROUNDS or time.monotonic() < until:
+        for name, (work, count) in works.items():
+            start = time.thread_time()
+            work()
+            times.setdefault(name, []).append((time.thread_time() - start) / count * 1e6)
+        rounds += 1
+    us = {name: statistics.median(measured) for name, measured in times.items()}
+    grid_only_us = us["solve"] + us["far_field"]
+    speed = Speed(
+        speedup=us["nec2"] / us["batch"],
+        speedup_grid_only=us["nec2_grid_only"] / grid_only_us,
+        nec2_us=us["nec2"],
+        nec2_grid_only_us=us["nec2_grid_only"],
+        batch_us=us["batch"],
+        batch_grid_only_us=grid_only_us,
+        batch_solve_us=us["solve"],
+        batch_far_field_us=us["far_field"],
+        batch_maximum_us=us["batch"] - grid_only_us,
+    )
+    return speed, rounds
+
+
+def two_cores(config: AntennaConfig, seconds: float) -> float:
+    """Wall time of one thread over that of two, on the same snapshots in turns; of each the shortest.
+
+    Other work on the machine only ever adds to a wall time, and to that of two threads more.
+    """
+    snapshots = formations(config, SNAPSHOTS)
+    solvers = [Batch(config, threads=threads) for threads in (1, 2)]
+    wall_s: list[list[float]] = [[], []]
+    for solver in solvers:
+        solver.patterns(snapshots)
+    until = time.monotonic() + seconds
+    while len(wall_s[0]) < LEAST_ROUNDS or time.monotonic() < until:
+        for solver, measured in zip(solvers, wall_s, strict=True):
+            start = time.perf_counter()
+            solver.patterns(snapshots)
+            measured.append(time.perf_counter() - start)
+    one, two = (min(measured) for measured in wall_s)
+    return one / two
+
+
+def formations(config: AntennaConfig, count: int) -> list[Snapshot]:
+    """Draw formations of which no elements touch."""
+    element, found = config.element(), []
+    for snapshot in draws(_places(config), config, DISORDER):
+        try:
+            check_apart(snapshot, element, grounded=False)
+        except ElementsTouch:
+            continue
+        found.append(snapshot)
+        if len(found) == count:
+            break
+    return found
+
+
+def _places(config: AntennaConfig) -> Array:
+    return grid(8, 4, 0.85 * config.wavelength_m, 0.25 * config.wavelength_m)

@@ -1,0 +1,66 @@
+"""Formations for the laboratory: the ideal one, and any number whose vehicles are displaced and tilted."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from antenna.config import AntennaConfig
+from antenna.geometry import Array, ElementsTouch, Snapshot, grid, upright
+from antenna.ports import feed
+
+MOST_ELEMENTS = 200
+"""Systems grow with the square of their number."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Disorder:
+    """How vehicles miss their places: Gaussian, independent of each other and of the axis."""
+
+    sigma_m: float = 0.0
+    """Of the position along x, y and z."""
+    tilt_rad: float = 0.0
+    """Of the turn about the horizontal axes, x and y, together one turn about an axis between them."""
+    seed: int = 1
+
+
+def formation(text: str, *, broadside_m: float, endfire_m: float, height_m: float) -> Array:
+    """(n, 3) places of a grid, A columns along x by B rows along y for ``AxB``; raises ValueError."""
+    found = re.fullmatch(r"(\d{1,3})x(\d{1,3})", text)
+    if found is None:
+        raise ValueError(f"--formation: {text!r} is no formation; expected COLUMNSxROWS, as 4x2")
+    columns, rows = (int(word) for word in found.groups())
+    if not 1 <= columns * rows <= MOST_ELEMENTS:
+        raise ValueError(f"--formation: {text} has {columns * rows} elements; expected 1 to {MOST_ELEMENTS}")
+    places_m = grid(columns * rows, columns, broadside_m, endfire_m)
+    places_m[:, 2] = height_m
+    return places_m
+
+
+def ideal(places_m: Array, config: AntennaConfig) -> Snapshot:
+    """All vehicles upright at their places."""
+    return upright(places_m, feed(places_m, config))
+
+
+def draws(places_m: Array, config: AntennaConfig, disorder: Disorder) -> Iterator[Snapshot]:
+    """Draw formations without end, the same for a seed however many are taken.
+
+    Positions and tilts come from streams of their own, so that one does not change with the other's size.
+    Feeds are made for the places, or with ``feeds_for`` truth for positions and attitudes that were drawn.
+    """
+    streams = np.random.SeedSequence(disorder.seed).spawn(2)
+    positions, tilts = (np.random.default_rng(stream) for stream in streams)
+    n, voltages = len(places_m), feed(places_m, config)
+    while True:
+        centres_m = places_m + disorder.sigma_m * positions.standard_normal((n, 3))
+        turns_rad = np.zeros((n, 3))
+        turns_rad[:, :2] = disorder.tilt_rad * tilts.standard_normal((n, 2))
+        rotations = Rotation.from_rotvec(turns_rad).as_matrix()
+        if config.feeds_for == "truth":
+            try:
+                voltages = feed(centres_m, config, rotations)
+            except ElementsTouch:  # whoever computes its pattern finds out as well
+                voltages = np.ones(n, complex)
+        yield Snapshot(centres_m, rotations, voltages)

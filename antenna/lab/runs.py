@@ -1,0 +1,279 @@
+"""What the laboratory's commands do: solve, measure, write what was asked for, and say what came out."""
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from msgspec import Struct
+from rich.console import Console
+from rich.progress import track
+
+from antenna.array_deck import deck_of
+from antenna.backend import Backend, make_backend
+from antenna.config import AntennaConfig
+from antenna.dataset import to_dataset, write_dataset
+from antenna.features import features
+from antenna.geometry import Array, ElementsTouch, Snapshot
+from antenna.lab.formations import Disorder, draws, ideal
+from antenna.lab.hertzian import hertzian_pattern
+from antenna.parallel import compute_patterns
+from antenna.patterns import Pattern
+from antenna.plots import cuts_figure, envelope_figure, gain_density_figure, patterns_figure
+from antenna.ports import MAIN_LOBE_DEG
+from antenna.statistics import (
+    RunningEnvelope,
+    gain_statistics,
+    gain_towards_dbi,
+    pointing_errors_deg,
+    pointing_statistics,
+)
+
+SHORT_LAMBDA = 0.1
+"""Dipoles up to this length have the pattern of Hertzian ones, to 0.01 dB."""
+AT_A_TIME = 512
+"""Patterns in memory, unless they are to be written."""
+MOST_KEPT_BYTES = 4_000_000_000
+"""Of patterns for one file."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Files:
+    """What is to be written, and where."""
+
+    figure: Path | None = None
+    cuts: Path | None = None
+    envelope: Path | None = None
+    deck: Path | None = None
+    netcdf: Path | None = None
+
+
+class PatternReport(Struct, frozen=True, kw_only=True):
+    """One pattern; what there is not is None."""
+
+    max_gain_dbi: float
+    theta_deg: float
+    """Of the maximum, as phi_deg."""
+    phi_deg: float
+    backend: str
+    accuracy: str
+    average_gain: float
+    azimuth_width_deg: float | None
+    elevation_width_deg: float | None
+    side_lobe_dbi: float | None
+    back_dbi: float
+    null_dbi: float
+    towards_dbi: float
+    """Gain along +y, for which arrays are fed."""
+    pointing_error_deg: float
+    exact_directivity_dbi: float | None
+    """Maximum of Hertzian dipoles with currents in the ratio of the voltages, for short dipoles."""
+    elements: int
+    grid_deg: float
+
+
+class Spread(Struct, frozen=True, kw_only=True):
+    """Of decibels."""
+
+    mean_dbi: float
+    std_db: float
+    quantiles: dict[str, float]
+
+
+class Pointing(Struct, frozen=True, kw_only=True):
+    """Of angles between the maxima and +y."""
+
+    mean_deg: float
+    rms_deg: float
+    max_deg: float
+    quantiles: dict[str, float]
+
+
+class StatisticsReport(Struct, frozen=True, kw_only=True):
+    """Many patterns; moments and quantiles are of those whose elements do not touch."""
+
+    mean_dbi: float
+    """Of the maximum gains in decibels, and so std_db and the quantiles, dBi by their share."""
+    std_db: float
+    min_dbi: float
+    max_dbi: float
+    quantiles: dict[str, float]
+    ideal_dbi: float
+    samples: int
+    missing: int
+    """Samples without a pattern, since elements touch, or are too close for the solver."""
+    first_missing: str | None
+    towards: Spread
+    """Gain along +y."""
+    pointing: Pointing
+    mean_pattern_max_dbi: float
+    """Greatest of the mean pattern (mean of linear gains) on the grid."""
+    backend: str
+    accuracy: str
+    elements: int
+
+
+def one_pattern(places_m: Array, config: AntennaConfig, disorder: Disorder, files: Files) -> PatternReport:
+    """Solve the ideal formation, or the first that is drawn; raises `ElementsTouch`."""
+    backend, perfect = make_backend(config), ideal(places_m, config)
+    drawn = disorder.sigma_m > 0.0 or disorder.tilt_rad > 0.0
+    snapshot = next(draws(places_m, config, disorder)) if drawn else perfect
+    pattern = _solved(backend, snapshot)
+    found = features(pattern)
+    if files.deck is not None:
+        _write_text(files.deck, deck_of(snapshot, config, pattern))
+    if files.netcdf is not None:
+        write_dataset(to_dataset([pattern], config, accuracy=backend.accuracy), _in_folder(files.netcdf))
+    if files.figure is not None or files.cuts is not None:
+        panels = (
+            {"Ideal": _solved(backend, perfect), f"Seed {disorder.seed}": pattern}
+            if drawn
+            else {"Ideal": pattern}
+        )
+        _save(files.figure, lambda: patterns_figure(panels))
+        _save(files.cuts, lambda: cuts_figure(panels))
+    return PatternReport(
+        max_gain_dbi=pattern.max_gain_dbi,
+        theta_deg=pattern.max_theta_deg,
+        phi_deg=pattern.max_phi_deg,
+        backend=backend.name,
+        accuracy=str(backend.accuracy),
+        average_gain=pattern.average_gain,
+        azimuth_width_deg=found.azimuth_width_deg,
+        elevation_width_deg=found.elevation_width_deg,
+        side_lobe_dbi=found.side_lobe_dbi,
+        back_dbi=found.back_dbi,
+        null_dbi=found.null_dbi,
+        towards_dbi=float(gain_towards_dbi([pattern], *MAIN_LOBE_DEG)[0]),
+        pointing_error_deg=float(pointing_errors_deg([pattern], *MAIN_LOBE_DEG)[0]),
+        exact_directivity_dbi=exact_directivity_dbi(snapshot, config),
+        elements=len(places_m),
+        grid_deg=float(pattern.theta_deg[1]),
+    )
+
+
+def many_patterns(
+    places_m: Array, config: AntennaConfig, disorder: Disorder, *, samples: int, cores: int, files: Files
+) -> StatisticsReport:
+    """Draw and solve; raises ValueError when the elements of all formations touch."""
+    solver = make_backend(config, threads=cores)
+    best = _solved(solver, ideal(places_m, config))
+    size = samples * 2 * best.theta_gain_dbi.size * np.dtype(np.float32).itemsize
+    if files.netcdf is not None and size > MOST_KEPT_BYTES:
+        raise ValueError(f"--netcdf: {samples} patterns are {size / 1e9:.1f} GB; expected up to 4")
+    running, missing, first_missing = RunningEnvelope(), 0, None
+    max_gain_dbi, towards_dbi, errors_deg = [], [], []
+    kept: list[Pattern | ElementsTouch] = []
+    snapshots = islice(draws(places_m, config, disorder), samples)
+    for number, results in _solve(solver, config, snapshots, cores, samples):
+        if files.netcdf is not None:
+            kept += results
+        patterns = []
+        for k, result in enumerate(results):
+            if isinstance(result, Pattern) and _sound(result):
+                patterns.append(result)
+                running.add(result)
+                continue
+            missing += 1
+            if first_missing is None:
+                # elements that all but touch may seem to give power to their sources
+                reason = str(result) if isinstance(result, ElementsTouch) else "the solver found no power"
+                first_missing = f"sample {number + k}: {reason}"
+        max_gain_dbi += [pattern.max_gain_dbi for pattern in patterns]
+        towards_dbi.append(gain_towards_dbi(patterns, *MAIN_LOBE_DEG))
+        errors_deg.append(pointing_errors_deg(patterns, *MAIN_LOBE_DEG))
+    if not max_gain_dbi:
+        raise ValueError(f"no sample has a pattern; {first_missing}")
+    gains_dbi, envelope = np.array(max_gain_dbi), running.result()
+    _save(files.figure, lambda: gain_density_figure({"drawn": gains_dbi}, best.max_gain_dbi))
+    _save(files.envelope, lambda: envelope_figure(envelope, best))
+    if files.netcdf is not None:
+        write_dataset(to_dataset(kept, config, accuracy=solver.accuracy), _in_folder(files.netcdf))
+    maximum, towards = gain_statistics(gains_dbi), gain_statistics(np.concatenate(towards_dbi))
+    pointing = pointing_statistics(np.concatenate(errors_deg))
+    return StatisticsReport(
+        mean_dbi=maximum.mean_dbi,
+        std_db=maximum.std_db,
+        min_dbi=maximum.min_dbi,
+        max_dbi=maximum.max_dbi,
+        quantiles=_named(maximum.quantiles_dbi),
+        ideal_dbi=best.max_gain_dbi,
+        samples=samples,
+        missing=missing,
+        first_missing=first_missing,
+        towards=Spread(
+            mean_dbi=towards.mean_dbi, std_db=towards.std_db, quantiles=_named(towards.quantiles_dbi)
+        ),
+        pointing=Pointing(
+            mean_deg=pointing.mean_deg,
+            rms_deg=pointing.rms_deg,
+            max_deg=pointing.max_deg,
+            quantiles=_named(pointing.quantiles_deg),
+        ),
+        mean_pattern_max_dbi=float(envelope.mean_dbi.max()),
+        backend=solver.name,
+        accuracy=str(solver.accuracy),
+        elements=len(places_m),
+    )
+
+
+def exact_directivity_dbi(snapshot: Snapshot, config: AntennaConfig) -> float | None:
+    """Directivity by the closed form, where it holds: short dipoles, not over real ground."""
+    short = config.element_kind == "dipole" and config.element_length_m <= SHORT_LAMBDA * config.wavelength_m
+    if not short or config.ground == "real":
+        return None
+    image = config.ground == "perfect"
+    return hertzian_pattern(snapshot, config.wavelength_m, grid_deg=config.grid_deg, image=image).max_gain_dbi
+
+
+def _solve(
+    solver: Backend, config: AntennaConfig, snapshots: Iterable[Snapshot], cores: int, samples: int
+) -> Iterator[tuple[int, Sequence[Pattern | ElementsTouch]]]:
+    """Solve all snapshots, some at a time, each lot with the number of its first; progress on stderr."""
+    source = iter(snapshots)
+    console = Console(stderr=True)
+    firsts = range(0, samples, AT_A_TIME)
+    for first in track(
+        firsts, console=console, description="solving", transient=True, disable=not console.is_terminal
+    ):
+        lot = list(islice(source, AT_A_TIME))
+        if solver.name == "batch":  # it has threads of its own; the others take a process for each core
+            yield first, solver.patterns(lot)
+        else:
+            yield first, compute_patterns(config, lot, workers=cores)
+
+
+def _solved(backend: Backend, snapshot: Snapshot) -> Pattern:
+    (result,) = backend.patterns([snapshot])
+    if isinstance(result, ElementsTouch):
+        raise result
+    if not _sound(result):
+        raise ValueError(f"elements all but touch, and {backend.name} finds no power that is radiated")
+    return result
+
+
+def _sound(pattern: Pattern) -> bool:
+    """Whether power was radiated at all: of elements that all but touch a solver may find less than none."""
+    return math.isfinite(pattern.max_gain_dbi) and pattern.average_gain > 0.0
+
+
+def _named(quantiles: dict[float, float]) -> dict[str, float]:
+    return {f"{share:g}": value for share, value in quantiles.items()}
+
+
+def _save(path: Path | None, draw: Callable[[], Figure]) -> None:
+    if path is not None:
+        draw().savefig(_in_folder(path), format="png", dpi=120)
+
+
+def _write_text(path: Path, text: str) -> None:
+    _in_folder(path).write_text(text, encoding="ascii")
+
+
+def _in_folder(path: Path) -> Path:
+    """The path, whose folder is made if it is not there."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return path

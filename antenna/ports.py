@@ -1,0 +1,116 @@
+"""The array seen from its sources: admittances, fields for one volt each, voltages of a feeding policy.
+
+By the batch solver, which drives the elements one after the other while the sources of the others are shorts.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from antenna.batch.coupling import Kind, make_kind, solve_arrays
+from antenna.batch.moments import ETA_OHM
+from antenna.config import AntennaConfig
+from antenna.excitation import end_fire, hansen_woodyard, optimum
+from antenna.geometry import Array, Complex, ElementsTouch, Snapshot, Voltages, upright
+
+MAIN_LOBE_DEG = (90.0, 90.0)
+"""Theta and phi of +y, for which arrays are fed."""
+LEAST_GAIN = 1e-6
+"""Linear, of an element whose neighbours are shorts; below it, it radiates nothing in a direction."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ports:
+    """An array of n elements as its sources see it.
+
+    With voltages v (n,) its gain is 4 pi |F v|^2 / (eta v^H Re(Y) v).
+    """
+
+    admittance_s: Complex
+    """(n, n) Y: current into source i for 1 V at source j; symmetric, but for the solver's own
+    error: 1e-3 of the greatest for long dipoles, as matching at points is not quite reciprocal."""
+    fields: Complex
+    """(2, n) F: far field in the theta and phi polarisations, times distance, for 1 V; dimensionless."""
+
+    def gain(self, voltages: Voltages) -> float:
+        """Linear gain in the direction of the fields."""
+        power_w = 0.5 * float((voltages.conj() @ self.admittance_s @ voltages).real)
+        intensity_w = float((np.abs(self.fields @ voltages) ** 2).sum()) / (2.0 * ETA_OHM)
+        return 4.0 * np.pi * intensity_w / power_w
+
+
+def ports(
+    snapshot: Snapshot, config: AntennaConfig, towards_deg: tuple[float, float] = MAIN_LOBE_DEG
+) -> Ports:
+    """Sources and fields in a direction (theta, phi) of a snapshot, whose own voltages do not count.
+
+    Raises `ElementsTouch`, and ValueError over real ground, which the batch solver does not know.
+    """
+    if config.ground == "real":
+        raise ValueError(
+            "excitation: port admittances come from the batch solver, which knows no real ground"
+        )
+    n, image = len(snapshot.voltages), config.ground == "perfect"
+    kind = _kind(config)
+    currents, power_w = np.zeros((n, n, len(kind.feed_a)), complex), np.zeros(n)
+    nearest, nearest_m = np.empty((n, 2), np.int64), np.empty(n)
+    solve_arrays(
+        kind, np.tile(snapshot.centres_m, (n, 1, 1)), np.tile(snapshot.rotations, (n, 1, 1, 1)),
+        np.eye(n, dtype=complex), currents, power_w, nearest, nearest_m,
+    )  # fmt: skip
+    if nearest_m[0] <= kind.clearance_m:
+        raise ElementsTouch(int(nearest[0, 0]), int(nearest[0, 1]), float(nearest_m[0]))
+    finest = slice(int(kind.firsts[-2]), int(kind.firsts[-1]))
+    places_m = (
+        np.einsum("nxy,my->nmx", snapshot.rotations, kind.places_m[finest]) + snapshot.centres_m[:, None]
+    )
+    axes = np.einsum("nxy,my->nmx", snapshot.rotations, kind.axes[finest])
+    moments_am = currents @ kind.moments_am[finest].T  # (driven, element, point)
+    theta_hat, phi_hat, towards = _directions(*towards_deg)
+    phase = np.exp(1j * kind.k_rad_m * (places_m @ towards))
+    across = np.stack([axes @ theta_hat, axes @ phi_hat]) * phase
+    if image:
+        mirror = np.array([1.0, 1.0, -1.0])
+        phase = np.exp(1j * kind.k_rad_m * (places_m @ (mirror * towards)))
+        across += np.stack([axes @ (-mirror * theta_hat), axes @ (-mirror * phi_hat)]) * phase
+    scale = ETA_OHM * kind.k_rad_m / (4.0 * np.pi)
+    fields: Complex = -1j * scale * np.einsum("dnm,pnm->pd", moments_am, across)
+    return Ports(np.ascontiguousarray((currents @ kind.feed_a).T), fields)
+
+
+def feed(places_m: Array, config: AntennaConfig, rotations: Array | None = None) -> Voltages:
+    """(n,) voltages by ``config.excitation`` for elements at (n, 3) places, for the main lobe along +y.
+
+    Only the optimum asks for attitudes, (n, 3, 3), without which the elements are upright. Raises
+    `ElementsTouch` and, where a policy has no answer, ValueError.
+    """
+    match config.excitation:
+        case "end_fire":
+            return end_fire(places_m, config.wavelength_m)
+        case "hansen_woodyard":
+            return hansen_woodyard(places_m, config.wavelength_m)
+        case "optimum":
+            alike = np.ones(len(places_m), complex)
+            array = upright(places_m, alike) if rotations is None else Snapshot(places_m, rotations, alike)
+            seen = ports(array, config)
+            if max(seen.gain(one) for one in np.eye(len(places_m), dtype=complex)) < LEAST_GAIN:
+                raise ValueError(
+                    "excitation: the elements radiate nothing along +y, so no weights are the best"
+                )
+            return optimum(0.5 * (seen.admittance_s + seen.admittance_s.T).real, seen.fields)
+
+
+def _directions(theta_deg: float, phi_deg: float) -> tuple[Array, Array, Array]:
+    """Unit vectors of theta, phi and the direction itself."""
+    theta, phi = np.radians(theta_deg), np.radians(phi_deg)
+    theta_hat = np.array([np.cos(theta) * np.cos(phi), np.cos(theta) * np.sin(phi), -np.sin(theta)])
+    phi_hat = np.array([-np.sin(phi), np.cos(phi), 0.0])
+    towards = np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+    return theta_hat, phi_hat, towards
+
+
+@lru_cache(maxsize=8)
+def _kind(config: AntennaConfig) -> Kind:
+    """Response of the elements that a configuration has."""
+    return make_kind(config.element(), config.wavelength_m, image=config.ground == "perfect")

@@ -1,0 +1,38 @@
+"""Runs every numerical kernel of the antenna once, so that all are compiled and on disk.
+
+What they compute is of no interest, only that they compute it.
+"""
+
+import numpy as np
+
+from antenna.backend import make_backend
+from antenna.clearance import NEAR_RAD, check_apart
+from antenna.config import AntennaConfig
+from antenna.geometry import grid, upright
+from antenna.patterns import Pattern
+from antenna.ports import feed
+from antenna.statistics import RunningEnvelope
+
+HEIGHT_M = 10.0
+
+
+class RehearsalError(RuntimeError):
+    """An array that has a pattern was found to have none; something is wrong with the antenna."""
+
+
+def rehearse() -> None:
+    """Solve dipoles apart and near each other, in free space and over a ground, and count their gains.
+
+    Raises RehearsalError.
+    """
+    for ground in ("none", "perfect"):
+        config = AntennaConfig(ground=ground, excitation="optimum", grid_deg=30.0)
+        places_m = grid(4, 2, 8.5, 2.5) + np.array([0.0, 0.0, HEIGHT_M])
+        near_m = grid(2, 2, 0.5 * NEAR_RAD * config.wavelength_m / (2.0 * np.pi), 0.0) + HEIGHT_M
+        arrays = [upright(places_m, feed(places_m, config)) for places_m in (places_m, near_m)]
+        check_apart(arrays[0], config.element(), grounded=ground == "perfect")
+        counted = RunningEnvelope()
+        for pattern in make_backend(config).patterns(arrays):
+            if not isinstance(pattern, Pattern):
+                raise RehearsalError(f"the antenna's rehearsal has no pattern: {pattern}")
+            counted.add(pattern)

@@ -1,0 +1,19 @@
+"""Arrays that the antenna's tests share: the article's, moved and tilted."""
+
+import numpy as np
+
+from antenna.excitation import vertical_snapshot
+from antenna.geometry import Snapshot, along, grid
+
+
+def ideal(wavelength_m, count=8):
+    """Make the article's 4 x 2 array, or its first ``count`` places."""
+    return vertical_snapshot(grid(count, 4, 0.85 * wavelength_m, 0.25 * wavelength_m), wavelength_m)
+
+
+def perturbed(rng, wavelength_m, sigma_m=0.5, tilt_rad=0.1, count=8):
+    """Move every element by a Gaussian error per axis, and tilt it by about that much."""
+    array = ideal(wavelength_m, count)
+    axes = array.axes + rng.normal(0.0, tilt_rad, (count, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    return Snapshot(array.centres_m + rng.normal(0.0, sigma_m, (count, 3)), along(axes), array.voltages)
