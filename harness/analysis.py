@@ -1,5 +1,6 @@
 """The synthetic aperture that was flown: its snapshots in the antenna's frame, and its gain over time."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,14 +8,22 @@ from msgspec import structs
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from antenna.clearance import GROUND
 from antenna.config import AntennaConfig
-from antenna.geometry import ElementsTouch, Snapshot, endfire_voltages
+from antenna.geometry import ElementsTouch, Snapshot
 from antenna.parallel import compute_patterns
 from antenna.patterns import Pattern
+from antenna.ports import feed
 from harness.flight import Array, Flight
 
+ELEMENT_TO_FRD = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+"""An element's axes on its vehicle: x to the right, y forward, z up, as the antenna's when all is upright."""
 FIGURE_GRID_DEG = 1.5
 """Grid of patterns that are looked at: a wider one breaks lines of low gain into beads."""
+
+
+class NoFeed(Exception):
+    """The array cannot be fed as its settings say; the text is one line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,12 +66,15 @@ def antenna_from_ned(heading_rad: float) -> Array:
 
 
 def ideal_pattern(places_ned_m: Array, heading_rad: float, config: AntennaConfig) -> Pattern:
-    """Pattern of the formation (N, 3) with every vehicle upright in its place; raises `ElementsTouch`.
+    """Pattern of the formation (N, 3) with every vehicle upright in its place.
 
-    It is the same wherever the formation flies, for the antenna's frame turns with it.
+    It is the same wherever the formation flies, for the antenna's frame turns with it. Raises
+    `ElementsTouch`, `NoFeed`.
     """
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(places_ned_m), 1))
-    snapshot = antenna_snapshot(places_ned_m, upright, places_ned_m, heading_rad, config.wavelength_m)
+    snapshot = antenna_snapshot(
+        places_ned_m, upright, places_ned_m, heading_rad, config, believed_pos_ned_m=places_ned_m
+    )
     (pattern,) = compute_patterns(config, [snapshot])
     if isinstance(pattern, ElementsTouch):
         raise pattern
@@ -70,59 +82,69 @@ def ideal_pattern(places_ned_m: Array, heading_rad: float, config: AntennaConfig
 
 
 def antenna_snapshot(
-    pos_ned_m: Array, q_ned_frd: Array, desired_pos_ned_m: Array, heading_rad: float, wavelength_m: float
+    pos_ned_m: Array,
+    q_ned_frd: Array,
+    desired_pos_ned_m: Array,
+    heading_rad: float,
+    config: AntennaConfig,
+    *,
+    believed_pos_ned_m: Array | None = None,
 ) -> Snapshot:
-    """Make the array of n vehicles at (n, 3) positions with (n, 4) attitudes, fed for desired places (n, 3).
+    """Make the array of n vehicles at (n, 3) positions with (n, 4) attitudes that should be at (n, 3).
 
-    A dipole stands along its vehicle's vertical axis, positive upwards. The frame's origin is the centre of
-    the places.
+    It is fed for the places, for where the vehicles believe themselves to be, or for where they are, as
+    ``config.feeds_for`` says; for the first two elements are taken to be upright. The frame's origin is the
+    centre of the places, but on the ground where there is one. Raises `ElementsTouch` if the feeds depend on
+    how the elements couple and that has no answer, `NoFeed` if they have none for these positions, such as
+    Hansen and Woodyard's for a single row, and ValueError if nobody wrote down what the vehicles believed.
     """
-    to_antenna = antenna_from_ned(heading_rad).T
-    up_ned = Rotation.from_quat(q_ned_frd, scalar_first=True).apply([0.0, 0.0, -1.0])
-    centre_ned_m = desired_pos_ned_m.mean(axis=0)
-    return Snapshot(
-        centres_m=(pos_ned_m - centre_ned_m) @ to_antenna,
-        axes=up_ned @ to_antenna,
-        voltages=endfire_voltages((desired_pos_ned_m - centre_ned_m) @ to_antenna, wavelength_m),
-    )
+    from_ned = antenna_from_ned(heading_rad)
+    origin_ned_m = desired_pos_ned_m.mean(axis=0)
+    if config.ground != "none":
+        origin_ned_m[2] = 0.0
+    q = Rotation.from_quat(q_ned_frd, scalar_first=True).as_matrix()
+    rotations = from_ned @ q @ ELEMENT_TO_FRD
+    fed_ned_m = {"places": desired_pos_ned_m, "estimates": believed_pos_ned_m, "truth": pos_ned_m}[
+        config.feeds_for
+    ]
+    if fed_ned_m is None:
+        raise ValueError(
+            "the feeds are for where the vehicles believe themselves to be, which nobody wrote down"
+        )
+    attitudes = rotations if config.feeds_for == "truth" else None
+    try:
+        voltages = feed((fed_ned_m - origin_ned_m) @ from_ned.T, config, attitudes)
+    except ValueError as error:
+        raise NoFeed(str(error)) from None
+    return Snapshot(centres_m=(pos_ned_m - origin_ned_m) @ from_ned.T, rotations=rotations, voltages=voltages)
 
 
 def gain_series(flight: Flight, config: AntennaConfig, *, workers: int = 1) -> GainSeries:
     """Patterns of the flight at ``config.snapshot_rate_hz``.
 
-    The elements of dead vehicles are left out; instants at which none lives, or two elements touch, are
-    ``missing``.
+    The elements of dead vehicles are left out. An instant is ``missing`` when none lives, two elements touch,
+    or the living cannot be fed: their policy has no answer, or it is for where they believe themselves to be
+    and one does not know.
     ``workers`` is as in `antenna.parallel.compute_patterns`.
     """
     sampled = flight.sampled(config.snapshot_rate_hz)
-    missing = [
-        MissingPattern(int(sampled.time_us[t]), "no vehicle is alive")
-        for t in np.flatnonzero(~sampled.alive.any(axis=1))
-    ]
-    rows = np.flatnonzero(sampled.alive.any(axis=1))
-    snapshots = []
-    for t in rows:
-        alive = sampled.alive[t]
-        places_ned_m = sampled.desired_pos_ned_m[t, alive]
-        snapshots.append(
-            antenna_snapshot(
-                sampled.pos_ned_m[t, alive],
-                sampled.q_ned_frd[t, alive],
-                places_ned_m,
-                float(sampled.heading_rad[t]),
-                config.wavelength_m,
-            )
-        )
+    missing: list[MissingPattern] = []
+    made: list[tuple[int, Snapshot]] = []
+    for t, time_us in enumerate(sampled.time_us.tolist()):
+        try:
+            made.append((t, snapshot_at(sampled, t, config)))
+        except ElementsTouch as touch:
+            missing.append(MissingPattern(time_us, describe_touch(touch, living(sampled, t))))
+        except NoFeed as error:
+            missing.append(MissingPattern(time_us, str(error)))
     found: list[tuple[int, Snapshot, Pattern]] = []
-    results = compute_patterns(config, snapshots, workers=workers)
-    for t, snapshot, result in zip(rows, snapshots, results, strict=True):
+    results = compute_patterns(config, [snapshot for _, snapshot in made], workers=workers)
+    for (t, snapshot), result in zip(made, results, strict=True):
+        time_us = int(sampled.time_us[t])
         if isinstance(result, ElementsTouch):
-            first, second = np.flatnonzero(sampled.alive[t])[[result.first, result.second]]
-            missing.append(
-                MissingPattern(int(sampled.time_us[t]), f"antennas of UAVs {first} and {second} touch")
-            )
+            missing.append(MissingPattern(time_us, describe_touch(result, living(sampled, t))))
         else:
-            found.append((int(sampled.time_us[t]), snapshot, result))
+            found.append((time_us, snapshot, result))
     return GainSeries(
         time_us=np.array([time_us for time_us, _, _ in found], dtype=np.int64),
         max_gain_dbi=np.array([pattern.max_gain_dbi for _, _, pattern in found]),
@@ -130,6 +152,45 @@ def gain_series(flight: Flight, config: AntennaConfig, *, workers: int = 1) -> G
         patterns=tuple(pattern for _, _, pattern in found),
         missing=tuple(sorted(missing, key=lambda instant: instant.time_us)),
     )
+
+
+def snapshot_at(flight: Flight, t: int, config: AntennaConfig) -> Snapshot:
+    """Make the array of the living at the flight's instant number ``t``; raises as `antenna_snapshot` does.
+
+    Its element k is on the vehicle ``living(flight, t)[k]``.
+    """
+    alive, believed_ned_m = flight.alive[t], flight.believed_pos_ned_m
+    if not alive.any():
+        raise NoFeed("no vehicle is alive")
+    if config.feeds_for == "estimates" and believed_ned_m is not None:
+        lost = np.flatnonzero(alive & ~np.isfinite(believed_ned_m[t]).all(axis=1)).tolist()
+        if lost:
+            raise NoFeed(
+                f"UAV {lost[0]} does not know where it is"
+                if len(lost) == 1
+                else f"UAVs {', '.join(map(str, lost))} do not know where they are"
+            )
+    return antenna_snapshot(
+        flight.pos_ned_m[t, alive],
+        flight.q_ned_frd[t, alive],
+        flight.desired_pos_ned_m[t, alive],
+        float(flight.heading_rad[t]),
+        config,
+        believed_pos_ned_m=None if believed_ned_m is None else believed_ned_m[t, alive],
+    )
+
+
+def living(flight: Flight, t: int) -> list[int]:
+    """Numbers of the vehicles that live at the flight's instant number ``t``."""
+    alive: list[int] = np.flatnonzero(flight.alive[t]).tolist()
+    return alive
+
+
+def describe_touch(touch: ElementsTouch, vehicles: Sequence[int]) -> str:
+    """Say whose antennas touch, element k being on ``vehicles[k]``."""
+    if touch.second == GROUND:
+        return f"the antenna of UAV {vehicles[touch.first]} touches the ground"
+    return f"antennas of UAVs {vehicles[touch.first]} and {vehicles[touch.second]} touch"
 
 
 def figure_patterns(

@@ -27,6 +27,9 @@ class Flight:
     """(T,) of the desired formation, clockwise from north; likewise."""
     alive: NDArray[np.bool_]
     """(T, N)"""
+    believed_pos_ned_m: Array | None = None
+    """(T, N, 3) where the vehicles believe themselves to be, NaN where one does not know; None where nobody
+    wrote that down."""
 
     def __post_init__(self) -> None:
         """Check the shapes."""
@@ -38,6 +41,8 @@ class Flight:
             "desired_pos_ned_m": (instants, vehicles, 3),
             "heading_rad": (instants,),
         }
+        if self.believed_pos_ned_m is not None:
+            expected["believed_pos_ned_m"] = (instants, vehicles, 3)
         for name, shape in expected.items():
             if getattr(self, name).shape != shape:
                 raise ValueError(f"{name} is {getattr(self, name).shape}, and not {shape} as alive says")
@@ -56,6 +61,7 @@ class Flight:
             desired_pos_ned_m=self.desired_pos_ned_m[rows],
             heading_rad=self.heading_rad[rows],
             alive=self.alive[rows],
+            believed_pos_ned_m=None if self.believed_pos_ned_m is None else self.believed_pos_ned_m[rows],
         )
 
     def sampled(self, rate_hz: float) -> "Flight":

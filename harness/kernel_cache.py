@@ -29,6 +29,7 @@ _FOLDER = re.compile(r"[0-9a-f]{16}")
 _COMPILERS = {
     "the vehicles'": "from autopilot.rehearsal import rehearse; rehearse()",
     "the physics'": "from harness.physics.rehearsal import rehearse; rehearse()",
+    "the antenna's": "from antenna.rehearsal import rehearse; rehearse()",
 }
 
 
@@ -78,7 +79,7 @@ def forget_old(now_s: float) -> None:
 
 
 def _compile() -> None:
-    """Compile the vehicles' and the physics' kernels side by side, in processes of their own."""
+    """Compile the vehicles', the physics' and the antenna's kernels side by side, each in a process."""
     compilers = {
         whose: subprocess.Popen(
             [sys.executable, "-P", "-c", code],

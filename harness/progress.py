@@ -201,6 +201,7 @@ def summary_table(summary: Mapping[str, Any]) -> Table:
         "FTM sessions": f"{ftm['completed']} of {ftm['requested']} completed",
         "FTM error": ", ".join(ftm_error),
         "maximum gain": f"{', '.join(gains)}, {_number(gain['std'], '.2f', 'dB')} std",
+        "computed by": ": ".join(filter(None, (gain.get("backend"), gain.get("accuracy")))) or "-",
         "collisions": str(summary["collisions"]),
         "deterministic": "yes" if summary["deterministic"] else "no",
         "log sha256": str(summary["log_sha256"])[:16],

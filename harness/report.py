@@ -7,9 +7,8 @@ Everything here works from the run folder alone, so a run that was cut short is 
 
 import hashlib
 import importlib.metadata
-import math
-import os
 import platform
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +17,10 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from antenna.backend import BackendUnavailable
-from antenna.parallel import WorkerError
-from antenna.patterns import Pattern
-from antenna.statistics import gain_statistics
 from autopilot.formation_plan import FormationPlan
-from harness import figures
-from harness.analysis import GainSeries, figure_patterns, gain_series, ideal_pattern
+from harness import aperture, figures
+from harness.analysis import figure_patterns
+from harness.aperture import Aperture
 from harness.flight import Flight
 from harness.formation_error import FormationError, formation_error
 from harness.motion_start import flown_start_us, since_start_s
@@ -90,7 +86,8 @@ def finish(folder: RunFolder, scenario: Scenario, outcome: Outcome, *, draw: boo
     whole = _flight(records, plan, start_us)
     window = _window(whole, outcome)
     error = formation_error(window) if len(window) else None
-    gains, ideal, antenna_note = _antenna(window, scenario)
+    antenna = aperture.measure(window, scenario)
+    aperture.write(folder, antenna, scenario.antenna)
     summary = {
         "scenario": scenario.name,
         "seed": scenario.run.seed,
@@ -106,14 +103,14 @@ def finish(folder: RunFolder, scenario: Scenario, outcome: Outcome, *, draw: boo
         "formation_rms_m": _formation(error),
         "vehicles": _vehicles(records, error),
         **_radio(folder, sessions),
-        "max_gain_dbi": _gain(gains, ideal, antenna_note),
+        "max_gain_dbi": aperture.numbers(antenna),
         "collisions": sum(b'"event":"collision"' in line for line in folder.events.read_bytes().splitlines()),
         "deterministic": not outcome.nondeterminism,
         "log_sha256": hashlib.sha256("".join(hashes.values()).encode()).hexdigest(),
     }
     _write_json(folder.summary, summary)
-    written = _draw(folder, scenario, whole, window, error, gains, ideal, sessions) if draw else []
-    _write_json(folder.manifest, _manifest(scenario, outcome, hashes, written))
+    written = _draw(folder, scenario, whole, window, error, antenna, sessions) if draw else []
+    _write_json(folder.manifest, _manifest(scenario, outcome, hashes, written, antenna))
     for raw in sorted(folder.raw.glob("*.bin")):
         raw.unlink()
     folder.raw.rmdir()
@@ -130,6 +127,7 @@ def _flight(records: NDArray[Any], plan: FormationPlan, start_us: int | None) ->
         desired_pos_ned_m=records["desired_pos_ned_m"],
         heading_rad=plan.headings(since_start_s(time_us, start_us)),
         alive=records["alive"],
+        believed_pos_ned_m=records["onboard_pos_ned_m"],
     )
 
 
@@ -197,36 +195,8 @@ def _ftm_error_m(sessions: NDArray[Any]) -> NDArray[np.float64]:
     return difference_m
 
 
-def _antenna(window: Flight, scenario: Scenario) -> tuple[GainSeries | None, Pattern | None, str | None]:
-    """Patterns of the window and the ideal one; where they cannot be had, nothing and the reason."""
-    try:
-        ideal = ideal_pattern(scenario.places_ned_m(), _heading_rad(scenario), scenario.antenna)
-        if not len(window):
-            return None, ideal, "the formation was not reached"
-        return gain_series(window, scenario.antenna, workers=os.cpu_count() or 1), ideal, None
-    except (BackendUnavailable, WorkerError) as error:
-        return None, None, str(error)
-
-
-def _heading_rad(scenario: Scenario) -> float:
-    """Heading of the formation before it moves."""
-    return math.radians(scenario.formation.heading_deg)
-
-
-def _gain(gains: GainSeries | None, ideal: Pattern | None, note: str | None) -> dict[str, Any]:
-    statistics = gain_statistics(gains.max_gain_dbi) if gains is not None and len(gains.patterns) else None
-    return {
-        "ideal": _round(ideal.max_gain_dbi if ideal else None),
-        "mean": _round(statistics.mean_dbi if statistics else None),
-        "std": _round(statistics.std_db if statistics else None),
-        "patterns": len(gains.patterns) if gains else 0,
-        "missing": len(gains.missing) if gains else 0,
-        **({"note": note} if note else {}),
-    }
-
-
 def _manifest(
-    scenario: Scenario, outcome: Outcome, hashes: dict[str, str], written: list[str]
+    scenario: Scenario, outcome: Outcome, hashes: dict[str, str], written: list[str], antenna: Aperture
 ) -> dict[str, Any]:
     return {
         "status": outcome.status,
@@ -242,6 +212,7 @@ def _manifest(
         "processes": [msgspec.to_builtins(process) for process in outcome.processes],
         "versions": {"python": platform.python_version(), **_versions()},
         "platform": platform.platform(),
+        "antenna": None if antenna.solver is None else asdict(antenna.solver),
         "logs_sha256": hashes,
         "figures": written,
         "scenario": msgspec.to_builtins(scenario),
@@ -276,8 +247,7 @@ def _draw(
     whole: Flight,
     window: Flight,
     error: FormationError | None,
-    gains: GainSeries | None,
-    ideal: Pattern | None,
+    antenna: Aperture,
     sessions: NDArray[Any],
 ) -> list[str]:
     """Draw every figure that the run has data for; returns their names."""
@@ -286,9 +256,10 @@ def _draw(
         figures.save_tracks(at / "tracks.png", whole)
     if error is not None:
         figures.save_formation_error(at / "formation_error.png", window.time_us, error)
+    gains, ideal = antenna.series, antenna.ideal
     if gains is not None and ideal is not None and len(gains.patterns):
         figures.save_gain_density(at / "gain_density.png", {"flown": gains.max_gain_dbi}, ideal.max_gain_dbi)
-        places_ned_m, heading_rad = scenario.places_ned_m(), _heading_rad(scenario)
+        places_ned_m, heading_rad = scenario.places_ned_m(), aperture.heading_rad(scenario)
         figures.save_patterns(
             at / "patterns.png", *figure_patterns(gains, places_ned_m, heading_rad, scenario.antenna)
         )

@@ -3,6 +3,7 @@
 manifest.json summary.json events.jsonl      what ran, what came out, what happened
 flight.parquet radio.parquet ftm.parquet      truth and estimates, every frame, every ranging session
 air.parquet                                   channel occupancy over time
+gains.parquet antenna.nec patterns.nc         antenna: gains over time, median instant as NEC deck, patterns
 figures/*.png  logs/*.log  config/*.json       pictures, the processes' messages, their settings
 uav-0.params ...                              parameters that a ground station had saved
 raw/                                          binary logs while the run lasts
@@ -40,6 +41,8 @@ class RunFolder:
         self.events = path / "events.jsonl"
         self.flight, self.radio = path / "flight.parquet", path / "radio.parquet"
         self.ftm, self.air = path / "ftm.parquet", path / "air.parquet"
+        self.gains, self.deck = path / "gains.parquet", path / "antenna.nec"
+        self.patterns = path / "patterns.nc"
         self.raw_truth, self.raw_air = self.raw / "truth.bin", self.raw / "air.bin"
         self.capture = path / "radio.pcapng"
         self.raw_frames, self.raw_sessions = self.raw / "frames.bin", self.raw / "sessions.bin"

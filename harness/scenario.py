@@ -32,7 +32,8 @@ from autopilot.config import (
 )
 from autopilot.formation_plan import FormationPlan
 from autopilot.parameter_file import ParameterFileError
-from harness import autopilot_settings, formation_shape
+from harness import autopilot_settings, element_file, formation_shape
+from harness.element_file import ElementFileError
 from harness.faults import EXPECTED, MOST_TIME_S, AnyFault, check
 from harness.formation_shape import FormationConfig, FormationFileError
 from harness.physics.environment import EnvironmentConfig
@@ -222,12 +223,16 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
     try:
         if isinstance(formation := table.get("formation"), dict):
             table["formation"] = formation_shape.with_points(formation, path.parent)
+        if isinstance(antenna := table.get("antenna"), dict):
+            table["antenna"] = element_file.with_deck(antenna, path.parent)
         scenario = msgspec.convert(table, Scenario)
         autopilot = autopilot_settings.with_parameter_file(scenario.autopilot, path.parent)
     except msgspec.ValidationError as error:
         raise ScenarioError(f"{path}: {explain(error, _EXPECTED)}") from None
     except FormationFileError as error:
         raise ScenarioError(f"{path}: formation.file: {error}") from None
+    except ElementFileError as error:
+        raise ScenarioError(f"{path}: antenna.element_file: {error}") from None
     except ParameterFileError as error:
         raise ScenarioError(f"{path}: autopilot.params_file: {error}") from None
     return msgspec.structs.replace(scenario, autopilot=autopilot)

@@ -14,7 +14,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from antenna.ports import MAIN_LOBE_DEG
+from antenna.statistics import pointing_errors_deg
 from autopilot.recording import VEHICLE_RECORD
+from harness.analysis import GainSeries
 from harness.recording import AIR_RECORD, TRUTH_RECORD
 from harness.run_folder import RunFolder
 from netsim.logs import FRAME_LOG, SESSION_LOG
@@ -43,6 +46,29 @@ def write_tables(
     ):
         _write(target, read(raw, dtype))
     return flight
+
+
+def write_gains(path: Path, series: GainSeries) -> None:
+    """Write the aperture's maximum gain over time, a row for each instant.
+
+    ``max_theta_deg`` and ``max_phi_deg`` are its direction in the antenna's frame, ``pointing_error_deg`` the
+    angle from there to +y. Where there is no pattern these are null, and ``missing`` says why.
+    """
+    names = ("max_gain_dbi", "max_theta_deg", "max_phi_deg")
+    errors_deg = pointing_errors_deg(series.patterns, *MAIN_LOBE_DEG).tolist()
+    rows: dict[int, tuple[float | str | None, ...]] = {
+        time_us: (*(getattr(pattern, name) for name in names), error_deg, None)
+        for time_us, pattern, error_deg in zip(
+            series.time_us.tolist(), series.patterns, errors_deg, strict=True
+        )
+    }
+    rows |= {instant.time_us: (None, None, None, None, instant.reason) for instant in series.missing}
+    times_us = sorted(rows)
+    columns = {"time_us": pa.array(times_us, pa.int64())}
+    for k, name in enumerate((*names, "pointing_error_deg", "missing")):
+        kind = pa.string() if name == "missing" else pa.float64()
+        columns[name] = pa.array([rows[time_us][k] for time_us in times_us], kind)
+    pq.write_table(pa.table(columns), path, compression="zstd")
 
 
 def merge(truth: NDArray[Any], vehicles: list[NDArray[Any]]) -> NDArray[Any]:

@@ -127,7 +127,7 @@ class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """Mean time for which it is."""
     nlos_loss_db: NonNegative = 10.0
     """Extra loss while it is."""
-    extra_attenuation_db: NonNegative = 0.0
+    extra_attenuation_db: Annotated[float, Meta(ge=0.0, le=1_000.0)] = 0.0
     """Attenuation added to every link: degrades the channel (20 dB), or cuts it (200 dB)."""
     cca_energy_dbm: Annotated[float, Meta(ge=-100.0, le=0.0)] = -62.0
     """Power from which on the medium is sensed busy, whatever sends: of all signals, in the whole channel."""

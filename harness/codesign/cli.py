@@ -16,13 +16,13 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from harness import kernel_cache
+from harness.campaign.store import CampaignError
 from harness.codesign.book import Book
 from harness.codesign.cases import QUICK, Case, Plan, groups
 from harness.codesign.factor_sections import judge_baselines, judge_beacon_period, judge_ranging
 from harness.codesign.introduction import command, introduction
 from harness.codesign.results import (
     FLYING,
-    CampaignError,
     Flown,
     Store,
     Task,

@@ -169,9 +169,10 @@ def _ranging_checks(book: Book) -> tuple[Check, ...]:
         formed_check(book, cases),
         *sound_checks(book, cases),
         fewest_pairs_check((shape_8, shape_16, busy_16, busy_often, shape_often)),
-        largest_shape_check(book, cases, "any policy that fits"),
+        largest_shape_check(book, cases, "any policy that the channel has room for"),
         Check(
-            name="share of ranging sessions that complete, any policy that fits, smallest mean",
+            name="share of ranging sessions that complete, any policy that the channel has room for, "
+            "smallest mean",
             unit="",
             value=extreme(book, cases, "completed_fraction", np.min), at_least=COMPLETED_LEAST,
         ),

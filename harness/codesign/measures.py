@@ -137,6 +137,7 @@ class Tables:
             desired_pos_ned_m=np.broadcast_to(places_ned_m, pos_ned_m.shape),
             heading_rad=np.full(len(self.time_us), heading_rad),
             alive=self.alive & known,
+            believed_pos_ned_m=self.own_pos_ned_m,
         )
 
     def rows(self, begin_us: int, end_us: int) -> "Tables":

@@ -5,16 +5,14 @@ that were in the air. A line is of use while its digest is that of the flight as
 same scenario, the same faults, the same state of the sources.
 """
 
-import ast
-import contextlib
-import fcntl
 import hashlib
 import multiprocessing
 import signal
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager
 from functools import cache
 from pathlib import Path
 
@@ -22,6 +20,8 @@ import msgspec
 from msgspec import Struct
 from msgspec.structs import replace
 
+from harness.campaign.sources import ROOT, hash_sources
+from harness.campaign.store import CampaignError, alone
 from harness.codesign.cases import Case, Plan
 from harness.codesign.measures import Measures
 from harness.faults import AnyFault
@@ -31,16 +31,7 @@ START_METHOD = "spawn"
 """Not forked: this process may have threads, and a worker shall be as a program of its own."""
 FLYING = "flying"
 """Below the store's folder: one for each flight while it lasts"""
-ROOT = Path(__file__).parents[2]
-_FLOWN_PACKAGES = ("antenna", "netsim", "autopilot", "harness")
-_AFTERWARDS = ("validation", "codesign")
-"""Parts of the harness that fly nothing themselves, ..."""
 _MEASURED_BY = ("codesign/flights.py", "codesign/measures.py")
-"""... but for these, which make the numbers."""
-
-
-class CampaignError(Exception):
-    """A campaign cannot go on; the text is one line for the user."""
 
 
 class Task(Struct, frozen=True, kw_only=True):
@@ -102,15 +93,9 @@ class Store:
                     continue
         return flights
 
-    @contextlib.contextmanager
-    def alone(self) -> Iterator[None]:
+    def alone(self) -> AbstractContextManager[None]:
         """Hold the folder for one campaign. Raises CampaignError if another one has it."""
-        with (self.folder / "lock").open("wb") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise CampaignError(f"{self.folder}: another campaign flies into it") from None
-            yield
+        return alone(self.folder)
 
     def _ends_a_line(self) -> bool:
         with self.path.open("rb") as file:
@@ -120,26 +105,8 @@ class Store:
 
 @cache
 def sources_state(root: Path = ROOT) -> str:
-    """Hash of what the modules that fly say: neither comments nor docstrings nor layout are in it."""
-    paths = [path for package in _FLOWN_PACKAGES for path in sorted((root / package).rglob("*.py"))]
-    content = hashlib.sha256()
-    for path in paths:
-        name = path.relative_to(root).as_posix()
-        part = name.removeprefix("harness/")
-        if part.partition("/")[0] in _AFTERWARDS and part not in _MEASURED_BY:
-            continue
-        tree = ast.parse(path.read_bytes())
-        for node in ast.walk(tree):
-            body = getattr(node, "body", None)
-            if isinstance(body, list):
-                node.body = [each for each in body if not _is_text(each)]  # type: ignore[attr-defined]
-        content.update(name.encode() + b"\0" + ast.dump(tree).encode())
-    return content.hexdigest()
-
-
-def _is_text(node: ast.AST) -> bool:
-    value = getattr(node, "value", None) if isinstance(node, ast.Expr) else None
-    return isinstance(value, ast.Constant) and isinstance(value.value, str)
+    """Hash of what the modules say that fly, and that make a flight's numbers here."""
+    return hash_sources(root, measured_by=_MEASURED_BY)
 
 
 def make_tasks(cases: Iterable[Case], plan: Plan, *, folder: Path, state: str | None = None) -> list[Task]:

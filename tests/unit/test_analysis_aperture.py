@@ -1,13 +1,25 @@
+import dataclasses
+
 import numpy as np
 import pytest
 from antenna_hertzian import gain_dbi
+from msgspec import structs
 from scipy.spatial.transform import Rotation
 
 from antenna.config import AntennaConfig
-from antenna.geometry import ElementsTouch, grid, vertical_snapshot
+from antenna.excitation import vertical_snapshot
+from antenna.geometry import ElementsTouch, grid
 from autopilot.config import RacetrackMotion
 from autopilot.formation_plan import FormationPlan
-from harness.analysis import antenna_from_ned, antenna_snapshot, figure_patterns, gain_series, ideal_pattern
+from harness.analysis import (
+    NoFeed,
+    antenna_from_ned,
+    antenna_snapshot,
+    figure_patterns,
+    gain_series,
+    ideal_pattern,
+    snapshot_at,
+)
 from harness.flight import Flight
 
 CONFIG = AntennaConfig(grid_deg=15.0)
@@ -44,7 +56,7 @@ def test_dipoles_lean_with_their_vehicles():
     q_ned_frd = Rotation.from_euler(
         "ZYX", [[0.0, -0.2, 0.0], [0.0, 0.0, 0.2], [np.pi / 2, -0.2, 0.0]]
     ).as_quat(scalar_first=True)
-    snapshot = antenna_snapshot(PLACES_NED_M[:3], q_ned_frd, PLACES_NED_M[:3], 0.0, 10.0)
+    snapshot = antenna_snapshot(PLACES_NED_M[:3], q_ned_frd, PLACES_NED_M[:3], 0.0, CONFIG)
     s, c = np.sin(0.2), np.cos(0.2)
     np.testing.assert_allclose(snapshot.axes, [[0.0, s, c], [s, 0.0, c], [s, 0.0, c]], atol=1e-12)
 
@@ -55,7 +67,7 @@ def test_snapshot_of_the_ideal_flight_is_the_ideal_array_whatever_the_heading():
         heading_rad = np.radians(heading_deg)
         places_ned_m = grid(8, 4, 8.5, 2.5) @ antenna_from_ned(heading_rad) + rng.normal(0.0, 50.0, 3)
         attitudes = np.tile(Rotation.from_euler("Z", 0.3).as_quat(scalar_first=True), (8, 1))
-        snapshot = antenna_snapshot(places_ned_m, attitudes, places_ned_m, heading_rad, 10.0)
+        snapshot = antenna_snapshot(places_ned_m, attitudes, places_ned_m, heading_rad, CONFIG)
         ideal = vertical_snapshot(grid(8, 4, 8.5, 2.5), 10.0)
         np.testing.assert_allclose(snapshot.centres_m, ideal.centres_m, atol=1e-9)
         np.testing.assert_allclose(snapshot.axes, ideal.axes, atol=1e-12)
@@ -64,12 +76,79 @@ def test_snapshot_of_the_ideal_flight_is_the_ideal_array_whatever_the_heading():
 
 def test_feeds_are_those_of_the_places_and_not_of_the_positions():
     moved_ned_m = PLACES_NED_M + np.random.default_rng(2).normal(0.0, 1.0, (8, 3))
-    snapshot = antenna_snapshot(moved_ned_m, np.tile(UPRIGHT, (8, 1)), PLACES_NED_M, 0.0, 10.0)
+    snapshot = antenna_snapshot(moved_ned_m, np.tile(UPRIGHT, (8, 1)), PLACES_NED_M, 0.0, CONFIG)
     ideal = vertical_snapshot(grid(8, 4, 8.5, 2.5), 10.0)
     np.testing.assert_allclose(snapshot.voltages, ideal.voltages, atol=1e-12)
     np.testing.assert_allclose(
         snapshot.centres_m - ideal.centres_m, (moved_ned_m - PLACES_NED_M)[:, [1, 0, 2]] * [1, 1, -1]
     )
+
+
+def test_feeds_may_be_for_where_the_vehicles_believe_themselves_to_be_or_are():
+    rng = np.random.default_rng(4)
+    moved_ned_m, believed_ned_m = PLACES_NED_M + rng.normal(0.0, 1.0, (2, 8, 3))
+    k_rad_m = 2.0 * np.pi / 10.0
+    for feeds_for, fed_ned_m in (("estimates", believed_ned_m), ("truth", moved_ned_m)):
+        config = structs.replace(CONFIG, feeds_for=feeds_for)
+        snapshot = antenna_snapshot(
+            moved_ned_m,
+            np.tile(UPRIGHT, (8, 1)),
+            PLACES_NED_M,
+            0.0,
+            config,
+            believed_pos_ned_m=believed_ned_m,
+        )
+        north_m = fed_ned_m[:, 0] - PLACES_NED_M[:, 0].mean()
+        np.testing.assert_allclose(snapshot.voltages, np.exp(-1j * k_rad_m * north_m), atol=1e-12)
+    with pytest.raises(ValueError, match="nobody wrote down"):
+        antenna_snapshot(
+            moved_ned_m,
+            np.tile(UPRIGHT, (8, 1)),
+            PLACES_NED_M,
+            0.0,
+            structs.replace(CONFIG, feeds_for="estimates"),
+        )
+
+
+def test_who_does_not_know_its_place_cannot_be_fed_for_it():
+    """What a dead vehicle does not know is of no interest; the others' feeds are for what they believe."""
+    believed_ned_m = np.tile(PLACES_NED_M, (4, 1, 1))
+    believed_ned_m[0] = np.nan
+    believed_ned_m[1, 3, 2] = np.nan
+    believed_ned_m[2, 5] = np.nan
+    alive = np.ones((4, 8), bool)
+    alive[2, 5] = False
+    flight = _flight(np.tile(PLACES_NED_M, (4, 1, 1)), alive)
+    flight = dataclasses.replace(flight, believed_pos_ned_m=believed_ned_m)
+    series = gain_series(flight, structs.replace(CONFIG, feeds_for="estimates"))
+    assert [(m.time_us, m.reason) for m in series.missing] == [
+        (7_000_000, "UAVs 0, 1, 2, 3, 4, 5, 6, 7 do not know where they are"),
+        (7_500_000, "UAV 3 does not know where it is"),
+    ]
+    assert [len(snapshot.centres_m) for snapshot in series.snapshots] == [7, 8]
+    whole = gain_series(flight, CONFIG)
+    assert whole.missing == ()
+    np.testing.assert_allclose(series.max_gain_dbi, whole.max_gain_dbi[2:], atol=1e-9)
+    with pytest.raises(NoFeed, match="UAV 3 does not know"):
+        snapshot_at(flight, 1, structs.replace(CONFIG, feeds_for="estimates"))
+
+
+def test_a_policy_without_an_answer_is_an_instant_without_a_pattern():
+    """Hansen and Woodyard's phases are of two rows and more; of 4 x 2 the second row dies."""
+    alive = np.ones((2, 8), bool)
+    alive[1, 4:] = False
+    config = structs.replace(CONFIG, excitation="hansen_woodyard")
+    series = gain_series(_flight(np.tile(PLACES_NED_M, (2, 1, 1)), alive), config)
+    assert series.time_us.tolist() == [7_000_000]
+    assert [m.time_us for m in series.missing] == [7_500_000]
+    assert "need two rows" in series.missing[0].reason
+
+
+def test_over_a_ground_heights_are_those_above_it():
+    config = structs.replace(CONFIG, ground="perfect")
+    snapshot = antenna_snapshot(PLACES_NED_M, np.tile(UPRIGHT, (8, 1)), PLACES_NED_M, 0.0, config)
+    np.testing.assert_allclose(snapshot.centres_m[:, 2], 10.0)
+    assert ideal_pattern(PLACES_NED_M, 0.0, config).max_gain_dbi > 18.0  # 13.3 dBi and the image's 6 dB
 
 
 @pytest.mark.nec2

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
-from antenna_hertzian import gain_dbi
+from antenna_hertzian import exact_patterns
 from matplotlib.image import imread
 
-from antenna.geometry import grid, vertical_snapshot
-from antenna.patterns import directions_deg, make_pattern
+from antenna.excitation import vertical_snapshot
+from antenna.geometry import grid
 from autopilot.config import RacetrackMotion
 from autopilot.formation_plan import FormationPlan
 from harness import figures
@@ -73,9 +73,7 @@ def test_error_of_a_lone_vehicle_is_drawn_without_a_shape(tmp_path):
 
 def test_antenna_is_drawn(tmp_path):
     ideal = vertical_snapshot(grid(8, 4, 8.5, 2.5), 10.0)
-    theta_deg, phi_deg = directions_deg(10.0)
-    gains = gain_dbi(ideal, 10.0, theta_deg[:, np.newaxis], phi_deg)
-    pattern = make_pattern(gains, lambda t, p: float(gain_dbi(ideal, 10.0, t, p)), ideal, 10.0)
+    (pattern,) = exact_patterns([ideal], 10.0, 10.0)
     figures.save_patterns(tmp_path / "patterns.png", pattern, pattern)
     figures.save_gain_density(tmp_path / "gain.png", {"flown": np.linspace(11.0, 13.0, 60)}, 13.26)
     _assert_drawn(tmp_path / "patterns.png")

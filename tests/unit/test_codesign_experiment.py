@@ -8,7 +8,8 @@ import pytest
 from scipy import integrate, special
 
 from antenna.backend import BackendUnavailable, make_backend
-from antenna.geometry import Snapshot, endfire_voltages, grid
+from antenna.excitation import end_fire
+from antenna.geometry import Snapshot, grid
 from autopilot.onboard.scheduled_ranging import owner
 from harness import swarm
 from harness.codesign.cases import (
@@ -136,8 +137,8 @@ def test_expected_gain_is_what_drawn_errors_give():
     snapshots = [
         Snapshot(
             centres_m=centres_m + rng.normal(0.0, 0.3, (8, 3)),
-            axes=np.tile((0.0, 0.0, 1.0), (8, 1)),
-            voltages=endfire_voltages(centres_m, 10.0),
+            rotations=np.tile(np.eye(3), (8, 1, 1)),
+            voltages=end_fire(centres_m, 10.0),
         )
         for _ in range(40)
     ]
@@ -230,6 +231,22 @@ def tables_of(pos_ned_m, *, own_ned_m=None, collisions_us=(), sessions=40):
         beacons_heard=12,
         beacons_lost=3,
     )
+
+
+def test_the_gains_of_a_flight_may_be_those_of_feeds_for_estimates():
+    """All believe themselves 3 m off the same way, which shifts all phases alike: the ideal gain.
+
+    One does not know its place for the first of five seconds, for which there is no gain.
+    """
+    scenario = BASE.scenario(PLAN, 1)
+    antenna = msgspec.structs.replace(scenario.antenna, feeds_for="estimates")
+    scenario = msgspec.structs.replace(scenario, antenna=antenna)
+    pos_ned_m = np.tile(PLACES_NED_M, (250, 1, 1))
+    own_ned_m = pos_ned_m + np.array((3.0, 3.0, 0.0))
+    own_ned_m[:50, 0] = np.nan
+    tables = tables_of(pos_ned_m, own_ned_m=own_ned_m)
+    measures = measure(tables, scenario, formed_us=1_000_000, wall_s=2.0, gains=True)
+    assert measures.gain_dbi == pytest.approx([13.262] * 4, abs=0.001)
 
 
 def test_a_flight_s_errors_are_taken_apart():

@@ -135,14 +135,14 @@ def test_a_campaign_that_meets_everything_passes_and_is_drawn(tmp_path):
                 "shape error with FTM, 8 UAVs, 5 N, mean",
                 "shape error with FTM, all winds and numbers of UAVs that were flown, largest mean",
                 "shape error with FTM, any period, largest mean",
-                "shape error with FTM, any policy that fits, largest mean",
+                "shape error with FTM, any policy that the channel has room for, largest mean",
             ],
         ),
         (
             {"worse": {"ftm-16-5n": 1.3, "ftm-16-5n-scheduled": 1.3}},
             [
                 "shape error with FTM, all winds and numbers of UAVs that were flown, largest mean",
-                "shape error with FTM, any policy that fits, largest mean",
+                "shape error with FTM, any policy that the channel has room for, largest mean",
             ],
         ),
         (
@@ -157,7 +157,12 @@ def test_a_campaign_that_meets_everything_passes_and_is_drawn(tmp_path):
         ),
         (
             {"completes": 0.94},
-            ["share of ranging sessions that complete, any policy that fits, smallest mean"],
+            [
+                (
+                    "share of ranging sessions that complete, any policy that the channel has room for, "
+                    "smallest mean"
+                )
+            ],
         ),
         (
             {"busy_scheduled": 0.115},

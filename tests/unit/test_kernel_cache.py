@@ -1,14 +1,25 @@
 """The cache of compiled kernels is another one whenever anything that they are compiled from is."""
 
+import ast
+import json
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numba.core.dispatcher import Dispatcher
 
 from antenna import kernel_folder
+from antenna.backend import make_backend
+from antenna.clearance import check_apart
+from antenna.config import AntennaConfig
+from antenna.geometry import grid, upright
+from antenna.patterns import Pattern
+from antenna.ports import feed
+from antenna.rehearsal import rehearse
 from harness import kernel_cache
 from harness.kernel_cache import KEPT_S, KEPT_STATES, VARIABLE, digest, forget_old
 
@@ -144,3 +155,55 @@ def test_who_asks_where_the_kernels_are_marks_them_as_used(monkeypatch, tmp_path
     os.utime(folder, (1.0, 1.0))
     kernel_folder.environment()
     assert folder.stat().st_mtime > 1.0
+
+
+def test_the_rehearsal_of_the_antenna_calls_every_kernel():
+    """Uncompiled, so that Python sees kernels which others call."""
+    folder = Path(kernel_folder.__file__).parent
+    kernels = {
+        (str(path), node.name)
+        for path in folder.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_bytes()))
+        if isinstance(node, ast.FunctionDef) and any("njit" in ast.dump(each) for each in node.decorator_list)
+    }
+    assert len(kernels) >= 10
+    program = (
+        "import json, sys\n"
+        "from antenna.rehearsal import rehearse\n"
+        "called = set()\n"
+        "sys.setprofile(lambda frame, *_: called.add((frame.f_code.co_filename, frame.f_code.co_name)))\n"
+        "rehearse()\n"
+        "sys.setprofile(None)\n"
+        "print(json.dumps(sorted(called)))\n"
+    )
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
+    said = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, check=True)
+    assert kernels - {tuple(each) for each in json.loads(said.stdout)} == set()
+
+
+def test_after_the_rehearsal_of_the_antenna_nothing_is_left_to_be_compiled():
+    """Other elements, grounds, feeds, grids and counts ask for no other types."""
+    rehearse()
+    compiled = _signatures()
+    assert any(compiled.values())
+    dipole = {"element_length_m": 5.0, "element_radius_m": 0.001, "segments": 11}
+    places_m = grid(8, 4, 8.5, 2.5) + np.array([0.0, 0.0, 12.0])
+    for settings in (dipole, {"ground": "perfect"}, {"excitation": "optimum"} | dipole, {"grid_deg": 2.0}):
+        config = AntennaConfig(**settings)
+        voltages = feed(places_m, config)
+        arrays = [upright(places_m[:count], voltages[:count]) for count in (8, 8, 3)]
+        for pattern in make_backend(config, threads=2).patterns(arrays * 40):
+            assert isinstance(pattern, Pattern)
+        check_apart(arrays[0], config.element(), grounded=False)
+    assert _signatures() == compiled
+
+
+def _signatures():
+    """Types for which each of the antenna's kernels is compiled."""
+    return {
+        f"{kernel.__module__}.{kernel.__name__}": list(kernel.signatures)
+        for name, module in list(sys.modules.items())
+        if name.partition(".")[0] == "antenna"
+        for kernel in vars(module).values()
+        if isinstance(kernel, Dispatcher)
+    }

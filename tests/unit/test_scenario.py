@@ -133,6 +133,71 @@ def test_what_is_wrong_with_a_file_of_places_is_named(tmp_path, text, says):
     assert "\n" not in str(caught.value)
 
 
+MONOPOLE = """CE an arm at the top
+GW 1 9 0 0 -0.5 0 0 0.5 0.001
+GW 2 3 0 0 0.5 0.3 0 0.6 0.001
+EX 0 1 5 0 1 0
+"""
+
+
+def _with_deck(folder, text, *settings, overrides=()):
+    (folder / "a.nec").write_bytes(text if isinstance(text, bytes) else text.encode())
+    lines = ["[antenna]", 'element_file = "a.nec"', *(settings or ('element_kind = "deck"',))]
+    (folder / "v.toml").write_text("\n".join(lines))
+    return load(folder / "v.toml", overrides)
+
+
+@pytest.mark.parametrize("text", [MONOPOLE, "\ufeff" + MONOPOLE.replace("\n", "\r\n")])
+def test_an_element_s_deck_goes_into_the_scenario(tmp_path, text):
+    """The processes that read the scenario again have no deck beside it."""
+    scenario = _with_deck(tmp_path, text)
+    (tmp_path / "a.nec").unlink()
+    again = msgspec.json.decode(msgspec.json.encode(scenario), type=Scenario)
+    element = again.antenna.element()
+    assert [wire.segments for wire in element.wires] == [9, 3]
+    assert element.feed_segment == 4  # the fifth
+
+
+def test_a_deck_is_named_by_an_override_as_well(tmp_path):
+    _with_deck(tmp_path, MONOPOLE)
+    (tmp_path / "b.nec").write_text(MONOPOLE.replace("EX 0 1 5", "EX 0 2 3"))
+    assert load(tmp_path / "v.toml", ["antenna.element_file=b.nec"]).antenna.element().feed_segment == 11
+    settings = [f"antenna.element_file={tmp_path / 'b.nec'}", "antenna.element_kind=deck"]
+    assert load(ARTICLE, settings).antenna.element().feed_segment == 11
+
+
+@pytest.mark.parametrize(
+    ("text", "settings", "says"),
+    [
+        (MONOPOLE + "LD 5 0 0 0 1e6\n", (), "a.nec: line 5: card 'LD' is not understood"),
+        (MONOPOLE.replace("0.3", "x"), (), "a.nec: line 3: GW: expected numbers"),
+        ("CE nothing\n", (), "a.nec: line 1: the deck has no wires"),
+        (MONOPOLE[:-15], (), "a.nec: line 3: the deck has no source"),
+        ("", (), "a.nec: line 0: the deck has no wires"),
+        (b"\xff\xfe\x00", (), "a.nec: cannot be read: it is no text"),
+        (MONOPOLE, ("segments = 9",), "element_file: a dipole has none; expected element_kind deck"),
+        (MONOPOLE, ('element_kind = "helix"',), "antenna.element_kind: invalid enum value 'helix'"),
+    ],
+)
+def test_what_is_wrong_with_an_element_s_deck_is_named(tmp_path, text, settings, says):
+    with pytest.raises(ScenarioError) as caught:
+        _with_deck(tmp_path, text, *settings)
+    assert says in str(caught.value)
+    assert "v.toml" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_deck_is_named(tmp_path):
+    with pytest.raises(
+        ScenarioError, match=r"v\.toml: antenna\.element_file: .*b\.nec: cannot be read: No such"
+    ):
+        _with_deck(tmp_path, MONOPOLE, overrides=["antenna.element_file=b.nec"])
+    with pytest.raises(ScenarioError, match="element_file: the kind deck needs one"):
+        load(ARTICLE, ["antenna.element_kind=deck"])
+    with pytest.raises(ScenarioError, match=r"antenna\.element_file: expected `str`"):
+        load(ARTICLE, ["antenna.element_file=1", "antenna.element_kind=deck"])
+
+
 def test_a_missing_and_a_binary_file_of_places_are_named(tmp_path):
     _with_file(tmp_path, "x_m,y_m\n0,0\n0,5\n5,0\n")
     with pytest.raises(ScenarioError, match=r"formation\.file: .*w\.csv: cannot be read: No such file"):
@@ -208,6 +273,7 @@ def test_overrides_take_numbers_strings_words_and_new_tables():
             "radio.stations=[{station=8}]",
             "radio.stations[0].station: 8 is not on a channel of 8 stations",
         ),
+        ("radio.extra_attenuation_db=1e6", "radio.extra_attenuation_db: expected `float` <= 1000.0"),
         ("radio.stations=[{station=1},{station=1}]", "radio.stations[1].station: 1 has a table already"),
         (
             'radio.guests=[{name="a", pos_ned_m=[0,0,0]}, {name="a", pos_ned_m=[0,9,0]}]',

@@ -1,0 +1,254 @@
+"""Campaign files: which changes of a scenario are flown, with which seeds.
+
+    scenario = "../article.toml"        # relative to this file
+    seeds = 10                          # 1 to 10; or a list, or {from = 11, to = 20}
+
+    [set]                               # of every run
+    run.duration_s = 30.0
+
+    [[cases]]                           # named changes
+    name = "ftm"
+    onboard.localisation = "ftm"
+
+    [sweep]                             # every value with every other, in every case
+    wind.mean_n = [0, 2, 5]
+    antenna.wavelength_m = {from = 5.0, to = 20.0, step = 2.5}
+
+Every scenario that comes of it is loaded and checked before anything is flown.
+"""
+
+import hashlib
+import itertools
+import math
+import tomllib
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta, Struct
+from msgspec.structs import replace
+
+from harness.campaign.store import CampaignError
+from harness.campaign.values import flat, spread, toml_text
+from harness.refusals import explain
+from harness.scenario import Scenario, ScenarioError
+from harness.scenario import load as load_scenario
+
+SEED_PATH = "run.seed"
+MOST_RUNS = 1_000_000
+KEPT = ("gains", "flight", "radio", "ftm", "air")
+"""Series of a run that can be kept: the maximum gain over time, and the tables of its folder"""
+
+Seed = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+
+
+class _Seeds(
+    Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, rename={"first": "from", "last": "to"}
+):
+    first: Seed
+    last: Seed
+
+
+class _File(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, rename={"fixed": "set"}):
+    scenario: str
+    seeds: Annotated[int, Meta(ge=1, le=MOST_RUNS)] | list[Seed] | _Seeds = 1
+    keep: list[str] = []
+    fixed: dict[str, Any] = {}
+    sweep: dict[str, Any] = {}
+    cases: list[dict[str, Any]] = []
+
+
+class Case(Struct, frozen=True, kw_only=True):
+    """Named changes of the scenario, by path."""
+
+    name: str
+    settings: dict[str, Any] = {}
+
+
+class Campaign(Struct, frozen=True, kw_only=True):
+    """All that is flown: every case with every combination of swept values and every seed, in this order."""
+
+    name: str
+    scenario: Path
+    seeds: tuple[int, ...]
+    fixed: dict[str, Any] = {}
+    """Values of every run, by path of the scenario"""
+    sweep: dict[str, tuple[Any, ...]] = {}
+    """Values that are gone through, by path"""
+    cases: tuple[Case, ...] = ()
+    """Without any there is one, of the campaign's name, that changes nothing"""
+    overrides: tuple[str, ...] = ()
+    """``PATH=VALUE`` of every run, from the command line"""
+    keep: tuple[str, ...] = ()
+    """Of `KEPT`"""
+    origin: str = "campaign"
+    """What errors begin with: the file"""
+
+    def __post_init__(self) -> None:
+        """Check what makes up the runs; raises CampaignError."""
+        for name in self.keep:
+            if name not in KEPT:
+                raise CampaignError(f"{self.origin}: keep: {name!r}: expected some of {', '.join(KEPT)}")
+        if not self.seeds or len(set(self.seeds)) < len(self.seeds):
+            raise CampaignError(f"{self.origin}: seeds: expected at least one, and none twice")
+        names = [case.name for case in self.cases]
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise CampaignError(f"{self.origin}: cases: two are named {twice!r}")
+        combinations = math.prod(map(len, self.sweep.values()))
+        runs = max(1, len(self.cases)) * combinations * len(self.seeds)
+        if runs > MOST_RUNS:
+            raise CampaignError(f"{self.origin}: {runs} runs; expected at most {MOST_RUNS}")
+        self._check_paths()
+
+    def _check_paths(self) -> None:
+        """Refuse what would be lost: a change that a later one of the same run overwrites unseen."""
+        of_cases = [(path, f"case {case.name!r}") for case in self.cases for path in case.settings]
+        earlier = [*((path, "set") for path in self.fixed), *of_cases]
+        swept = [(path, "sweep") for path in self.sweep]
+        for path, where in [*earlier, *swept]:
+            if _covers(path, SEED_PATH):
+                raise CampaignError(f"{self.origin}: {where}: {path}: seeds says that")
+        for number, (path, _) in enumerate(swept):
+            for other, where in [*earlier, *swept[:number], *swept[number + 1 :]]:
+                if _covers(path, other):
+                    raise CampaignError(f"{self.origin}: sweep: {path}: {where} says that of {other}")
+        for override in self.overrides:
+            path = override.partition("=")[0].strip()
+            for other, where in [*of_cases, *swept, (SEED_PATH, "seeds")]:
+                if _covers(path, other):
+                    raise CampaignError(f"{self.origin}: --set {override}: {where} says that")
+
+
+class Run(Struct, frozen=True, kw_only=True):
+    """One row of the table."""
+
+    case: str
+    swept: tuple[Any, ...]
+    """Values of the swept paths, in their order"""
+    seed: int
+    settings: tuple[str, ...]
+    """Overrides, without the seed's, that make the scenario of the campaign's"""
+    scenario: Scenario
+    digest: str
+    """Of scenario and sources: runs of one digest are one flight"""
+
+    def describe(self, campaign: Campaign) -> str:
+        """Name it in a line."""
+        swept = zip(campaign.sweep, self.swept, strict=True)
+        values = [f"{path} = {toml_text(value)}" for path, value in swept]
+        return ", ".join([self.case, *values, f"seed {self.seed}"])
+
+
+def load(path: str | Path, overrides: Sequence[str] = (), keep: Iterable[str] = ()) -> Campaign:
+    """Read a campaign file; ``overrides`` are of every run, ``keep`` is added to what the file keeps.
+
+    Raises CampaignError with one line that names the file and what is wrong.
+    """
+    path = Path(path)
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise CampaignError(f"{path}: no such campaign file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise CampaignError(f"{path}: cannot be read: {error}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise CampaignError(f"{path}: not TOML: {error}") from None
+    try:
+        file = msgspec.convert(table, _File)
+        return Campaign(
+            name=path.stem,
+            scenario=path.parent / file.scenario,
+            seeds=_seeds(file.seeds),
+            fixed=_named("set", file.fixed),
+            sweep={
+                where: spread(f"sweep.{where}", value)
+                for where, value in _named("sweep", file.sweep, ranges=True).items()
+            },
+            cases=tuple(_case(number, case) for number, case in enumerate(file.cases)),
+            overrides=tuple(overrides),
+            keep=tuple(dict.fromkeys([*file.keep, *keep])),
+            origin=str(path),
+        )
+    except msgspec.ValidationError as error:
+        raise CampaignError(f"{path}: {explain(error, _EXPECTED)}") from None
+    except ValueError as error:
+        raise CampaignError(f"{path}: {error}") from None
+
+
+_EXPECTED = {r"seeds": "a number of seeds, a list of them, or {from=, to=}"}
+
+
+def expand(campaign: Campaign, *, state: str) -> list[Run]:
+    """Make every run of a campaign, in the table's order; ``state`` is that of the sources.
+
+    Raises CampaignError with one line that names campaign, case and field.
+    """
+    runs = []
+    for case in campaign.cases or (Case(name=campaign.name),):
+        for swept in itertools.product(*campaign.sweep.values()):
+            values = campaign.fixed | case.settings | dict(zip(campaign.sweep, swept, strict=True))
+            settings = (
+                *(f"{path}={toml_text(value)}" for path, value in values.items()),
+                *campaign.overrides,
+            )
+            try:
+                scenario = load_scenario(campaign.scenario, settings)
+            except ScenarioError as error:
+                which = ", ".join([f"case {case.name!r}", *_swept_texts(campaign, swept)])
+                said = str(error) if campaign.overrides else str(error).removeprefix("--set ")
+                raise CampaignError(f"{campaign.origin}: {which}: {said}") from None
+            for seed in campaign.seeds:
+                flown = replace(scenario, run=replace(scenario.run, seed=seed))
+                runs.append(
+                    Run(
+                        case=case.name, swept=swept, seed=seed, settings=settings, scenario=flown,
+                        digest=_digest(flown, state),
+                    )
+                )  # fmt: skip
+    return runs
+
+
+def _digest(scenario: Scenario, state: str) -> str:
+    return hashlib.sha256(msgspec.json.encode((state, scenario))).hexdigest()[:16]
+
+
+def _swept_texts(campaign: Campaign, swept: Sequence[Any]) -> list[str]:
+    return [f"{path} = {toml_text(value)}" for path, value in zip(campaign.sweep, swept, strict=True)]
+
+
+def _covers(path: str, other: str) -> bool:
+    """Whether setting one path overwrites the other."""
+    return other == path or other.startswith(f"{path}.")
+
+
+def _named(table: str, values: dict[str, Any], *, ranges: bool = False) -> dict[str, Any]:
+    """See `flat`; an error begins with the table's name, and a path that stands twice is one."""
+    try:
+        found = list(flat(values, ranges=ranges))
+        paths = [path for path, _ in found]
+        if twice := next((path for path in paths if paths.count(path) > 1), None):
+            raise ValueError(f"{twice}: stands twice")  # noqa: TRY301  with the table's name, as the others
+    except ValueError as error:
+        raise ValueError(f"{table}.{error}") from None
+    return dict(found)
+
+
+def _case(number: int, table: dict[str, Any]) -> Case:
+    name = table.get("name")
+    if not isinstance(name, str) or not name:
+        raise ValueError(f"cases[{number}].name: expected a name")
+    return Case(
+        name=name,
+        settings=_named(f"cases[{number}]", {key: table[key] for key in table if key != "name"}),
+    )
+
+
+def _seeds(seeds: int | list[int] | _Seeds) -> tuple[int, ...]:
+    if isinstance(seeds, int):
+        return tuple(range(1, seeds + 1))
+    if isinstance(seeds, list):
+        return tuple(seeds)
+    if seeds.last - seeds.first >= MOST_RUNS:
+        raise ValueError(f"seeds: expected at most {MOST_RUNS}")
+    return tuple(range(seeds.first, seeds.last + 1))

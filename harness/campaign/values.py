@@ -1,0 +1,102 @@
+"""Values of a campaign file: nested tables as paths, lists and ranges as what is swept, all as TOML's text.
+
+Errors are ValueErrors with one line that begins with the path.
+"""
+
+import json
+from collections.abc import Iterator, Mapping
+from decimal import Decimal
+from typing import Any
+
+MOST_VALUES = 100_000
+"""Of one range"""
+_RANGE_KEYS = {"from", "to", "step", "count"}
+_RANGE = "{from=, to=, step=} or {from=, to=, count=}"
+
+
+def flat(table: Mapping[str, Any], *, ranges: bool = False, above: str = "") -> Iterator[tuple[str, Any]]:
+    """Give every value with its path, such as ``wind.mean_n``, in the table's order.
+
+    TOML's ``wind.mean_n = 2``, ``"wind.mean_n" = 2`` and ``wind = {mean_n = 2}`` are all the same. With
+    ``ranges`` a table with ``from`` is a value. Raises ValueError for a table without anything in it.
+    """
+    for key, value in table.items():
+        path = f"{above}.{key}" if above else key
+        if not isinstance(value, dict) or (ranges and "from" in value):
+            yield path, value
+        elif value:
+            yield from flat(value, ranges=ranges, above=path)
+        else:
+            raise ValueError(f"{path}: an empty table sets nothing")
+
+
+def spread(path: str, value: object) -> tuple[Any, ...]:
+    """Give the values of a list or range; raises ValueError."""
+    if isinstance(value, dict):
+        return _range(path, value)
+    if not isinstance(value, list):
+        raise ValueError(f"{path}: expected a list of values, {_RANGE}")  # noqa: TRY004  a file is wrong, not a call
+    if not value:
+        raise ValueError(f"{path}: an empty list flies nothing")
+    twice = next((each for number, each in enumerate(value) if _same_in(each, value[:number])), None)
+    if twice is not None:
+        raise ValueError(f"{path}: {toml_text(twice)} stands twice")
+    return tuple(value)
+
+
+def _same_in(value: object, others: list[Any]) -> bool:
+    return any(type(value) is type(other) and value == other for other in others)
+
+
+def _range(path: str, table: Mapping[str, Any]) -> tuple[float, ...]:
+    """Steps are of decimal numbers, so that 0.1, 0.2, 0.3 is what comes out; ``to`` belongs to it."""
+    if unknown := sorted(set(table) - _RANGE_KEYS):
+        raise ValueError(f"{path}: unknown key `{unknown[0]}`; expected {_RANGE}")
+    if "to" not in table or ("step" in table) == ("count" in table):
+        raise ValueError(f"{path}: expected {_RANGE}")
+    numbers = {key: _decimal(f"{path}.{key}", value) for key, value in table.items()}
+    first, last = numbers["from"], numbers["to"]
+    if "step" in numbers:
+        step = numbers["step"]
+        if step == 0 or (last - first) / step < 0:
+            raise ValueError(f"{path}.step: {step} never comes from {first} to {last}")
+        count, divisor = (last - first) // step + 1, Decimal(1)
+    else:
+        count = numbers["count"]
+        if not isinstance(table["count"], int) or count < 2:
+            raise ValueError(f"{path}.count: {count}: expected an `int` >= 2")
+        if first == last:
+            raise ValueError(f"{path}.to: {last}: expected another number than that of from")
+        step, divisor = last - first, count - 1
+    if count > MOST_VALUES:
+        raise ValueError(f"{path}: {count} values; expected at most {MOST_VALUES}")
+    values = [first + step * k / divisor for k in range(int(count))]
+    whole = all(isinstance(value, int) for value in table.values()) and all(v == int(v) for v in values)
+    return tuple(int(value) if whole else float(value) for value in values)
+
+
+def _decimal(path: str, value: object) -> Decimal:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{path}: expected a number")  # noqa: TRY004  likewise
+    number = Decimal(repr(value))
+    if not number.is_finite():
+        raise ValueError(f"{path}: {value}: expected a finite number")
+    return number
+
+
+def toml_text(value: object) -> str:
+    """Write a value as TOML has it, for `harness.scenario.load`; dates and times as ISO 8601."""
+    match value:
+        case bool():
+            return "true" if value else "false"
+        case str():
+            return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+        case list() | tuple():
+            return f"[{', '.join(map(toml_text, value))}]"
+        case dict():
+            return f"{{{', '.join(f'{toml_text(key)} = {toml_text(each)}' for key, each in value.items())}}}"
+        case int() | float():
+            return repr(value)  # also inf and nan, which are TOML's words
+        case _ if hasattr(value, "isoformat"):
+            return str(value.isoformat())
+    raise TypeError(f"{type(value).__name__}: TOML has no such value")

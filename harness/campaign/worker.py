@@ -1,0 +1,79 @@
+"""What a worker process of the cluster runs. It loads nothing of the flights before it is told to fly."""
+
+import contextlib
+import os
+import signal
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from msgspec import Struct
+
+from harness.campaign.sources import ROOT, hash_sources
+from harness.campaign.store import FAILED, ClusterError, Flown
+from harness.scenario import Scenario
+
+_STDOUT, _STDERR = 1, 2
+_MEASURED_BY = ("campaign/flights.py", "campaign/series.py")
+
+
+class Task(Struct, frozen=True, kw_only=True):
+    """A run to be flown, as a worker is told."""
+
+    digest: str
+    state: str
+    """Of the sources that shall fly it"""
+    scenario: Scenario
+    settings: tuple[str, ...]
+    keep: tuple[str, ...]
+
+
+def failed(task: Task, reason: str) -> Flown:
+    """Make what is written down of a run without numbers."""
+    return Flown(digest=task.digest, status=FAILED, reason=reason, settings=task.settings)
+
+
+@cache
+def sources_state() -> str:
+    """Hash of the sources that fly and measure, as they were when first asked."""
+    return hash_sources(ROOT, measured_by=_MEASURED_BY)
+
+
+def fly_on_worker(task: Task) -> tuple[Flown, dict[str, bytes]]:
+    """Fly a run in the worker's own folder; raises ClusterError if its sources are not the campaign's."""
+    from distributed import get_worker  # noqa: PLC0415  slow to import
+
+    worker = get_worker()
+    if sources_state() != task.state:
+        raise ClusterError(
+            f"the sources of the worker at {worker.address} are not the campaign's, or have changed since it "
+            "began; start workers and campaign again"
+        )
+    with _silent(_STDERR):
+        from harness.campaign.flights import fly_task  # noqa: PLC0415  Bullet prints a line at its import
+    return fly_task(task, Path(worker.local_directory))
+
+
+def dask_setup(_worker: Any) -> None:  # noqa: ANN401  a distributed.Worker
+    """Prepare a worker of the local cluster, by which it was named as a preload."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all, and the parent alone speaks of it
+    _close(_STDOUT)  # it is for the campaign's results alone
+
+
+@contextlib.contextmanager
+def _silent(stream: int) -> Iterator[None]:
+    """Let a file descriptor lead nowhere for a while."""
+    before = os.dup(stream)
+    _close(stream)
+    try:
+        yield
+    finally:
+        os.dup2(before, stream)
+        os.close(before)
+
+
+def _close(stream: int) -> None:
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nothing, stream)
+    os.close(nothing)

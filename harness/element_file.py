@@ -1,0 +1,32 @@
+"""``antenna.element_file``: the NEC deck of a scenario's antenna element, read once and checked."""
+
+from pathlib import Path
+from typing import Any
+
+from antenna.deck import DeckError, read_element
+
+
+class ElementFileError(ValueError):
+    """A deck that cannot be used; the text is one line that names file and line."""
+
+
+def with_deck(table: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Put what ``element_file``, a path relative to the folder, says into ``element_deck``.
+
+    The table is not yet checked, so what is no path is left to those who check it; so is a file for elements
+    of another kind. Raises ElementFileError.
+    """
+    file = table.get("element_file")
+    if table.get("element_kind") != "deck" or not isinstance(file, str) or not file:
+        return table
+    path = folder / file
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is no text"
+        raise ElementFileError(f"{path}: cannot be read: {reason}") from None
+    try:
+        read_element(text)
+    except DeckError as error:
+        raise ElementFileError(f"{path}: {error}") from None
+    return {**table, "element_deck": text}

@@ -1,0 +1,13 @@
+"""Many flights and one table: ``python scripts/campaign.py CAMPAIGN.toml``. See docs/campaigns.md."""
+
+import os
+import sys
+
+from harness import kernel_cache
+
+os.environ.update(kernel_cache.environment())  # read when numba is imported, which is later
+
+from harness.campaign.cli import main
+
+if __name__ == "__main__":
+    sys.exit(main())

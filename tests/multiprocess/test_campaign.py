@@ -1,0 +1,132 @@
+"""Campaigns on real workers: a killed one goes on, a dead worker costs its own run (40 s)."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+from distributed import LocalCluster
+
+from harness.campaign import Campaign, ClusterError, running, worker
+from harness.campaign import run as fly_campaign
+from harness.campaign.store import FAILED, Flown
+
+pytestmark = pytest.mark.multiprocess
+
+ROOT = Path(__file__).parents[2]
+WALL_LIMIT_S = 60.0
+CAMPAIGN = f"""
+scenario = "{ROOT / "scenarios" / "article.toml"}"
+seeds = 2
+[set]
+agents = 2
+formation.columns = 2
+formation.rows = 1
+onboard.localisation = "gps"
+run.reach_timeout_s = 1.0
+[sweep]
+wind.mean_n = [0, 2.5]
+"""
+RUNS = 4
+
+
+def command(folder: Path, out: str, *, workers: int) -> list[str]:
+    program, file = ROOT / "scripts" / "campaign.py", folder / "c.toml"
+    options = ["--out", str(folder / out), "--workers", str(workers), "--json"]
+    return [sys.executable, str(program), str(file), *options]
+
+
+def complete(folder: Path, out: str, *, workers: int) -> tuple[dict[str, object], bytes, bytes]:
+    """Fly to the end; returns what is said, and the tables."""
+    ended = subprocess.run(
+        command(folder, out, workers=workers),
+        capture_output=True,
+        text=True,
+        timeout=WALL_LIMIT_S,
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stderr
+    tables = [(folder / out / name).read_bytes() for name in ("table.parquet", "table.csv")]
+    return json.loads(ended.stdout), tables[0], tables[1]
+
+
+def test_a_campaign_that_is_killed_half_way_finishes_with_the_same_table(tmp_path: Path) -> None:
+    """Two workers end with their client, two more finish; one alone flies the campaign that is not killed."""
+    (tmp_path / "c.toml").write_text(CAMPAIGN)
+    line = command(tmp_path, "killed", workers=2)
+    with subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as client:
+        deadline_s = time.monotonic() + WALL_LIMIT_S
+        runs = tmp_path / "killed" / "runs"
+        while not list(runs.glob("[!.]*.json")):
+            assert client.poll() is None, client.communicate()
+            assert time.monotonic() < deadline_s
+            time.sleep(0.01)
+        family = psutil.Process(client.pid).children(recursive=True)
+        listening = [
+            connection.laddr.ip
+            for process in (psutil.Process(client.pid), *family)
+            for connection in process.net_connections()
+            if connection.status == psutil.CONN_LISTEN
+        ]
+        client.send_signal(signal.SIGKILL)
+        _, alive = psutil.wait_procs(family, timeout=20.0)
+    assert not alive
+    assert set(listening) == {"127.0.0.1"}
+    flown = len(list(runs.glob("[!.]*.json")))
+    assert 1 <= flown < RUNS
+    said, *tables = complete(tmp_path, "killed", workers=2)
+    assert (said["runs"], said["flown"], said["failed"]) == (RUNS, RUNS - flown, 0)
+    said, *whole = complete(tmp_path, "whole", workers=1)
+    assert (said["runs"], said["flown"], said["failed"]) == (RUNS, RUNS, 0)
+    assert tables == whole
+    assert not (tmp_path / "killed" / "flying").exists()
+
+
+def fly_or_die(task):
+    """End the process with one seed, and refuse another; all others land."""
+    seed = task.scenario.run.seed
+    if seed == 2:
+        os._exit(3)
+    if seed == 4:
+        return Flown(digest=task.digest, status=FAILED, reason="refused"), {}
+    return Flown(digest=task.digest, status="completed", summary={"value": seed}), {"gains": bytes([seed])}
+
+
+def test_a_worker_that_dies_costs_its_own_run_alone(tmp_path, monkeypatch):
+    monkeypatch.setattr(running, "fly_on_worker", fly_or_die)
+    campaign = Campaign(
+        name="deadly", scenario=ROOT / "scenarios" / "article.toml", seeds=tuple(range(1, 9)), keep=("gains",)
+    )
+    landed = []
+    table = fly_campaign(campaign, out=tmp_path, workers=2, progress=landed.append)
+    assert [each.done for each in landed] == list(range(1, 9))
+    assert landed[-1].run.seed == 2  # flown again alone, when all others were down
+    assert table.column("seed") == list(range(1, 9))
+    assert table.column("value") == [1, None, 3, None, 5, 6, 7, 8]
+    reasons = dict(zip(table.column("seed"), table.column("reason"), strict=True))
+    assert {seed: reason for seed, reason in reasons.items() if reason} == {2: running.DIED, 4: "refused"}
+    assert table.store.series_path(table.runs[6].digest, "gains").read_bytes() == bytes([7])
+    monkeypatch.setattr(running, "connected", None)  # nothing is flown any more
+    assert fly_campaign(campaign, out=tmp_path).rows.equals(table.rows)
+
+
+def test_the_workers_of_a_scheduler_fly_and_refuse_for_other_sources(tmp_path, monkeypatch):
+    scenario = ROOT / "scenarios" / "article.toml"
+    campaign = Campaign(name="elsewhere", scenario=scenario, seeds=(1, 3, 5, 7))
+    local = {"host": "127.0.0.1", "protocol": "tcp", "dashboard_address": None, "processes": False}
+    http = {"dashboard": False, "dashboard_address": "127.0.0.1:0"}
+    with LocalCluster(n_workers=1, threads_per_worker=2, scheduler_kwargs=http, **local) as cluster:
+        address = cluster.scheduler_address
+        with monkeypatch.context() as patch:
+            patch.setattr(running, "fly_on_worker", fly_or_die)
+            table = fly_campaign(campaign, out=tmp_path / "one", scheduler=address)
+        assert table.column("value") == [1, 3, 5, 7]
+        monkeypatch.setattr(worker, "sources_state", lambda: "others")
+        with pytest.raises(ClusterError, match=r"the sources of the worker at .* are not the campaign's"):
+            fly_campaign(campaign, out=tmp_path / "other", scheduler=address)
+    assert not list((tmp_path / "other" / "runs").iterdir())
