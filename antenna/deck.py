@@ -109,7 +109,7 @@ def write_deck(
     rows = math.ceil(180.0 / step_deg - 1e-9)
     step = 180.0 / rows
     rows_seen = rows + 1 if ground is None else rows // 2 + 1
-    cards += [f"RP 0 {rows_seen} {2 * rows} 1001 0 0 {step:.9g} {step:.9g} 0 0", "EN"]
+    cards += [f"RP 0 {rows_seen} {2 * rows} 1000 0 0 {step:.9g} {step:.9g} 0 0", "EN"]
     return "\n".join(cards) + "\n"
 
 

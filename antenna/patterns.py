@@ -55,10 +55,10 @@ def from_dbi(gain_dbi: Array) -> Array:
     return np.asarray(np.where(gain_dbi <= FLOOR_DBI, 0.0, 10.0 ** (gain_dbi / 10.0)))
 
 
-def to_dbi(gain: Gains) -> Array:
-    """Gains in dBi of linear ones, `FLOOR_DBI` at least."""
+def to_dbi(gain: Gains, out: Gains | None = None) -> Array:
+    """Gains in dBi of linear ones, `FLOOR_DBI` at least, in an array of their own or in ``out``."""
     with np.errstate(divide="ignore"):
-        gain_dbi = np.log10(gain)
+        gain_dbi = np.asarray(np.log10(gain, out=out))
     gain_dbi *= 10.0
     return np.asarray(np.maximum(gain_dbi, FLOOR_DBI, out=gain_dbi))
 

@@ -8,7 +8,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from antenna.batch.coupling import Kind, make_kind, solve_arrays
+from antenna.batch.coupling import solve_arrays
+from antenna.batch.kind import Kind, make_kind
 from antenna.batch.moments import ETA_OHM
 from antenna.config import AntennaConfig
 from antenna.excitation import end_fire, hansen_woodyard, optimum

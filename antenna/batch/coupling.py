@@ -7,16 +7,16 @@ perfect ground each moment has an image below it, with the horizontal components
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from antenna.batch.moments import ETA_OHM
-from antenna.batch.response import NODES, respond
-from antenna.clearance import clearance_m, measure, wire_ends_m
-from antenna.elements import Element
+from antenna.batch.kind import Kind
+from antenna.batch.moments import ETA_OHM, turn
+from antenna.batch.near import find_near, respond_together
+from antenna.batch.response import NODES
+from antenna.clearance import measure
 from antenna.geometry import Array, Complex
 
 COUPLING_ACCURACY = 1e-4
@@ -40,51 +40,6 @@ def level_for(distance_m: float, half_m: float) -> int:
         if LEVELS[level] >= wanted:
             return level
     return len(LEVELS) - 1
-
-
-class Kind(NamedTuple):
-    """An element's response in plain arrays, as compiled code takes it; all levels of `NODES` in turn."""
-
-    firsts: NDArray[np.int64]
-    """(L + 1,) where the nodes of a level begin."""
-    places_m: Array
-    """(M, 3)"""
-    axes: Array
-    """(M, 3)"""
-    moments_am: Complex
-    """(M, K)"""
-    scattering: Complex
-    """(K, K)"""
-    feed_a: Complex
-    """(K,)"""
-    wires_m: Array
-    """(W, 2, 3) ends of the wires."""
-    half_m: float
-    """Half of the longest wire's length."""
-    clearance_m: float
-    """Least distance of two elements."""
-    k_rad_m: float
-    image: bool
-    """Whether all this stands over perfect ground, at height 0."""
-
-
-def make_kind(element: Element, wavelength_m: float, *, image: bool) -> Kind:
-    """Compute the response of an element at a wavelength."""
-    response = respond(element, wavelength_m)
-    sizes = [len(nodes.places_m) for nodes in response.nodes]
-    return Kind(
-        firsts=np.concatenate([[0], np.cumsum(sizes)]),
-        places_m=np.concatenate([nodes.places_m for nodes in response.nodes]),
-        axes=np.concatenate([nodes.axes for nodes in response.nodes]),
-        moments_am=np.concatenate([nodes.moments_am for nodes in response.nodes]),
-        scattering=response.scattering,
-        feed_a=response.feed_a,
-        wires_m=wire_ends_m(element),
-        half_m=0.5 * max(wire.length_m for wire in element.wires),
-        clearance_m=clearance_m(element),
-        k_rad_m=2.0 * np.pi / wavelength_m,
-        image=image,
-    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -138,18 +93,6 @@ def reactions(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def turn(rotation: Array, offset_m: Array, vectors: Array, turned: Array) -> None:
-    """Write vectors (M, 3), turned and then moved, into ``turned``."""
-    for m in range(len(vectors)):
-        for x in range(3):
-            turned[m, x] = (
-                rotation[x, 0] * vectors[m, 0]
-                + rotation[x, 1] * vectors[m, 1]
-                + rotation[x, 2] * vectors[m, 2]
-            ) + offset_m[x]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def solve_arrays(
     kind: Kind,
     centres_m: Array,
@@ -180,6 +123,8 @@ def solve_arrays(
     found = np.empty((kept, kept), np.complex128)
     reaction = np.zeros((n, n, kept, kept), np.complex128)
     system = np.empty((n * kept, n * kept), np.complex128)
+    source, answer = np.empty(n * kept, np.complex128), np.empty(n * kept, np.complex128)
+    members, is_near = np.empty(n, np.int64), np.zeros(n, np.bool_)
     for s in range(arrays):
         for i in range(n):
             for w in range(len(kind.wires_m)):
@@ -187,10 +132,15 @@ def solve_arrays(
         measure(ends_m, kind.image, ends_image_m, apart_m, image_apart_m, nearest[s], nearest_m[s : s + 1])
         if nearest_m[s] <= kind.clearance_m:
             continue
+        near = members[: find_near(kind, apart_m, image_apart_m, members)]
+        is_near[:] = False
+        is_near[near] = True
         ready[:] = False
         for i in range(n):
             for j in range(i, n):
                 reaction[i, j] = 0.0
+                if is_near[i] and is_near[j]:
+                    continue
                 for mirrored in range(2 if kind.image else 1):
                     if i == j and not mirrored:
                         continue
@@ -222,28 +172,69 @@ def solve_arrays(
                             z = reaction[i, j, d, c] if j >= i else reaction[j, i, c, d]
                             total += kind.scattering[b, d] * z
                         system[i * kept + b, j * kept + c] = total
-        repeat(system, voltages[s], currents[s])
-        watts = 0.0
+        source[:] = 0.0
+        source[::kept] = voltages[s]
+        if len(near):
+            power_w[s] = solve_near(kind, centres_m[s], rotations[s], near, system, source, answer)
+        else:
+            repeat(system, source, answer)
+            power_w[s] = 0.0
+            for i in range(n):
+                fed_a = 0.0j
+                for c in range(kept):
+                    fed_a += answer[i * kept + c] * kind.feed_a[c]
+                power_w[s] += 0.5 * (source[i * kept].conjugate() * fed_a).real
         for i in range(n):
-            at_feed = 0.0j
             for c in range(kept):
-                at_feed += currents[s, i, c] * kind.feed_a[c]
-            watts += 0.5 * (voltages[s, i].conjugate() * at_feed).real
-        power_w[s] = watts
+                currents[s, i, c] = answer[i * kept + c]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def repeat(coupling: Complex, voltages: Complex, currents: Complex) -> None:
-    """Solve a = V + C a for ``currents`` (n, K), by repeating it if that settles, or else by elimination."""
-    n, kept = currents.shape
-    size = n * kept
-    source, answer, following = (
-        np.zeros(size, np.complex128),
-        np.zeros(size, np.complex128),
-        np.zeros(size, np.complex128),
-    )
-    for i in range(n):
-        source[i * kept] = voltages[i]
+def solve_near(
+    kind: Kind,
+    centres_m: Array,
+    rotations: Array,
+    near: NDArray[np.int64],
+    system: Complex,
+    source: Complex,
+    answer: Complex,
+) -> float:
+    """Solve a = V + C a as `repeat` does, where some elements answer together; gives the power in watts.
+
+    C (n K, n K), which is changed, has no couplings among these.
+    """
+    m, kept = len(near), len(kind.feed_a)
+    together = np.empty((m * kept, m * kept), np.complex128)
+    feeds_a = np.empty((m, m * kept), np.complex128)
+    respond_together(kind, centres_m, rotations, near, together, feeds_a)
+    rows = np.empty(m * kept, np.int64)
+    for i in range(m):
+        for c in range(kept):
+            rows[i * kept + c] = near[i] * kept + c
+    alone, driven = system[rows], source[rows]
+    system[rows] = together @ alone
+    own = source.copy()
+    own[rows] = together @ driven
+    repeat(system, own, answer)
+    fed_a = feeds_a @ (driven + alone @ answer)
+    watts, k = 0.0, 0
+    for i in range(len(centres_m)):
+        at_feed = 0.0j
+        if k < m and near[k] == i:
+            at_feed = fed_a[k]
+            k += 1
+        else:
+            for c in range(kept):
+                at_feed += answer[i * kept + c] * kind.feed_a[c]
+        watts += 0.5 * (source[i * kept].conjugate() * at_feed).real
+    return watts
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def repeat(coupling: Complex, source: Complex, answer: Complex) -> None:
+    """Solve a = V + C a for the answer (n K,), by repeating it if that settles, or else by elimination."""
+    size = len(source)
+    following = np.empty(size, np.complex128)
     answer[:] = source
     settled = False
     for _ in range(REPETITIONS):
@@ -265,6 +256,3 @@ def repeat(coupling: Complex, voltages: Complex, currents: Complex) -> None:
             break
     if not settled:
         answer[:] = np.linalg.solve(np.eye(size) - coupling, source)
-    for i in range(n):
-        for c in range(kept):
-            currents[i, c] = answer[i * kept + c]

@@ -17,6 +17,8 @@ SingleComplex = NDArray[np.complex64]
 
 LANE = 64
 """Directions phi that are summed up at once."""
+VECTOR = 8
+"""Numbers of a vector register, which directions fill: what is left over would go one by one."""
 
 
 def _turn_polynomials() -> tuple[tuple[np.float32, ...], tuple[np.float32, ...]]:
@@ -26,13 +28,13 @@ def _turn_polynomials() -> tuple[tuple[np.float32, ...], tuple[np.float32, ...]]
         np.polynomial.Chebyshev.fit(x * x, values, degree, domain=[0.0, 0.25]).convert(
             kind=np.polynomial.Polynomial, domain=[-1.0, 1.0], window=[-1.0, 1.0]
         )
-        for values, degree in ((np.sin(2.0 * np.pi * x) / x, 6), (np.cos(2.0 * np.pi * x), 7))
+        for values, degree in ((np.sin(2.0 * np.pi * x) / x, 5), (np.cos(2.0 * np.pi * x), 6))
     ]
     sine, cosine = (tuple(np.float32(c) for c in fit.coef) for fit in fits)
     return sine, cosine
 
 
-(_S0, _S1, _S2, _S3, _S4, _S5, _S6), (_C0, _C1, _C2, _C3, _C4, _C5, _C6, _C7) = _turn_polynomials()
+(_S0, _S1, _S2, _S3, _S4, _S5), (_C0, _C1, _C2, _C3, _C4, _C5, _C6) = _turn_polynomials()
 _HALF = np.float32(0.5)
 
 
@@ -51,34 +53,35 @@ def radiate(
     """Write |N_theta|^2 and |N_phi|^2 on a grid (T, 2H) of one array of n points.
 
     Places (n, 3) are in wavelengths; the angles are those of the grid's first quarter, theta up to pi/2 and
-    phi below pi, (M,) and (H,).
+    phi below pi, (M,) and (H,), the latter filled up to a multiple of `VECTOR` with anything.
     """
     sums = np.zeros(16 * LANE, np.float32)
-    rows, half_turn = len(power_theta), len(cos_phi)
+    rows, half_turn = len(power_theta), power_theta.shape[1] // 2
     for t in range(len(cos_theta)):
         ct, st = cos_theta[t], sin_theta[t]
         for first in range(0, half_turn, LANE):
             count = min(LANE, half_turn - first)
+            full = min(LANE, len(cos_phi) - first)
             sums[:] = np.float32(0.0)
             for e in range(len(places)):
                 x, y, z = places[e, 0] * st, places[e, 1] * st, places[e, 2] * ct
                 z -= np.floor(z + _HALF)
                 w = z * z
-                zs = z * (_S0 + w * (_S1 + w * (_S2 + w * (_S3 + w * (_S4 + w * (_S5 + w * _S6))))))
-                zc = _C0 + w * (_C1 + w * (_C2 + w * (_C3 + w * (_C4 + w * (_C5 + w * (_C6 + w * _C7))))))
+                zs = z * (_S0 + w * (_S1 + w * (_S2 + w * (_S3 + w * (_S4 + w * _S5)))))
+                zc = _C0 + w * (_C1 + w * (_C2 + w * (_C3 + w * (_C4 + w * (_C5 + w * _C6)))))
                 ux, uy = axes[e, 0], axes[e, 1]
                 down = axes[e, 2] * st
                 mr, mi = moments[e].real, moments[e].imag
                 # the moment and the phase along z
                 ar, ai = mr * zc - mi * zs, mr * zs + mi * zc  # times e^(+j zeta)
                 br, bi = mr * zc + mi * zs, mi * zc - mr * zs  # times e^(-j zeta)
-                for h in range(count):
+                for h in range(full):
                     cp, sp = cos_phi[first + h], sin_phi[first + h]
                     p = x * cp + y * sp
                     p -= np.floor(p + _HALF)
                     w = p * p
-                    ps = p * (_S0 + w * (_S1 + w * (_S2 + w * (_S3 + w * (_S4 + w * (_S5 + w * _S6))))))
-                    pc = _C0 + w * (_C1 + w * (_C2 + w * (_C3 + w * (_C4 + w * (_C5 + w * (_C6 + w * _C7))))))
+                    ps = p * (_S0 + w * (_S1 + w * (_S2 + w * (_S3 + w * (_S4 + w * _S5)))))
+                    pc = _C0 + w * (_C1 + w * (_C2 + w * (_C3 + w * (_C4 + w * (_C5 + w * _C6)))))
                     across = ct * (ux * cp + uy * sp)
                     along = uy * cp - ux * sp
                     near, far = across - down, -across - down

@@ -117,6 +117,18 @@ def fields_of_expansion(seen: Segments, driving: Segments, k_rad_m: float) -> Co
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def turn(rotation: Array, offset_m: Array, vectors: Array, turned: Array) -> None:
+    """Write vectors (M, 3), turned and then moved, into ``turned``."""
+    for m in range(len(vectors)):
+        for x in range(3):
+            turned[m, x] = (
+                rotation[x, 0] * vectors[m, 0]
+                + rotation[x, 1] * vectors[m, 1]
+                + rotation[x, 2] * vectors[m, 2]
+            ) + offset_m[x]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def write_fields(
     centres_m: Array,
     axes: Array,

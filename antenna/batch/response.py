@@ -43,8 +43,16 @@ class Response:
     scattering: Complex
     """(K, K) the currents that a field drives, for the field's reactions (sum of moment times field) with the
     K."""
-    feed_a: Complex
-    """(K,) current of each at the source."""
+    currents_a: Complex
+    """(N, K) each at the centres of the segments."""
+    projection: Complex
+    """(K, N) those of the K that radiate like currents at the centres."""
+    segments: Segments
+    """N of them."""
+    admittance_s_m: Complex
+    """(N, N) as `antenna.batch.moments.admittance` gives it."""
+    spread: Array
+    """(3, N, N) the same."""
 
 
 def cut(element: Element) -> Segments:
@@ -84,7 +92,10 @@ def respond(element: Element, wavelength_m: float) -> Response:
     reactions = finest.moments_am.T @ _plane_waves(finest.places_m, finest.axes, k_rad_m)
     wanted = np.linalg.lstsq(currents, answers, rcond=None)[0]
     scattering: Complex = np.linalg.lstsq(reactions.T, wanted.T, rcond=None)[0].T.astype(complex)
-    return Response(nodes, scattering, currents[element.feed_segment])
+    alone = make_nodes(element, segments, spread, k_rad_m, NODES[-1]).moments_am
+    heard = alone.T @ _plane_waves(finest.places_m, finest.axes, k_rad_m)
+    projection: Complex = np.linalg.lstsq(reactions.T, heard.T, rcond=None)[0].astype(complex)
+    return Response(nodes, scattering, currents, projection, segments, admits, spread)
 
 
 def _plane_waves(places_m: Array, axes: Array, k_rad_m: float) -> Complex:

@@ -10,28 +10,28 @@ from numba import njit
 from numpy.typing import NDArray
 
 from antenna.backend import Accuracy
-from antenna.batch.coupling import Kind, make_kind, solve_arrays, turn
-from antenna.batch.dense import Dense
-from antenna.batch.far_field import Single, radiate
+from antenna.batch.coupling import solve_arrays
+from antenna.batch.far_field import VECTOR, Single, radiate
+from antenna.batch.kind import Kind, make_kind
 from antenna.batch.maximum import survey_arrays
-from antenna.batch.moments import ETA_OHM
+from antenna.batch.moments import ETA_OHM, turn
 from antenna.batch.response import NODES
-from antenna.clearance import credible, near_m, wire_ends_m
+from antenna.clearance import credible, wire_ends_m
 from antenna.config import AntennaConfig
 from antenna.geometry import Array, Complex, ElementsTooNear, ElementsTouch, Snapshot
-from antenna.patterns import Pattern, directions_deg, row_weights, to_dbi
+from antenna.patterns import Pattern, directions_deg, resolving_step_deg, row_weights, to_dbi
 from antenna.radiated import mean_intensity
 
 FAR_FIELD_NODES = ((0.03, 1), (0.15, 2), (0.5, 4), (1.0, 6), (1.8, 8), (3.3, 12), (8.0, 20), (np.inf, 40))
 """Points of a wire for its far field, by its greatest k times half-length."""
 SMALL_K_EXTENT = 0.3
 """Small elements are within a tenth of the wavelength: k times the farthest end's distance."""
-SLICE = 128
-"""Snapshots a thread takes at a time."""
+SLICE = 64
+"""Snapshots a thread takes at a time: their patterns fit into a processor's second cache."""
 
 
 class Grid(NamedTuple):
-    """The first quarter of a pattern's directions, theta up to pi/2 (M,) and phi below pi (H,)."""
+    """The first quarter of a pattern's directions, as `radiate` takes them."""
 
     cos_theta: Single
     sin_theta: Single
@@ -125,7 +125,6 @@ class Batch:
         self._element = config.element()
         image = config.ground == "perfect"
         self.kind = make_kind(self._element, config.wavelength_m, image=image)
-        self._near_m = near_m(config.wavelength_m)
         extent_m = float(np.linalg.norm(wire_ends_m(self._element), axis=-1).max())
         small = self.kind.k_rad_m * extent_m < SMALL_K_EXTENT
         self.accuracy = Accuracy.SMALL_ELEMENTS if small else Accuracy.LARGE_ELEMENTS
@@ -133,11 +132,12 @@ class Batch:
         nodes = next(count for limit, count in FAR_FIELD_NODES if size < limit)
         level = NODES.index(nodes)
         self._first, self._last = int(self.kind.firsts[level]), int(self.kind.firsts[level + 1])
-        self._dense = Dense(self._element, config.wavelength_m, nodes=nodes, image=image)
         self._theta_deg, self._phi_deg = directions_deg(config.grid_deg)
         self._weights = row_weights(len(self._theta_deg), grounded=image)
         theta = np.radians(self._theta_deg[: len(self._theta_deg) // 2 + 1])
-        phi = np.radians(self._phi_deg[: len(self._phi_deg) // 2])
+        columns = len(self._phi_deg) // 2
+        phi = np.zeros(-(-columns // VECTOR) * VECTOR)
+        phi[:columns] = np.radians(self._phi_deg[:columns])
         self._grid = Grid(*(f(angle).astype(np.float32) for angle in (theta, phi) for f in (np.cos, np.sin)))
 
     def patterns(self, snapshots: Sequence[Snapshot]) -> list[Pattern | ElementsTouch]:
@@ -171,7 +171,25 @@ class Batch:
             radiating.points_m, radiating.axes, radiating.moments, self._config.wavelength_m,
             gain_theta, gain_phi, self._weights, maximum, average,
         )  # fmt: skip
-        return self._patterns(radiating, to_dbi(gain_theta), to_dbi(gain_phi), maximum, average)
+        self._refuse(snapshots, radiating, average, maximum)
+        return self._patterns(
+            radiating, to_dbi(gain_theta, gain_theta), to_dbi(gain_phi, gain_phi), maximum, average
+        )
+
+    def _refuse(
+        self, snapshots: Sequence[Snapshot], radiating: Currents, average: Array, maximum: Array
+    ) -> None:
+        """Take the maximum of arrays of elements near each other that do not radiate what is fed in."""
+        for s in np.flatnonzero(radiating.nearest_m < self.kind.near_m).tolist():
+            centres_m, image = snapshots[s].centres_m, self.kind.image
+            share = float(average[s])
+            if self._config.grid_deg > resolving_step_deg(
+                centres_m, self._config.wavelength_m, grounded=image
+            ):
+                points = radiating.points_m[s], radiating.axes[s], radiating.moments[s]
+                share = mean_intensity(*points, self.kind.k_rad_m) * (0.5 if image else 1.0)
+            if not credible(share):
+                maximum[s, 0] = -np.inf
 
     def currents(self, snapshots: Sequence[Snapshot]) -> Currents:
         """Solve snapshots of equally many elements."""
@@ -188,24 +206,11 @@ class Batch:
         moments = np.empty((count, points), complex)
         place_points(kind, self._first, self._last, centres_m, rotations, currents, points_m, axes, moments)
         apart = nearest_m > kind.clearance_m
-        for s in np.flatnonzero(apart & (nearest_m < self._near_m)).tolist():
-            moments[s], power_w[s] = self._near(snapshots[s], points_m[s], axes[s])
         radiates = apart & np.isfinite(power_w) & (power_w > 0.0)
         watts = np.where(radiates, power_w, np.inf)
         moments *= np.sqrt(kind.k_rad_m**2 * ETA_OHM / (8.0 * np.pi * watts))[:, None]
         moments[~radiates] = 0.0
         return Currents(points_m, axes, moments, nearest, nearest_m)
-
-    def _near(self, snapshot: Snapshot, points_m: Array, axes: Array) -> tuple[Complex, float]:
-        """Moments (N,) of the points and power of elements near each other; 0 W if they are not credible."""
-        kind = self.kind
-        own, power_w = self._dense.solve(snapshot)
-        moments = np.tile(own.ravel(), 2 if kind.image else 1)
-        intensity_w = (
-            kind.k_rad_m**2 * ETA_OHM / (8.0 * np.pi) * mean_intensity(points_m, axes, moments, kind.k_rad_m)
-        )
-        radiated_w = intensity_w * (0.5 if kind.image else 1.0)
-        return moments, power_w if power_w > 0.0 and credible(radiated_w / power_w) else 0.0
 
     def gains(self, radiating: Currents) -> tuple[Single, Single]:
         """Linear partial gains (S, T, P) on the grid."""

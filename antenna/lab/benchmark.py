@@ -145,7 +145,7 @@ def two_cores(config: AntennaConfig, seconds: float) -> float:
 
     Other work on the machine only ever adds to a wall time, and to that of two threads more.
     """
-    snapshots = formations(config, SNAPSHOTS)
+    snapshots = formations(config, 4 * SNAPSHOTS)
     solvers = [Batch(config, threads=threads) for threads in (1, 2)]
     wall_s: list[list[float]] = [[], []]
     for solver in solvers:

@@ -1,0 +1,87 @@
+"""What compiled code knows of one kind of element at one wavelength."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antenna.batch.response import respond
+from antenna.clearance import clearance_m, near_m, wire_ends_m
+from antenna.elements import Element
+from antenna.geometry import Array, Complex
+
+
+class Kind(NamedTuple):
+    """An element's response in plain arrays: K currents as points, on all levels of `NODES`, N segments."""
+
+    firsts: NDArray[np.int64]
+    """(L + 1,) where the points of a level begin."""
+    places_m: Array
+    """(M, 3) of the points, in the element's frame."""
+    axes: Array
+    """(M, 3) along the wires there."""
+    moments_am: Complex
+    """(M, K) of the K currents there."""
+    scattering: Complex
+    """(K, K) which of them a field drives, for its reactions with the K."""
+    feed_a: Complex
+    """(K,) current of each at the source."""
+    currents_a: Complex
+    """(N, K) each at the segments' centres."""
+    projection: Complex
+    """(K, N) which of the K radiate as currents at the centres do."""
+    centres_m: Array
+    """(N, 3) of the segments, as the following."""
+    segment_axes: Array
+    """(N, 3)"""
+    lengths_m: Array
+    """(N,)"""
+    radii_m: Array
+    """(N,)"""
+    spread: Array
+    """(3, N, N) as `antenna.batch.moments.admittance` gives it."""
+    admittance_s_m: Complex
+    """(N, N) the same."""
+    fed: int
+    """Segment of the source."""
+    wires_m: Array
+    """(W, 2, 3) ends of the wires."""
+    half_m: float
+    """Half of the longest wire's length."""
+    clearance_m: float
+    """Least distance of two elements."""
+    near_m: float
+    """Distance below which they see each other's segments."""
+    k_rad_m: float
+    image: bool
+    """Whether all this stands over perfect ground, at height 0."""
+
+
+def make_kind(element: Element, wavelength_m: float, *, image: bool) -> Kind:
+    """Compute the response of an element at a wavelength."""
+    response = respond(element, wavelength_m)
+    segments = response.segments
+    sizes = [len(nodes.places_m) for nodes in response.nodes]
+    return Kind(
+        firsts=np.concatenate([[0], np.cumsum(sizes)]),
+        places_m=np.concatenate([nodes.places_m for nodes in response.nodes]),
+        axes=np.concatenate([nodes.axes for nodes in response.nodes]),
+        moments_am=np.concatenate([nodes.moments_am for nodes in response.nodes]),
+        scattering=np.ascontiguousarray(response.scattering),
+        feed_a=response.currents_a[element.feed_segment].copy(),
+        currents_a=response.currents_a,
+        projection=np.ascontiguousarray(response.projection),
+        centres_m=segments.centres_m,
+        segment_axes=segments.axes,
+        lengths_m=segments.lengths_m,
+        radii_m=segments.radii_m,
+        spread=response.spread,
+        admittance_s_m=response.admittance_s_m,
+        fed=element.feed_segment,
+        wires_m=wire_ends_m(element),
+        half_m=0.5 * max(wire.length_m for wire in element.wires),
+        clearance_m=clearance_m(element),
+        near_m=near_m(wavelength_m),
+        k_rad_m=2.0 * np.pi / wavelength_m,
+        image=image,
+    )

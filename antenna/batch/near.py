@@ -1,0 +1,86 @@
+"""Elements near each other, too near for their few strongest currents: they see each other's segments.
+
+The currents c at all centres of m such elements follow from the fields that they make there, c = A (F c) + Q
+y, where y (m K) are the currents that sources and everybody else's fields would drive in each of them alone:
+c = (1 - A F)^-1 Q y. For all others they are again those of the K that radiate like them, a = P c = T y; what
+flows through their sources is exact.
+"""
+
+import numpy as np
+from numba import njit
+
+from antenna.batch.kind import Kind
+from antenna.batch.moments import turn, write_fields
+from antenna.geometry import Array, Complex
+from antenna.maxima import Index
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def find_near(kind: Kind, apart_m: Array, image_apart_m: Array, members: Index) -> int:
+    """Write which of n elements are near another one, or an image, (n,), in order; gives how many."""
+    n, count = len(members), 0
+    for i in range(n):
+        near = kind.image and image_apart_m[i, i] < kind.near_m
+        for j in range(n):
+            a, b = min(i, j), max(i, j)
+            near = near or (i != j and apart_m[a, b] < kind.near_m)
+            near = near or (i != j and kind.image and image_apart_m[a, b] < kind.near_m)
+        if near:
+            members[count] = i
+            count += 1
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def respond_together(
+    kind: Kind, places_m: Array, rotations: Array, members: Index, together: Complex, feeds_a: Complex
+) -> None:
+    """Write T (m K, m K), and the currents through the sources for y, (m, m K), of m of n elements."""
+    m, count, kept = len(members), len(kind.lengths_m), len(kind.feed_a)
+    matrix = np.eye(m * count).astype(np.complex128)
+    right = np.zeros((m * count, m * kept), np.complex128)
+    centres_m, axes, none = np.empty((m, count, 3)), np.empty((m, count, 3)), np.zeros(3)
+    for i in range(m):
+        turn(rotations[members[i]], places_m[members[i]], kind.centres_m, centres_m[i])
+        turn(rotations[members[i]], none, kind.segment_axes, axes[i])
+        right[i * count : (i + 1) * count, i * kept : (i + 1) * kept] = kind.currents_a
+    fields = np.empty((count, count, 3), np.complex128)
+    made = np.empty((count, count), np.complex128)
+    for j in range(m):
+        below_m, below_axes = centres_m[j].copy(), -axes[j]
+        below_m[:, 2] *= -1.0
+        below_axes[:, 2] *= -1.0
+        for i in range(m):
+            made[:] = 0.0
+            if i != j:
+                write_fields(
+                    centres_m[i], axes[i], kind.radii_m, centres_m[j], axes[j], kind.lengths_m, kind.k_rad_m,
+                    fields,
+                )  # fmt: skip
+                add_spread(fields, kind.spread, 1.0, made)
+            if kind.image:
+                write_fields(
+                    centres_m[i], axes[i], kind.radii_m, below_m, below_axes, kind.lengths_m, kind.k_rad_m,
+                    fields,
+                )  # fmt: skip
+                add_spread(fields, kind.spread, -1.0, made)
+            if i != j or kind.image:
+                matrix[i * count : (i + 1) * count, j * count : (j + 1) * count] -= kind.admittance_s_m @ made
+    currents = np.ascontiguousarray(np.linalg.solve(matrix, right))
+    for i in range(m):
+        together[i * kept : (i + 1) * kept] = kind.projection @ currents[i * count : (i + 1) * count]
+        feeds_a[i] = currents[i * count + kind.fed]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_spread(fields: Complex, spread: Array, sine: float, made: Complex) -> None:
+    """Add to (N, N) the fields at N centres, (N, N, 3) of A, B and C, for a current at each centre.
+
+    ``sine`` is -1 for the currents of an image, which run against those above along the axes' images.
+    """
+    count = len(made)
+    for p in range(count):
+        for q in range(count):
+            a, b, c = fields[p, q, 0], sine * fields[p, q, 1], fields[p, q, 2]
+            for k in range(count):
+                made[p, k] += a * spread[0, q, k] + b * spread[1, q, k] + c * spread[2, q, k]
