@@ -7,6 +7,7 @@ and z up. Directions have the article's angles: theta from +z, phi from +x towar
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -66,15 +67,29 @@ class Snapshot:
             raise ValueError("a snapshot's positions are finite")
         if not np.isfinite(self.voltages).all() or not self.voltages.any():
             raise ValueError("a snapshot's voltages are finite, and one is not zero")
-        orthogonal = np.einsum("nxy,nxz->nyz", self.rotations, self.rotations)
-        turned = np.abs(orthogonal - np.eye(3)).max() < 1e-6 and (np.linalg.det(self.rotations) > 0.0).all()
-        if not turned:
+        if not _are_rotations(self.rotations):
             raise ValueError("a snapshot's rotations are rotations")
 
     @property
     def axes(self) -> Array:
         """(n, 3) the elements' own z axes, antenna's frame."""
         return self.rotations[:, :, 2]
+
+
+@njit(cache=True, nogil=True)
+def _are_rotations(matrices: Array) -> bool:
+    """Whether all (n, 3, 3) have orthogonal columns of length 1, right-handed."""
+    for m in matrices:
+        for i in range(3):
+            for j in range(i, 3):
+                product = m[0, i] * m[0, j] + m[1, i] * m[1, j] + m[2, i] * m[2, j]
+                if not abs(product - (i == j)) < 1e-6:  # a NaN is none
+                    return False
+        x, y = m[1, 0] * m[2, 1] - m[2, 0] * m[1, 1], m[2, 0] * m[0, 1] - m[0, 0] * m[2, 1]
+        z = m[0, 0] * m[1, 1] - m[1, 0] * m[0, 1]
+        if x * m[0, 2] + y * m[1, 2] + z * m[2, 2] < 0.0:
+            return False
+    return True
 
 
 def along(axes: Array) -> Array:

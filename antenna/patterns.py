@@ -16,6 +16,10 @@ FLOOR_DBI = -999.99
 """Stands for no gain at all, as in NEC2's tables."""
 RESOLVED_BEYOND = 12.0
 """Degrees beyond 2 k R that still count: Bessel functions fall off from there, and the elements' own."""
+DECIBEL = math.log(10.0) / 10.0
+"""Of a power, in nepers."""
+NOTHING = 2e-38
+"""Linear gains below this are none: less than any number in single precision, and more than `FLOOR_DBI`."""
 HALF_POWER_DB = 10.0 * math.log10(2.0)
 
 
@@ -45,14 +49,21 @@ class Pattern:
     """Which solver made it."""
 
     @property
+    def gain(self) -> Array:
+        """(T, P) total gain, linear."""
+        return from_dbi(self.theta_gain_dbi) + from_dbi(self.phi_gain_dbi)
+
+    @property
     def gain_dbi(self) -> Array:
         """(T, P) total gain."""
-        return to_dbi(from_dbi(self.theta_gain_dbi) + from_dbi(self.phi_gain_dbi))
+        return to_dbi(self.gain)
 
 
 def from_dbi(gain_dbi: Array) -> Array:
     """Linear gains; `FLOOR_DBI` is 0."""
-    return np.asarray(np.where(gain_dbi <= FLOOR_DBI, 0.0, 10.0 ** (gain_dbi / 10.0)))
+    gain = np.asarray(np.exp(gain_dbi * DECIBEL))
+    gain[gain < NOTHING] = 0.0
+    return gain
 
 
 def to_dbi(gain: Gains, out: Gains | None = None) -> Array:

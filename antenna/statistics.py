@@ -135,13 +135,12 @@ class RunningEnvelope:
             raise ValueError(
                 f"a pattern of {pattern.theta_gain_dbi.shape} directions among {self._sum.shape}"
             )
-        gain_dbi = np.asarray(pattern.gain_dbi, float)
-        gain = from_dbi(gain_dbi)
+        gain = pattern.gain
         self._samples += 1
         self._sum += gain
         np.minimum(self._min, gain, out=self._min)
         np.maximum(self._max, gain, out=self._max)
-        _count_levels(gain_dbi, LEVELS_DBI[0], LEVEL_STEP_DB, self._counts)
+        _count_levels(np.asarray(to_dbi(gain), float), LEVELS_DBI[0], LEVEL_STEP_DB, self._counts)
 
     def result(self) -> Envelope:
         """Of the patterns so far; raises ValueError when there are none."""

@@ -11,6 +11,7 @@ from antenna.config import AntennaConfig
 from antenna.geometry import Array, ElementsTouch, Snapshot, grid, upright
 from antenna.ports import feed
 
+DRAWN_TOGETHER = 256
 MOST_ELEMENTS = 200
 """Systems grow with the square of their number."""
 
@@ -54,13 +55,14 @@ def draws(places_m: Array, config: AntennaConfig, disorder: Disorder) -> Iterato
     positions, tilts = (np.random.default_rng(stream) for stream in streams)
     n, voltages = len(places_m), feed(places_m, config)
     while True:
-        centres_m = places_m + disorder.sigma_m * positions.standard_normal((n, 3))
-        turns_rad = np.zeros((n, 3))
-        turns_rad[:, :2] = disorder.tilt_rad * tilts.standard_normal((n, 2))
-        rotations = Rotation.from_rotvec(turns_rad).as_matrix()
-        if config.feeds_for == "truth":
-            try:
-                voltages = feed(centres_m, config, rotations)
-            except ElementsTouch:  # whoever computes its pattern finds out as well
-                voltages = np.ones(n, complex)
-        yield Snapshot(centres_m, rotations, voltages)
+        centres_m = places_m + disorder.sigma_m * positions.standard_normal((DRAWN_TOGETHER, n, 3))
+        turns_rad = np.zeros((DRAWN_TOGETHER, n, 3))
+        turns_rad[..., :2] = disorder.tilt_rad * tilts.standard_normal((DRAWN_TOGETHER, n, 2))
+        rotations = Rotation.from_rotvec(turns_rad.reshape(-1, 3)).as_matrix().reshape(-1, n, 3, 3)
+        for centre_m, rotation in zip(centres_m, rotations, strict=True):
+            if config.feeds_for == "truth":
+                try:
+                    voltages = feed(centre_m, config, rotation)
+                except ElementsTouch:  # whoever computes its pattern finds out as well
+                    voltages = np.ones(n, complex)
+            yield Snapshot(centre_m, rotation, voltages)
