@@ -5,13 +5,17 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.set-up
 ARGS ?=
 
-.PHONY: help setup swarm test validate validate-radio codesign bench-radio lint format clean
+.PHONY: help setup swarm test validate validate-radio validate-antenna codesign campaign article antenna bench-radio lint format clean
 help:
 	@echo "make swarm [ARGS='--duration 20 --seed 3']   fly scenarios/article.toml"
 	@echo "make test  [ARGS='-k radio']                 run the tests"
 	@echo "make validate [ARGS='--quick | --out docs']   measure how well one vehicle flies (docs/validation.md)"
 	@echo "make validate-radio [ARGS='--quick | --out docs']   compare the radio with ns-3 (docs/radio-validation.md)"
+	@echo "make validate-antenna [ARGS='--quick | --out docs']   hold the antenna's solvers against each other (docs/antenna-validation.md)"
 	@echo "make codesign [ARGS='--quick | --out docs']   measure what ranging does for the formation (docs/codesign.md)"
+	@echo "make article [ARGS='--quick | --out docs']    fly the article's cases and judge its statements (docs/article.md)"
+	@echo "make campaign ARGS='CAMPAIGN.toml --out DIR'  many flights, one table (docs/campaigns.md)"
+	@echo "make antenna ARGS='pattern --wavelength 10'   the antenna alone: pattern, statistics, benchmark (docs/antenna.md)"
 	@echo "make bench-radio [ARGS='--peer COMMAND']      measure what the radio costs"
 	@echo "make lint | format | setup | clean"
 
@@ -35,8 +39,20 @@ validate: $(STAMP)
 validate-radio: $(STAMP)
 	$(BIN)/python scripts/validate_radio.py $(ARGS)
 
+validate-antenna: $(STAMP)
+	$(BIN)/python scripts/validate_antenna.py $(ARGS)
+
 codesign: $(STAMP)
 	$(BIN)/python scripts/experiment_codesign.py $(ARGS)
+
+article: $(STAMP)
+	$(BIN)/python scripts/reproduce_article.py $(ARGS)
+
+campaign: $(STAMP)
+	$(BIN)/python scripts/campaign.py $(ARGS)
+
+antenna: $(STAMP)
+	$(BIN)/python scripts/antenna_lab.py $(ARGS)
 
 bench-radio: $(STAMP)
 	$(BIN)/python scripts/bench_radio.py $(ARGS)

@@ -1,0 +1,203 @@
+"""The command line of the reproduction: fly what is missing, measure, judge, write the page.
+
+Exit status: 0 all flights have ended as flights do, 1 some failed or the cluster did, 2 bad input, 130 broken
+off: the same command goes on. What a verdict says is a result, and no failure. An error is one line.
+"""
+
+import contextlib
+import math
+import os
+import signal
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, TextIO
+
+import msgspec
+import typer
+from msgspec.structs import replace
+from rich.console import Console
+
+from harness import kernel_cache
+from harness.article import figures, page
+from harness.article.draws import WIND_PHIS_DEG, draw, ideal_gains, tilted
+from harness.article.evidence import Evidence
+from harness.article.kept import figure_flight, figure_patterns_of, kept_flights, separate
+from harness.article.patterns import read_pattern
+from harness.article.plan import FIGURE_WAVELENGTH_M, FIGURE_WIND_N, KEPT, QUICK, Plan, campaigns
+from harness.article.readings import csv_text, read_cells
+from harness.article.setup_findings import IDEAL_DBI
+from harness.article.statements import Verdict, count, judge_all
+from harness.campaign import Campaign, CampaignError, ClusterError, Table, run
+from harness.campaign.definition import expand
+from harness.campaign.display import Display
+from harness.campaign.running import known
+from harness.campaign.store import FAILED, Store
+from harness.campaign.worker import sources_state
+from harness.validation.command import WIDTH, progress_lines
+from harness.validation.report import Section, markdown, show, write
+from harness.validation.standard_output import keep_stdout
+
+FINE, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+PROGRAM = "reproduce_article"
+RUNS, QUICK_RUNS = Path("runs") / "article", Path("runs") / "article-quick"
+
+article_app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+@article_app.command()
+def article(
+    quick: Annotated[  # noqa: FBT002
+        bool, typer.Option("--quick", help="Few and short flights at 5, 10 and 20 m: minutes.")
+    ] = False,
+    seeds: Annotated[
+        int | None, typer.Option(help="Flights of each wavelength in each wind.", min=1, max=1000)
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Simulated seconds in formation.", min=6.0, max=600.0)
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes that fly; default one per processor.", min=1, max=1024)
+    ] = None,
+    runs: Annotated[
+        Path | None,
+        typer.Option(help=f"Folder in which flights are kept; default {RUNS}, or {QUICK_RUNS} with --quick."),
+    ] = None,
+    retry: Annotated[bool, typer.Option("--retry", help="Fly those again that failed.")] = False,  # noqa: FBT002
+    json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,  # noqa: FBT002
+    out: Annotated[
+        Path | None,
+        typer.Option(help=f"Folder for {page.FILE_NAME}, {page.CSV_NAME} and images/; none writes no page."),
+    ] = None,
+) -> None:
+    """Fly the article's formation, and set each of its statements beside what came out."""
+    messages = Console(stderr=True, highlight=False)
+    plan = QUICK if quick else Plan()
+    plan = replace(plan, seeds=seeds or plan.seeds, duration_s=duration or plan.duration_s)
+    stdout = keep_stdout()
+    try:
+        with _interruptible():
+            tables = _fly(
+                campaigns(plan), runs or (QUICK_RUNS if quick else RUNS),
+                workers=workers or os.cpu_count() or 1, retry=retry, messages=messages,
+            )  # fmt: skip
+            results = _measure(plan, tables, messages)
+            sections = page.sections(results)
+            if out is not None:
+                _write(results, sections, out, quick=quick)
+    except KeyboardInterrupt:
+        messages.print("broken off: the same command goes on from here")
+        raise typer.Exit(INTERRUPTED) from None
+    except (CampaignError, kernel_cache.CompileError, OSError) as error:
+        messages.print(f"{PROGRAM}: {error}", soft_wrap=True)
+        known_bad = isinstance(error, CampaignError) and not isinstance(error, ClusterError)
+        raise typer.Exit(BAD_INPUT if known_bad else SOME_FAILED) from None
+    _tell(results, sections, out, json=json, stdout=stdout)
+    raise typer.Exit(SOME_FAILED if results.broken else FINE)
+
+
+@contextlib.contextmanager
+def _interruptible() -> Iterator[None]:
+    """Have SIGINT and SIGTERM raise KeyboardInterrupt, even in the background of a shell."""
+    before = {
+        number: signal.signal(number, signal.default_int_handler)
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _fly(
+    plans: Mapping[str, Campaign], folder: Path, *, workers: int, retry: bool, messages: Console
+) -> dict[str, Table]:
+    """Fly all campaigns into one folder, so that what they share is flown once."""
+    tables = {}
+    for name, campaign in plans.items():
+        runs = expand(campaign, state=sources_state())
+        missing = known(campaign, runs, Store(folder), retry=retry)[1]
+        total = len({each.digest for each in runs})
+        messages.print(
+            f"{name}: {total} flights, {len(missing)} of them to be flown; into {folder}", soft_wrap=True
+        )
+        with Display(messages, campaign, total=total, kept=total - len(missing)) as display:
+            tables[name] = run(
+                campaign, out=folder, workers=workers, retry=retry, progress=display.on_landed,
+                note=display.note,
+            )  # fmt: skip
+    return tables
+
+
+def _measure(plan: Plan, tables: Mapping[str, Table], messages: Console) -> page.Results:
+    """Take everything that the statements need out of the tables, and judge them."""
+    cells = {
+        key: cell for name, table in tables.items() if name != KEPT for key, cell in read_cells(table).items()
+    }
+    with progress_lines(messages) as (note, _):
+        drawn = draw(plan.draws, done=lambda done, total: note("random formations", done, total))
+        kept = list(kept_flights(tables[KEPT]))
+        shown = figure_flight(kept)
+        separations = separate(kept, done=lambda done: note("kept flights", done, len(kept)))
+        figure = None if shown is None else figure_patterns_of(shown)
+    leaning = {}
+    of_figure = (FIGURE_WAVELENGTH_M, FIGURE_WIND_N)
+    windy = next((each for each in separations if (each.wavelength_m, each.wind_n) == of_figure), None)
+    if figure is not None and windy is not None:
+        step_deg = float(figure.ideal.theta_deg[1])
+        leaning = {
+            phi_deg: read_pattern(
+                tilted(windy.wavelength_m, math.radians(windy.tilt_rms_deg), phi_deg, step_deg), figure.ideal
+            )
+            for phi_deg in WIND_PHIS_DEG
+        }
+    evidence = Evidence(
+        cells=cells, ideals=ideal_gains(plan.wavelengths_m), separations=separations,
+        patterns={} if figure is None else figure.readings(), drawn=drawn, leaning=leaning,
+    )  # fmt: skip
+    plans = campaigns(plan)
+    broken = {
+        each.describe(plans[name]): table.column("reason")[row]
+        for name, table in tables.items()
+        for row, each in enumerate(table.runs)
+        if table.column("status")[row] == FAILED
+    }
+    return page.Results(
+        plan=plan, evidence=evidence, judged=judge_all(evidence), figure=figure,
+        broken=[f"{which}: {reason}" for which, reason in broken.items()],
+    )  # fmt: skip
+
+
+def _write(results: page.Results, sections: Sequence[Section], out: Path, *, quick: bool) -> None:
+    """Write page, figures and CSV; raises OSError."""
+    images, evidence = out / "images", results.evidence
+    images.mkdir(parents=True, exist_ok=True)
+    figures.save_densities(images / page.FIGURE3, evidence.cells, evidence.winds_n, IDEAL_DBI)
+    figures.save_wind(images / page.WIND_FIGURE, evidence.cells, IDEAL_DBI)
+    figures.save_changes(images / page.CHANGES_FIGURE, evidence.cells, FIGURE_WIND_N, IDEAL_DBI)
+    figures.save_sigma(images / page.SIGMA_FIGURE, evidence.drawn, evidence.cells.values())
+    if results.figure is not None:
+        figures.save_patterns(images / page.FIGURE4, results.figure)
+        figures.save_patterns(images / page.MEANS, results.figure, mean=True)
+    (out / page.CSV_NAME).write_text(csv_text(evidence.cells.values()), encoding="utf-8")
+    introduction = page.introduction(results, quick=quick)
+    write(out / page.FILE_NAME, markdown(sections, title=page.TITLE, introduction=introduction))
+
+
+def _tell(
+    results: page.Results, sections: Sequence[Section], out: Path | None, *, json: bool, stdout: TextIO
+) -> None:
+    if not json:
+        console = Console(file=stdout, highlight=False, width=None if stdout.isatty() else WIDTH)
+        show(console, sections, px4=False)
+        return
+    found = count(results.judged)
+    result = {
+        "agree": found[Verdict.AGREES],
+        "differ": found[Verdict.DIFFERS],
+        "not_measured": found[Verdict.UNKNOWN],
+        "failed": len(results.broken),
+        "page": None if out is None else str(out / page.FILE_NAME),
+        "statements": results.judged,
+    }
+    print(msgspec.json.encode(result).decode(), file=stdout)
