@@ -12,12 +12,16 @@ from antenna.geometry import Array, ElementsTouch, Snapshot
 
 SEGMENT_MATCH = 1e-3
 """Wire ends nearer than this part of a segment are one node to NEC2 (User's Guide, structure geometry)."""
+ALIKE_M = 1e-9
+"""Distances no more different than this are one: the first of them counts, whatever the rounding."""
 GROUND = -1
 """Stands for the ground where an element's number is expected."""
 NEAR_RAD = 0.45
 """Phase of the wave over the distance of elements that are near each other."""
 CREDIBLE = 0.8, 1.25
 """Radiated over input power, within 1 dB of each other."""
+LOSSY = 0.0, 1.05
+"""The same over a ground that takes part of it."""
 
 
 class Nearest(NamedTuple):
@@ -58,9 +62,15 @@ def near_m(wavelength_m: float) -> float:
     return NEAR_RAD * wavelength_m / (2.0 * math.pi)
 
 
-def credible(average_gain: float) -> bool:
-    """Whether a solution radiates what its sources feed in, where nothing else takes it."""
-    return CREDIBLE[0] < average_gain < CREDIBLE[1]
+def credible(average_gain: float, *, lossy: bool = False) -> bool:
+    """Whether a solution radiates what its sources feed in; a ``lossy`` ground takes any part of that."""
+    least, most = LOSSY if lossy else CREDIBLE
+    return least < average_gain < most
+
+
+def reach_m(element: Element) -> float:
+    """How far the farthest end of a wire is from the element's centre."""
+    return float(np.linalg.norm(wire_ends_m(element), axis=-1).max())
 
 
 def check_apart(snapshot: Snapshot, element: Element, *, grounded: bool) -> Nearest:
@@ -103,7 +113,7 @@ def measure(
             ends_image_m[i] = ends_m[i]
             ends_image_m[i, :, :, 2] *= -1.0
             lowest_m = ends_m[i, :, :, 2].min()
-            if lowest_m < nearest_m[0]:
+            if lowest_m < nearest_m[0] - ALIKE_M:
                 nearest[0], nearest_m[0] = i, lowest_m
     for i in range(n):
         for j in range(i, n):
@@ -112,7 +122,7 @@ def measure(
             if i == j:
                 continue
             apart_m[i, j] = least_distance_m(ends_m[i], ends_m[j])
-            if apart_m[i, j] < nearest_m[0]:
+            if apart_m[i, j] < nearest_m[0] - ALIKE_M:
                 nearest[0], nearest[1], nearest_m[0] = i, j, apart_m[i, j]
 
 

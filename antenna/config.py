@@ -7,10 +7,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from antenna.deck import read_element
-from antenna.elements import Element, dipole, loop
-
-THIN_WIRE_SLENDERNESS = 8.0
-"""Least segment length over wire radius for errors under 1 % (NEC-2 User's Guide, wire modelling)."""
+from antenna.elements import THIN_WIRE_SLENDERNESS, WIRE_LENGTH_M, WIRE_RADIUS_M, Element, dipole, loop
 
 
 class AntennaConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -19,9 +16,9 @@ class AntennaConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     wavelength_m: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 10.0
     element_kind: Literal["dipole", "loop", "deck"] = "dipole"
     """A dipole along the vehicle's vertical axis, a level loop about it, or the wires of a NEC deck."""
-    element_length_m: Annotated[float, Meta(gt=0.0, le=1_000.0)] = 0.05
+    element_length_m: Annotated[float, Meta(ge=WIRE_LENGTH_M[0], le=WIRE_LENGTH_M[1])] = 0.05
     """Of the dipole, electrically small, as a size-limited antenna is; of a loop its circumference."""
-    element_radius_m: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.0002
+    element_radius_m: Annotated[float, Meta(ge=WIRE_RADIUS_M[0], le=WIRE_RADIUS_M[1])] = 0.0002
     """Of the wire."""
     segments: Annotated[int, Meta(ge=3, le=199)] = 9
     """Thin-wire segments of a dipole or loop; a dipole's are odd, so that the source sits in the middle."""
@@ -41,7 +38,7 @@ class AntennaConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     backend: Literal["batch", "nec2", "nec2c"] = "batch"
     snapshot_rate_hz: Annotated[float, Meta(gt=0.0, le=1_000.0)] = 2.0
     """Instants of the flight, per simulated second, for which a pattern is computed."""
-    grid_deg: Annotated[float, Meta(gt=0.0, le=30.0)] = 5.0
+    grid_deg: Annotated[float, Meta(ge=0.1, le=30.0)] = 5.0
     """Step of the pattern in theta and phi; the maximum is refined beyond it."""
     keep_patterns: bool = False
     """Write a flight's patterns to patterns.nc."""
@@ -60,7 +57,7 @@ class AntennaConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
                 raise ValueError(
                     f"segments: {self.segments} is even; a source in the middle needs an odd number"
                 )
-            slenderness = self.element_length_m / self.segments / self.element_radius_m
+            slenderness = self.element().wires[0].slenderness
             if slenderness < THIN_WIRE_SLENDERNESS:
                 raise ValueError(
                     f"element_radius_m: a segment is {slenderness:.1f} radii long;"

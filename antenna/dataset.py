@@ -1,8 +1,8 @@
 """Patterns of many instants as one labelled dataset, and as a NetCDF-4 file that netCDF and HDF5 tools open.
 
-A row is one instant of a flight (``time``) or one draw (``sample``). Elements that touched are rows like all
-others, with no gains (NaN) and with what touched. Attributes say which solver made the gains, how accurate it
-is, of which antenna, and what the numbers mean.
+A row is one instant of a flight (``time``) or one draw (``sample``). Elements that touched, or were too near
+for a solution, are rows like all others, with no gains (NaN) and with what touched. Attributes say which
+solver made the gains, how accurate it is, of which antenna, and what the numbers mean.
 """
 
 import os
@@ -16,10 +16,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from antenna.config import AntennaConfig
-from antenna.geometry import ElementsTouch
+from antenna.geometry import ElementsTooNear, ElementsTouch
 from antenna.patterns import FLOOR_DBI, Pattern
 
-FORMAT = "coflight antenna patterns 1"
+FORMAT = "coflight antenna patterns 2"
 NO_ELEMENT = -1
 COMPRESSION = {"zlib": True, "complevel": 4, "shuffle": True}
 _MAXIMUM = {
@@ -59,6 +59,7 @@ def to_dataset(
     grids = np.full((2, len(results), *shape), np.nan, np.float32)
     maxima = np.full((len(_MAXIMUM), len(results)), np.nan)
     touching = np.full((2, len(results)), NO_ELEMENT, np.int32)
+    too_near = np.zeros(len(results), np.int8)
     distance_m = np.full(len(results), np.nan)
     for k, result in enumerate(results):
         if isinstance(result, Pattern):
@@ -66,6 +67,7 @@ def to_dataset(
             maxima[:, k] = result.max_gain_dbi, result.max_theta_deg, result.max_phi_deg, result.average_gain
         else:
             touching[:, k], distance_m[k] = (result.first, result.second), result.distance_m
+            too_near[k] = isinstance(result, ElementsTooNear)
     about_touching = "of the two elements that touch, from 0; -1: none"
     return xr.Dataset(
         {
@@ -77,6 +79,11 @@ def to_dataset(
             "touching_first": (row, touching[0], {"long_name": f"first {about_touching}"}),
             "touching_second": (row, touching[1], {"long_name": f"second {about_touching}, or the ground"}),
             "touching_distance_m": (row, distance_m, _about("m", "between the axes of what touches")),
+            "too_near": (
+                row,
+                too_near,
+                {"long_name": "1: the two do not touch, but are too near for a solution; 0: else"},
+            ),
             "settings": (
                 (),
                 msgspec.json.encode(config).decode(),
@@ -116,10 +123,12 @@ def from_dataset(dataset: xr.Dataset) -> list[Pattern | ElementsTouch]:
     maxima = np.stack([np.asarray(dataset[name].values) for name in _MAXIMUM], axis=1).tolist()
     first, second = (dataset[f"touching_{which}"].values.tolist() for which in ("first", "second"))
     distance_m = dataset["touching_distance_m"].values.tolist()
+    too_near = dataset["too_near"].values.tolist()
     results: list[Pattern | ElementsTouch] = []
     for k, (gain_dbi, max_theta_deg, max_phi_deg, average) in enumerate(maxima):
         if first[k] != NO_ELEMENT:
-            results.append(ElementsTouch(first[k], second[k], distance_m[k]))
+            kind = ElementsTooNear if too_near[k] else ElementsTouch
+            results.append(kind(first[k], second[k], distance_m[k]))
             continue
         results.append(
             Pattern(
@@ -160,7 +169,8 @@ def read_dataset(path: Path) -> xr.Dataset:
         dataset = xr.load_dataset(path, engine="h5netcdf")
     except (OSError, ValueError, KeyError) as error:
         raise NotPatterns(f"{path}: not a NetCDF-4 file ({error.__class__.__name__})") from None
-    wanted = {*_GRIDS, *_MAXIMUM, "touching_first", "touching_second", "touching_distance_m", "settings"}
+    about_touching = {"touching_first", "touching_second", "touching_distance_m", "too_near"}
+    wanted = {*_GRIDS, *_MAXIMUM, *about_touching, "settings"}
     if dataset.attrs.get("format") != FORMAT or not wanted <= set(dataset.variables):
         raise NotPatterns(f"{path}: not patterns of an antenna; expected the attribute format = {FORMAT!r}")
     return dataset

@@ -1,24 +1,30 @@
 """NEC decks, the text files that nec2c, xnec2c and 4nec2 read: written of arrays, read for an element.
 
-Understood when read: CM, CE, GW, GM, GS, GE, EX 0, EN; what only asks for results (FR, RP, XQ, PT, PQ, NE,
-NH) is passed over. Anything else changes the antenna in ways that are not modelled here, and is refused by
-its line.
+Understood when read: CM, CE, GW, GM, GS, GE, EX 0, and EN, behind which nothing is read; what only asks for
+results (FR, RP, XQ, PT, PQ, NE, NH) is passed over. Anything else changes the antenna in ways that are not
+modelled here, and is refused by its line. Numbers stand between blanks or commas; nothing between two commas
+is 0, as in NEC's free format.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from antenna.clearance import placed_wires_m
-from antenna.elements import Element, Wire
-from antenna.geometry import Snapshot
+from antenna.clearance import SEGMENT_MATCH, placed_wires_m, segment_distance_m
+from antenna.elements import WIRE_LENGTH_M, WIRE_RADIUS_M, Element, Wire
+from antenna.geometry import Array, Snapshot
+from antenna.patterns import directions_deg
 
 SPEED_OF_LIGHT_M_S = 299_792_458.0
-_PASSED_OVER = {"CM", "CE", "FR", "RP", "XQ", "PT", "PQ", "NE", "NH", "EN"}
+_PASSED_OVER = {"CM", "CE", "FR", "RP", "XQ", "PT", "PQ", "NE", "NH"}
 _INTEGERS = {"GW": 2, "GM": 2, "GS": 2, "EX": 4, "GE": 1}
 _MOST_WIRES = 1_000
+_GREATEST = 1e15
+"""Of any number in a deck, before and after a GS: nothing overflows before the sizes are checked."""
 
 
 class DeckError(ValueError):
@@ -33,22 +39,33 @@ class Ground:
     conductivity_s_m: float = 0.0
 
 
+class _Placed(NamedTuple):
+    """A wire of a deck that is being read."""
+
+    tag: int
+    wire: Wire
+    line: int
+    """Of its GW card, from 1."""
+
+
 def read_element(text: str) -> Element:
     """Read a deck's wires and its source, of which there is one; raises DeckError."""
-    wires: list[tuple[int, Wire]] = []
+    wires: list[_Placed] = []
     source: tuple[int, int] | None = None
     number = 0
     for number, line in enumerate(text.splitlines(), start=1):
         card, fields = line[:2].upper(), line[2:]
+        if card == "EN":
+            break
         if not line.strip() or card in _PASSED_OVER:
             continue
         try:
             integers, reals = _fields(card, fields)
             match card:
                 case "GW":
-                    wires.append(_wire(integers, reals))
+                    wires.append(_wire(integers, reals, number))
                 case "GS":
-                    wires = [(tag, _scaled(wire, reals[0])) for tag, wire in wires]
+                    wires = [placed._replace(wire=_scaled(placed.wire, reals[0])) for placed in wires]
                 case "GM":
                     wires = _moved(wires, integers, reals)
                 case "GE":
@@ -70,8 +87,11 @@ def read_element(text: str) -> Element:
         raise DeckError(f"line {number}: the deck has no wires")
     if source is None:
         raise DeckError(f"line {number}: the deck has no source (EX 0)")
+    for placed in wires:
+        _check_size(placed)
+    _check_apart(wires)
     try:
-        return Element(wires=tuple(wire for _, wire in wires), feed_segment=_segment(wires, *source))
+        return Element(wires=tuple(placed.wire for placed in wires), feed_segment=_segment(wires, *source))
     except ValueError as error:
         raise DeckError(f"line {number}: {error}") from None
 
@@ -106,10 +126,10 @@ def write_deck(
         if voltage != 0.0:  # NEC2 takes a source of 0 V for one of 1 V
             tag = k * len(element.wires) + fed + 1
             cards.append(f"EX 0 {tag} {segment + 1} 0 {voltage.real:.9g} {voltage.imag:.9g}")
-    rows = math.ceil(180.0 / step_deg - 1e-9)
-    step = 180.0 / rows
-    rows_seen = rows + 1 if ground is None else rows // 2 + 1
-    cards += [f"RP 0 {rows_seen} {2 * rows} 1000 0 0 {step:.9g} {step:.9g} 0 0", "EN"]
+    theta_deg, phi_deg = directions_deg(step_deg)
+    rows = len(theta_deg) if ground is None else len(theta_deg) // 2 + 1
+    step = f"{theta_deg[1]:.9g}"
+    cards += [f"RP 0 {rows} {len(phi_deg)} 1000 0 0 {step} {step} 0 0", "EN"]
     return "\n".join(cards) + "\n"
 
 
@@ -125,19 +145,19 @@ def feed(element: Element) -> tuple[int, int]:
 
 def _fields(card: str, text: str) -> tuple[list[int], list[float]]:
     """Integers and reals of a card, missing ones being 0."""
-    words = text.replace(",", " ").split()
-    count = _INTEGERS.get(card, 0)
+    words = [word for field in text.strip().removeprefix(",").split(",") for word in field.split() or ["0"]]
     try:
-        integers = [int(float(word)) for word in words[:count]]
-        reals = [float(word) for word in words[count:]]
-    except (ValueError, OverflowError):
+        numbers = [float(word) for word in words]
+    except ValueError:
         raise ValueError(f"{card}: expected numbers, not {text.strip()[:40]!r}") from None
-    if not all(math.isfinite(value) for value in reals):
-        raise ValueError(f"{card}: expected finite numbers")
+    if not all(abs(value) <= _GREATEST for value in numbers):  # nor not-a-number
+        raise ValueError(f"{card}: expected finite numbers, none beyond {_GREATEST:g}")
+    count = _INTEGERS.get(card, 0)
+    integers, reals = [int(value) for value in numbers[:count]], numbers[count:]
     return integers + [0] * (count - len(integers)), reals + [0.0] * (7 - len(reals))
 
 
-def _wire(integers: list[int], reals: list[float]) -> tuple[int, Wire]:
+def _wire(integers: list[int], reals: list[float], line: int) -> _Placed:
     tag, segments = integers
     if not 1 <= segments <= 1_000:
         raise ValueError(f"GW: {segments} segments; expected 1 to 1000")
@@ -146,20 +166,22 @@ def _wire(integers: list[int], reals: list[float]) -> tuple[int, Wire]:
     start, end = (reals[0], reals[1], reals[2]), (reals[3], reals[4], reals[5])
     if start == end:
         raise ValueError("GW: a wire without length")
-    return tag, Wire(start_m=start, end_m=end, radius_m=reals[6], segments=segments)
+    return _Placed(tag, Wire(start_m=start, end_m=end, radius_m=reals[6], segments=segments), line)
 
 
 def _scaled(wire: Wire, factor: float) -> Wire:
     if factor <= 0.0:
         raise ValueError(f"GS: expected a factor above 0, not {factor:g}")
     (a, b, c), (d, e, f) = wire.start_m, wire.end_m
+    if max(abs(value) for value in (*wire.start_m, *wire.end_m, wire.radius_m)) * factor > _GREATEST:
+        raise ValueError(f"GS: expected no length beyond {_GREATEST:g} m")
     return Wire(
         start_m=(a * factor, b * factor, c * factor), end_m=(d * factor, e * factor, f * factor),
         radius_m=wire.radius_m * factor, segments=wire.segments,
     )  # fmt: skip
 
 
-def _moved(wires: list[tuple[int, Wire]], integers: list[int], reals: list[float]) -> list[tuple[int, Wire]]:
+def _moved(wires: list[_Placed], integers: list[int], reals: list[float]) -> list[_Placed]:
     """GM: turn about x, then y, then z, and move; all wires themselves, or that many copies."""
     increment, copies = integers
     if not 0 <= copies <= _MOST_WIRES:
@@ -172,29 +194,92 @@ def _moved(wires: list[tuple[int, Wire]], integers: list[int], reals: list[float
     about_z = np.array([[math.cos(c), -math.sin(c), 0], [math.sin(c), math.cos(c), 0], [0, 0, 1]])
     turn, shift = about_z @ about_y @ about_x, np.array(reals[3:6])
 
-    def move(entry: tuple[int, Wire]) -> tuple[int, Wire]:
-        tag, wire = entry
+    def move(placed: _Placed) -> _Placed:
+        tag, wire, line = placed
         start, end = (tuple((turn @ np.array(p) + shift).tolist()) for p in (wire.start_m, wire.end_m))
-        return tag + increment if tag else 0, replace(wire, start_m=start, end_m=end)
+        return _Placed(tag + increment if tag else 0, replace(wire, start_m=start, end_m=end), line)
 
     if copies == 0:
-        return [move(entry) for entry in wires]
+        return [move(placed) for placed in wires]
     last, found = wires, list(wires)
     for _ in range(copies):
-        last = [move(entry) for entry in last]
+        last = [move(placed) for placed in last]
         found += last
         if len(found) > _MOST_WIRES:
             break
     return found
 
 
-def _segment(wires: list[tuple[int, Wire]], tag: int, number: int) -> int:
+def _segment(wires: list[_Placed], tag: int, number: int) -> int:
     """Index over all wires of the ``number``-th segment, from 1, of those with a tag; tag 0 is all."""
     first, left = 0, number
-    for own, wire in wires:
+    for own, wire, _ in wires:
         if tag in (0, own):
             if 1 <= left <= wire.segments:
                 return first + left - 1
             left -= wire.segments
         first += wire.segments
     raise ValueError(f"EX: there is no segment {number} of tag {tag}")
+
+
+def _check_size(placed: _Placed) -> None:
+    """Raise DeckError unless a wire is as large and as near to its vehicle as elements may be."""
+    wire = placed.wire
+    sizes = (("length", wire.length_m, WIRE_LENGTH_M), ("radius", wire.radius_m, WIRE_RADIUS_M))
+    for name, size_m, (least_m, most_m) in sizes:
+        if not least_m <= size_m <= most_m:
+            raise DeckError(
+                f"line {placed.line}: GW: a {name} of {size_m:g} m; expected {least_m:g} to {most_m:g}"
+            )
+    farthest_m = max(math.hypot(*end_m) for end_m in (wire.start_m, wire.end_m))
+    if farthest_m > WIRE_LENGTH_M[1]:
+        raise DeckError(
+            f"line {placed.line}: GW: an end {farthest_m:g} m from the vehicle;"
+            f" expected {WIRE_LENGTH_M[1]:g} at most"
+        )
+
+
+def _check_apart(wires: list[_Placed]) -> None:
+    """Raise DeckError if two wires touch or cross elsewhere than at an end of both.
+
+    The distance is that of `antenna.clearance.clearance_m`. NEC2 takes overlapping wires for apart, even
+    identical ones, and PyNEC refuses those that cross, at segments' ends too.
+    """
+    ends_m = np.array([(wire.start_m, wire.end_m) for _, wire, _ in wires])
+    middles_m, halves_m = ends_m.mean(axis=1), np.array([0.5 * wire.length_m for _, wire, _ in wires])
+    radii_m = np.array([wire.radius_m for _, wire, _ in wires])
+    segments_m = np.array([wire.length_m / wire.segments for _, wire, _ in wires])
+    for b in range(1, len(wires)):
+        apart_m = radii_m[:b] + radii_m[b] + SEGMENT_MATCH * np.maximum(segments_m[:b], segments_m[b])
+        between_m = np.linalg.norm(middles_m[:b] - middles_m[b], axis=1) - halves_m[:b] - halves_m[b]
+        near = np.flatnonzero(between_m <= apart_m)
+        match_m = SEGMENT_MATCH * np.minimum(segments_m[near], segments_m[b])
+        joined = _joined(ends_m[near], ends_m[b], match_m, apart_m[near])
+        for a in near[~joined].tolist():
+            if segment_distance_m(*ends_m[a], *ends_m[b]) <= apart_m[a]:
+                first, second = wires[a].line, wires[b].line
+                other = "its own copy" if first == second else f"that of line {first}"
+                raise DeckError(
+                    f"line {second}: GW: the wire touches or crosses {other};"
+                    " wires meet at ends of both, or nowhere"
+                )
+
+
+def _joined(wires_m: Array, other_m: Array, match_m: Array, apart_m: Array) -> NDArray[np.bool_]:
+    """Whether wires (n, 2, 3) have one end in common with another (2, 3), and their other ends are apart.
+
+    Apart from each other's wire, by more than ``apart_m`` (n,); ``match_m`` (n,) is how near joined ends are.
+    """
+    met = np.linalg.norm(wires_m[:, :, None] - other_m, axis=-1) < match_m[:, None, None]
+    others_m = np.broadcast_to(other_m, wires_m.shape)
+    mine = (_distances_m(wires_m, others_m) > apart_m[:, None]) | met.any(axis=2)
+    its = (_distances_m(others_m, wires_m) > apart_m[:, None]) | met.any(axis=1)
+    return np.asarray((met.sum(axis=(1, 2)) == 1) & mine.all(axis=1) & its.all(axis=1))
+
+
+def _distances_m(points_m: Array, wires_m: Array) -> Array:
+    """(n, 2) distances of two points each (n, 2, 3) from wires (n, 2, 3)."""
+    along_m, from_m = wires_m[:, 1] - wires_m[:, 0], points_m - wires_m[:, :1]
+    share = np.einsum("nex,nx->ne", from_m, along_m) / np.einsum("nx,nx->n", along_m, along_m)[:, None]
+    on_m = np.clip(share, 0.0, 1.0)[:, :, None] * along_m[:, None]
+    return np.asarray(np.linalg.norm(from_m - on_m, axis=-1))

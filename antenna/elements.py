@@ -6,6 +6,12 @@ The frame of an element has its origin at the vehicle and z up when the vehicle 
 import math
 from dataclasses import dataclass
 
+WIRE_LENGTH_M = 1e-6, 1_000.0
+"""Least and greatest, of every wire and of an element."""
+WIRE_RADIUS_M = 1e-9, 10.0
+THIN_WIRE_SLENDERNESS = 8.0
+"""Least segment length over wire radius for errors under 1 % (NEC-2 User's Guide, wire modelling)."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wire:
@@ -20,6 +26,11 @@ class Wire:
     def length_m(self) -> float:
         """Distance between its ends."""
         return math.dist(self.start_m, self.end_m)
+
+    @property
+    def slenderness(self) -> float:
+        """Length of a segment in radii of the wire."""
+        return self.length_m / self.segments / self.radius_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

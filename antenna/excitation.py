@@ -1,7 +1,7 @@
 """How an array is fed: phases for its main lobe along +y, and the weights that give the most gain there.
 
 Uniform amplitudes, but for the optimum. Positions are those that the feeds are made for, (n, 3) in the
-antenna's frame: of the ideal formation, or of where the vehicles believe themselves to be.
+antenna's frame: of the ideal formation, or of where the vehicles are or believe themselves to be.
 """
 
 from typing import Literal
@@ -12,28 +12,30 @@ from antenna.geometry import Array, Complex, Snapshot, Voltages, upright
 
 Excitation = Literal["end_fire", "hansen_woodyard", "optimum"]
 ROW_APART_LAMBDA = 0.05
-"""Positions nearer to each other along y belong to one row."""
+"""Places nearer to each other along y belong to one row."""
 
 
-def end_fire(places_m: Array, wavelength_m: float) -> Voltages:
+def end_fire(positions_m: Array, wavelength_m: float) -> Voltages:
     """(n,) exp(-j k y): all contributions add up in phase along +y."""
-    voltages: Voltages = np.exp(-2j * np.pi / wavelength_m * places_m[:, 1])
+    voltages: Voltages = np.exp(-2j * np.pi / wavelength_m * positions_m[:, 1])
     return voltages
 
 
-def hansen_woodyard(places_m: Array, wavelength_m: float) -> Voltages:
+def hansen_woodyard(positions_m: Array, wavelength_m: float, places_m: Array | None = None) -> Voltages:
     """(n,) phases that lag by 2.92 / N rad more from each of N rows along y to the next.
 
-    W. W. Hansen and J. R. Woodyard, "A new principle in directional antenna design", Proc. IRE 26 (1938).
-    Raises ValueError with a single row, which has no end.
+    Rows and the distance between them are those of the formation's places (n, 3), which without them are the
+    positions: noise makes no rows. W. W. Hansen and J. R. Woodyard, "A new principle in directional antenna
+    design", Proc. IRE 26 (1938). Raises ValueError with a single row, which has no end.
     """
+    places_m = positions_m if places_m is None else places_m
     along_m = np.sort(places_m[:, 1])
     rows = 1 + int((np.diff(along_m) > ROW_APART_LAMBDA * wavelength_m).sum())
     if rows < 2:
         raise ValueError("Hansen-Woodyard phases need two rows or more along the end-fire axis")
     between_m = float(along_m[-1] - along_m[0]) / (rows - 1)
-    lag_rad = 2.92 / rows * (places_m[:, 1] - along_m[0]) / between_m
-    voltages: Voltages = end_fire(places_m, wavelength_m) * np.exp(-1j * lag_rad)
+    lag_rad = 2.92 / rows * (positions_m[:, 1] - along_m[0]) / between_m
+    voltages: Voltages = end_fire(positions_m, wavelength_m) * np.exp(-1j * lag_rad)
     return voltages
 
 

@@ -14,6 +14,13 @@ from antenna.patterns import HALF_POWER_DB, Pattern, from_dbi
 
 _BEYOND = 3
 """Rows beyond a pole by which a grid is continued on its other side."""
+LEAST_STEPS = 2.0
+"""Width of a lobe, in steps of the grid, below which splines do not find it: to 1 % from here on."""
+ALIKE_DB = 1e-4
+"""Gains that differ by less are the same: a solver's own error decides which of them is the greater."""
+BROADEST_DEG = 20.0
+"""Directions as good as the best that belong to one maximum are no further apart; along the axis of two
+elements in end-fire the gain falls with the fourth power of the angle, and reaches `ALIKE_DB` at 6."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,11 +28,14 @@ class Features:
     """Of one pattern; None where there is no such thing."""
 
     azimuth_width_deg: float | None
-    """Between the half-power directions at the maximum's theta; None at a pole, and where all is above it."""
+    """Between the half-power directions at the maximum's theta; None at a pole, and where all is above it, or
+    the grid has less than `LEAST_STEPS` for it."""
     elevation_width_deg: float | None
-    """Between the half-power directions along the great circle through the poles and the maximum."""
+    """Between the half-power directions along the great circle through the poles and the maximum; None as
+    above."""
     side_lobe_dbi: float | None
-    """Highest maximum of the grid outside the main lobe."""
+    """Highest maximum of the grid outside the main lobe; None if there is none, or no direction of the grid
+    is within half power of the maximum, so that what stands beside it is not known."""
     back_dbi: float
     """In the direction opposite to the maximum; over a ground at the same height over the horizon."""
     null_dbi: float
@@ -43,22 +53,29 @@ def features(pattern: Pattern) -> Features:
     theta, phi = pattern.max_theta_deg, pattern.max_phi_deg
     half = 10.0 ** ((pattern.max_gain_dbi - HALF_POWER_DB) / 10.0)
     step_deg = float(pattern.theta_deg[1])
-    tops = (gain == maximum_filter(gain, size=3, mode=("nearest", "wrap"))) & ~main_lobe(pattern)
+    lobe = main_lobe(pattern)
+    tops = _tops(gain) & ~lobe
+    resolved = bool(lobe.any())
     at_a_pole = min(theta, 180.0 - theta) < 1e-3
     horizon = gain[len(gain) // 2]
     return Features(
-        azimuth_width_deg=None
-        if at_a_pole
-        else _width_deg(lambda off: at(theta, phi + off) - half, step_deg),
-        elevation_width_deg=_width_deg(lambda off: at(theta + off, phi) - half, step_deg),
-        side_lobe_dbi=_dbi(float(gain[tops].max())) if tops.any() else None,
+        azimuth_width_deg=_width_deg(lambda off: at(theta, phi + off) - half, step_deg)
+        if resolved and not at_a_pole
+        else None,
+        elevation_width_deg=_width_deg(lambda off: at(theta + off, phi) - half, step_deg)
+        if resolved
+        else None,
+        side_lobe_dbi=_dbi(float(gain[tops].max())) if resolved and tops.any() else None,
         back_dbi=_dbi(at(theta if grounded else 180.0 - theta, phi + 180.0)),
         null_dbi=_dbi(float(horizon.min())),
     )
 
 
 def main_lobe(pattern: Pattern) -> NDArray[np.bool_]:
-    """(T, P) grid directions that are within half power of the maximum and connected with it."""
+    """(T, P) grid directions that are within half power of the maximum and connected with it.
+
+    None are, where the grid is so coarse that the nearest one to the maximum is not within half power.
+    """
     high = pattern.gain_dbi >= pattern.max_gain_dbi - HALF_POWER_DB
     lobes, _ = label(np.tile(high, (1, 3)))  # three turns: a lobe across phi = 0 is whole in the middle one
     turn = len(pattern.phi_deg)
@@ -67,6 +84,28 @@ def main_lobe(pattern: Pattern) -> NDArray[np.bool_]:
     inside = lobes == (lobes[row, column] or -1)
     lobe: NDArray[np.bool_] = inside.reshape(len(lobes), 3, turn).any(axis=1)
     return lobe
+
+
+def has_one_maximum(pattern: Pattern) -> bool:
+    """Whether directions of the grid that gain as much as its best, to `ALIKE_DB`, are all beside each other.
+
+    Else the maximum's direction is one of many, such as of a ring, or of two mirror images.
+    """
+    gain_dbi = pattern.gain_dbi
+    row, column = np.nonzero(gain_dbi >= gain_dbi.max() - ALIKE_DB)
+    theta, phi = np.radians(pattern.theta_deg[row]), np.radians(pattern.phi_deg[column])
+    towards = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+    apart_deg = np.degrees(np.arccos(np.minimum(towards[:, 0] @ towards, 1.0)))
+    across_cell_deg = 1.5 * float(pattern.theta_deg[1])  # its corners may be alike around a maximum
+    return bool(apart_deg.max() <= max(BROADEST_DEG, across_cell_deg))
+
+
+def _tops(gain: Array) -> NDArray[np.bool_]:
+    """(T, P) directions with a gain that none beside them exceeds: a pole is one, beside its whole ring."""
+    tops: NDArray[np.bool_] = (gain > 0.0) & (gain == maximum_filter(gain, size=3, mode=("nearest", "wrap")))
+    for pole, ring in ((0, 1), (-1, -2)):
+        tops[pole] = gain[pole].max() > 0.0 and gain[pole].max() >= gain[ring].max()
+    return tops
 
 
 def _above_ground(pattern: Pattern, gain: Array) -> Callable[[float, float], float]:
@@ -101,15 +140,20 @@ def _interpolated(pattern: Pattern, gain: Array) -> Callable[[float, float], flo
 
 
 def _width_deg(excess: Callable[[float], float], step_deg: float) -> float | None:
-    """Angle between the first zeros on either side of 0; None if there is none within half a turn."""
+    """Angle between the first zeros on either side of 0; None if there is none within half a turn.
+
+    None as well if they are less than `LEAST_STEPS` apart.
+    """
     found = []
     for sign in (1.0, -1.0):
         for k in range(int(180.0 / step_deg)):
             if excess(sign * (k + 1) * step_deg) < 0.0 <= excess(sign * k * step_deg):
                 found.append(abs(brentq(excess, sign * k * step_deg, sign * (k + 1) * step_deg)))
                 break
-    return sum(found) if len(found) == 2 else None
+    width_deg = sum(found)
+    return width_deg if len(found) == 2 and width_deg >= LEAST_STEPS * step_deg else None
 
 
 def _dbi(gain: float) -> float:
+    """-120 at least: between the grid's directions a spline can swing below no gain at all."""
     return float(10.0 * np.log10(max(gain, 1e-12)))

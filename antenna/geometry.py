@@ -4,6 +4,7 @@ The antenna's frame has x along the broadside axis, y along the end-fire axis, w
 and z up. Directions have the article's angles: theta from +z, phi from +x towards +y.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,6 +41,8 @@ class ElementsTooNear(ElementsTouch):
     """
 
     def __str__(self) -> str:
+        if not math.isfinite(self.distance_m):
+            return f"element {self.first} has no credible solution"
         other = "the ground" if self.second < 0 else f"element {self.second}"
         return f"element {self.first} is too near {other} for a solution: {self.distance_m:.2g} m"
 

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from antenna.backend import Accuracy, BackendUnavailable
-from antenna.clearance import check_apart, credible, near_m, placed_wires_m
+from antenna.clearance import check_apart, placed_wires_m
 from antenna.config import AntennaConfig
 from antenna.deck import SPEED_OF_LIGHT_M_S, feed
-from antenna.geometry import Array, ElementsTooNear, ElementsTouch, Snapshot
-from antenna.patterns import Pattern, average_gain, directions_deg, from_dbi, make_pattern, resolving_step_deg
+from antenna.geometry import Array, ElementsTouch, Snapshot
+from antenna.patterns import Pattern, decimated, directions_deg, from_dbi, make_pattern
+from antenna.witness import check_credible, check_height, grid_step_deg, solve_finer
 
 
 class Nec2Unavailable(BackendUnavailable):
@@ -49,24 +50,23 @@ class Nec2:
 
     def pattern(self, snapshot: Snapshot) -> Pattern:
         """Pattern of one snapshot; raises `ElementsTouch`, `ElementsTooNear`."""
-        found = check_apart(snapshot, self._element, grounded=self._config.ground != "none")
-        far_field = FarField(snapshot, self._config)
-        wavelength_m, grounded = self._config.wavelength_m, self._config.ground != "none"
-        if found.distance_m < near_m(wavelength_m) and self._config.ground != "real":  # which takes power
-            resolving_deg = resolving_step_deg(snapshot.centres_m, wavelength_m, grounded=grounded)
-            step_deg = min(resolving_deg, self._config.grid_deg)
-            fed = average_gain(far_field.partial_gains(step_deg).sum(axis=0), grounded=grounded)
-            if not credible(fed):
-                raise ElementsTooNear(*found)
+        config = self._config
+        grounded = config.ground != "none"
+        found = check_apart(snapshot, self._element, grounded=grounded)
+        check_height(snapshot, self._element, config)
+        far_field = FarField(snapshot, config)
+        times = solve_finer(snapshot, self._element, config)
 
         def gain_at(theta: Array, phi: Array) -> Array:
             pairs = zip(theta.ravel().tolist(), phi.ravel().tolist(), strict=True)
             return np.array([far_field.gain_dbi(*pair) for pair in pairs]).reshape(theta.shape)
 
-        theta_gain, phi_gain = far_field.partial_gains(self._config.grid_deg)
-        return make_pattern(
-            theta_gain, phi_gain, gain_at, snapshot, wavelength_m, self.name, grounded=grounded
+        theta_gain, phi_gain = far_field.partial_gains(grid_step_deg(config) / times)
+        pattern = make_pattern(
+            theta_gain, phi_gain, gain_at, snapshot, config.wavelength_m, self.name, grounded=grounded
         )
+        check_credible(pattern, found, config)
+        return decimated(pattern, times)
 
 
 class FarField:

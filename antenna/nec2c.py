@@ -14,11 +14,12 @@ import numpy as np
 
 from antenna.array_deck import ground_of
 from antenna.backend import Accuracy, BackendUnavailable
-from antenna.clearance import check_apart, credible, near_m
+from antenna.clearance import check_apart
 from antenna.config import AntennaConfig
 from antenna.deck import write_deck
 from antenna.geometry import Array, ElementsTooNear, ElementsTouch, Snapshot
-from antenna.patterns import Pattern, average_gain, directions_deg, make_pattern, resolving_step_deg, to_dbi
+from antenna.patterns import Pattern, decimated, directions_deg, make_pattern, to_dbi
+from antenna.witness import check_credible, check_height, grid_step_deg, solve_finer
 
 ETA_NEC_OHM = 376.73
 TIMEOUT_S = 120.0
@@ -63,18 +64,11 @@ class Nec2c:
 
     def pattern(self, snapshot: Snapshot) -> Pattern:
         """Pattern of one snapshot; raises `ElementsTouch`, `ElementsTooNear`, Nec2cFailed."""
-        found = check_apart(snapshot, self._element, grounded=self._ground is not None)
-        wavelength_m, grounded = self._config.wavelength_m, self._ground is not None
-        if found.distance_m < near_m(wavelength_m) and self._config.ground != "real":  # which takes power
-            resolving_deg = resolving_step_deg(snapshot.centres_m, wavelength_m, grounded=grounded)
-            step_deg = min(resolving_deg, self._config.grid_deg)
-            try:
-                fed = average_gain(self._partial_gains(snapshot, step_deg).sum(axis=0), grounded=grounded)
-            except NoPower:
-                fed = 0.0
-            if not credible(fed):
-                raise ElementsTooNear(*found)
-        cards = self._cards(snapshot, self._config.grid_deg)
+        config, grounded = self._config, self._ground is not None
+        found = check_apart(snapshot, self._element, grounded=grounded)
+        check_height(snapshot, self._element, config)
+        times = solve_finer(snapshot, self._element, config)
+        cards = self._cards(snapshot, config.grid_deg)
 
         def gain_at(theta: Array, phi: Array) -> Array:
             if self._ground is not None:
@@ -85,10 +79,15 @@ class Nec2c:
             ]
             return to_dbi(self._run([*cards[:-2], *asked, "EN"]).sum(axis=1)).reshape(theta.shape)
 
-        theta_gain, phi_gain = self._partial_gains(snapshot, self._config.grid_deg)
-        return make_pattern(
-            theta_gain, phi_gain, gain_at, snapshot, wavelength_m, self.name, grounded=grounded
-        )
+        try:
+            theta_gain, phi_gain = self._partial_gains(snapshot, grid_step_deg(config) / times)
+            pattern = make_pattern(
+                theta_gain, phi_gain, gain_at, snapshot, config.wavelength_m, self.name, grounded=grounded
+            )
+        except NoPower:
+            raise ElementsTooNear(*found) from None
+        check_credible(pattern, found, config)
+        return decimated(pattern, times)
 
     def _cards(self, snapshot: Snapshot, step_deg: float) -> list[str]:
         """Deck of a snapshot, the last two cards of which ask for the grid and end it."""
@@ -97,10 +96,15 @@ class Nec2c:
         ).splitlines()
 
     def _partial_gains(self, snapshot: Snapshot, step_deg: float) -> Array:
-        """(2, T, P) linear gains in the theta and phi polarisations on the grid of `directions_deg`."""
+        """(2, T, P) linear gains in the theta and phi polarisations on the grid of `directions_deg`.
+
+        Raises Nec2cFailed unless there are as many as were asked for.
+        """
         theta_deg, phi_deg = directions_deg(step_deg)
+        seen = len(theta_deg) if self._ground is None else len(theta_deg) // 2 + 1
         found = self._run(self._cards(snapshot, step_deg))
-        seen = len(found) // len(phi_deg)
+        if len(found) != seen * len(phi_deg):
+            raise Nec2cFailed(f"nec2c gave {len(found)} directions; expected {seen} by {len(phi_deg)}")
         gains = np.zeros((2, len(theta_deg), len(phi_deg)))
         gains[:, :seen] = found.reshape(len(phi_deg), seen, 2).transpose(2, 1, 0)
         return gains

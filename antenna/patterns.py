@@ -5,9 +5,10 @@ directions. Angles have the article's convention: theta from +z, phi from +x tow
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 
 from antenna.geometry import Array, Snapshot
 from antenna.maxima import GainAt, Gains, find_maximum, grid_loss_db
@@ -16,6 +17,8 @@ FLOOR_DBI = -999.99
 """Stands for no gain at all, as in NEC2's tables."""
 RESOLVED_BEYOND = 12.0
 """Degrees beyond 2 k R that still count: Bessel functions fall off from there, and the elements' own."""
+FINEST_TIMES = 8
+"""A pattern costs its square."""
 DECIBEL = math.log(10.0) / 10.0
 """Of a power, in nepers."""
 NOTHING = 2e-38
@@ -44,7 +47,7 @@ class Pattern:
     """0 to 360, excluded."""
     average_gain: float
     """Radiated over input power, linear: 1 for a lossless array in free space but for the solver's own error.
-    Gain over this is directivity. Exact on grids no coarser than `resolving_step_deg`."""
+    Gain over this is directivity. Summed over a grid that resolves the array, see `times_finer`."""
     backend: str
     """Which solver made it."""
 
@@ -112,16 +115,45 @@ def make_pattern(
     )  # fmt: skip
 
 
-def resolving_step_deg(centres_m: Array, wavelength_m: float, *, grounded: bool) -> float:
-    """Step of the coarsest grid whose sums over the sphere are right for elements (n, 3), images included.
+@njit(cache=True, nogil=True, error_model="numpy")
+def times_finer(
+    centres_m: Array,
+    reach_m: float,
+    wavelength_m: float,
+    step_deg: float,
+    grounded: bool,  # noqa: FBT001  # numba knows no keyword-only arguments
+) -> int:
+    """How many times finer than ``step_deg`` a grid has to be that resolves an array (n, 3).
 
-    The intensity of an array within a radius R is of degree 2 k R in the direction, and hardly any higher.
+    The intensity of an array within a radius R is of degree 2 k R in the direction, and hardly any higher: on
+    finer grids no lobe is missed, and sums are right. ``reach_m`` is how far an element reaches from its
+    centre; images count. At most `FINEST_TIMES`: of an array that is wider yet, as one is that has lost a
+    vehicle, the highest lobe may be missed, and the average gain is rough.
     """
-    middle_m = centres_m.mean(axis=0)
-    if grounded:
-        middle_m[2] = 0.0
-    radius_m = float(np.linalg.norm(centres_m - middle_m, axis=1).max())
-    return 180.0 / (4.0 * math.pi * radius_m / wavelength_m + RESOLVED_BEYOND)
+    n, middle_m, radius_m2 = len(centres_m), np.zeros(3), 0.0
+    for x in range(2 if grounded else 3):
+        for i in range(n):
+            middle_m[x] += centres_m[i, x] / n
+    for i in range(n):
+        apart_m2 = 0.0
+        for x in range(3):
+            apart_m2 += (centres_m[i, x] - middle_m[x]) ** 2
+        radius_m2 = max(radius_m2, apart_m2)
+    degree = 4.0 * math.pi * (math.sqrt(radius_m2) + reach_m) / wavelength_m + RESOLVED_BEYOND
+    return int(min(max(math.ceil(degree * step_deg / 180.0), 1.0), FINEST_TIMES))
+
+
+def decimated(pattern: Pattern, times: int) -> Pattern:
+    """Every so manieth direction of a pattern's grid, along theta and phi."""
+    if times == 1:
+        return pattern
+    return replace(
+        pattern,
+        theta_deg=pattern.theta_deg[::times],
+        phi_deg=pattern.phi_deg[::times],
+        theta_gain_dbi=pattern.theta_gain_dbi[::times, ::times].copy(),
+        phi_gain_dbi=pattern.phi_gain_dbi[::times, ::times].copy(),
+    )
 
 
 def average_gain(gain: Gains, *, grounded: bool) -> float:

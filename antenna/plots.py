@@ -16,7 +16,7 @@ from matplotlib.projections.polar import PolarAxes
 from antenna.features import main_lobe
 from antenna.geometry import Array
 from antenna.patterns import HALF_POWER_DB, Pattern
-from antenna.statistics import Envelope, gain_density, gain_towards_dbi
+from antenna.statistics import Envelope, gain_density, gain_statistics, gain_towards_dbi
 
 GAIN_RANGE_DBI = (-30.0, 18.0)
 """Colours of a pattern: the article's."""
@@ -41,19 +41,26 @@ def patterns_figure(patterns: Mapping[str, Pattern]) -> Figure:
     return figure
 
 
-def gain_density_figure(series: Mapping[str, Array], ideal_dbi: float) -> Figure:
-    """Densities of the maximum gain of one or more flights, (K,) dBi each, beside the ideal formation's."""
+def gain_density_figure(series: Mapping[str, Array], ideal_dbi: float | None) -> Figure:
+    """Densities of the maximum gain of one or more flights, (K,) dBi each.
+
+    The ideal formation's gain, unless it has none, stands beside them.
+    """
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     axes = figure.subplots()
     for i, (name, max_gain_dbi) in enumerate(series.items()):
         density, colour = gain_density(max_gain_dbi), f"C{i}"
-        title = f"{name}: {np.mean(max_gain_dbi):.2f} ± {np.std(max_gain_dbi):.2f} dBi"
+        found = gain_statistics(max_gain_dbi)
+        title = f"{name}: {found.mean_dbi:.2f} ± {found.std_db:.2f} dBi"
         if len(density.gain_dbi) == 0:  # all alike: a line, since a density would be infinite
             axes.axvline(float(max_gain_dbi[0]), color=colour, label=title)
             continue
         axes.stairs(density.histogram_per_db, density.bin_edges_dbi, fill=True, alpha=0.25, color=colour)
         axes.plot(density.gain_dbi, density.kernel_per_db, color=colour, label=title)
-    axes.axvline(ideal_dbi, color="black", linestyle="--", linewidth=1.0, label=f"ideal: {ideal_dbi:.2f} dBi")
+    if ideal_dbi is not None:
+        axes.axvline(
+            ideal_dbi, color="black", linestyle="--", linewidth=1.0, label=f"ideal: {ideal_dbi:.2f} dBi"
+        )
     axes.set(xlabel="Maximum gain (dBi)", ylabel="Probability density (1/dB)")
     axes.set_ylim(bottom=0.0)
     axes.grid(alpha=0.3)
@@ -172,9 +179,14 @@ def draw_pattern(axes: Axes, pattern: Pattern) -> QuadMesh:
 
 
 def _outline_main_lobe(axes: Axes, pattern: Pattern) -> None:
-    """Draw the half-power contour of the main lobe alone: other lobes are sunk below the level first."""
-    level_dbi = pattern.max_gain_dbi - HALF_POWER_DB
-    others = (pattern.gain_dbi >= level_dbi) & ~main_lobe(pattern)
+    """Draw the half-power contour of the main lobe alone: other lobes are sunk below the level first.
+
+    A lobe between the grid's directions has none.
+    """
+    level_dbi, lobe = pattern.max_gain_dbi - HALF_POWER_DB, main_lobe(pattern)
+    if not lobe.any():
+        return
+    others = (pattern.gain_dbi >= level_dbi) & ~lobe
     gain_dbi = np.where(others, level_dbi - HALF_POWER_DB, np.maximum(pattern.gain_dbi, GAIN_RANGE_DBI[0]))
     turns_deg = np.concatenate([pattern.phi_deg + turn_deg for turn_deg in (-360.0, 0.0, 360.0)])
     three_turns_dbi = np.tile(gain_dbi, (1, 3))

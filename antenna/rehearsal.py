@@ -28,6 +28,7 @@ def rehearse() -> None:
     for ground in ("none", "perfect"):
         config = AntennaConfig(ground=ground, excitation="optimum", grid_deg=30.0)
         places_m = grid(4, 2, 8.5, 2.5) + np.array([0.0, 0.0, HEIGHT_M])
+        places_m[0] += 0.7  # so that the maximum is not in one of the grid's directions
         near_m = grid(2, 2, 0.5 * NEAR_RAD * config.wavelength_m / (2.0 * np.pi), 0.0) + HEIGHT_M
         arrays = [upright(places_m, feed(places_m, config)) for places_m in (places_m, near_m)]
         check_apart(arrays[0], config.element(), grounded=ground == "perfect")

@@ -21,6 +21,8 @@ LEVELS_DBI = (-60.0, 40.0)
 """Gains that an envelope's quantiles tell apart; what is outside counts as these."""
 LEVEL_STEP_DB = 0.25
 _BINS = round((LEVELS_DBI[1] - LEVELS_DBI[0]) / LEVEL_STEP_DB)
+HISTOGRAM_BYTES = 4 * _BINS
+"""Of one direction of an envelope with quantiles."""
 _AROUND = 8
 """Directions of the grid, along theta and along phi, between which a gain is interpolated."""
 
@@ -36,7 +38,8 @@ class GainStatistics:
     min_dbi: float
     max_dbi: float
     quantiles_dbi: dict[float, float]
-    """By `QUANTILES`."""
+    """By `QUANTILES`, of the decibels: that for a part q lies at q (K - 1) among the sorted gains from 0 on,
+    straight between neighbours (R. J. Hyndman and Y. Fan, Sample quantiles, 1996, definition 7)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +84,8 @@ class Envelope:
     max_dbi: Array
     """(T, P)"""
     quantiles_dbi: dict[float, Array]
-    """(T, P) by `QUANTILES`, good to `LEVEL_STEP_DB`."""
+    """(T, P) by `QUANTILES`, defined as those of `GainStatistics`, good to `LEVEL_STEP_DB`; empty unless they
+    were asked for."""
 
 
 def gain_statistics(max_gain_dbi: Array) -> GainStatistics:
@@ -115,10 +119,12 @@ def gain_density(max_gain_dbi: Array, *, points: int = 201) -> GainDensity:
 class RunningEnvelope:
     """Takes patterns of one grid one after the other; `Envelope` of all of them at any time.
 
-    Quantiles come from a histogram in each direction, 1.6 kB of memory each.
+    Quantiles come from a histogram in each direction, 1.6 kB of memory each, which is kept only for them;
+    without, there is their mean and what is least and greatest.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, quantiles: bool = True) -> None:
+        self._with_quantiles = quantiles
         self._samples = 0
         self._angles_deg = np.empty(0), np.empty(0)
         self._sum = self._min = self._max = np.empty((0, 0))
@@ -130,7 +136,8 @@ class RunningEnvelope:
             shape = pattern.theta_gain_dbi.shape
             self._angles_deg = pattern.theta_deg, pattern.phi_deg
             self._sum, self._min, self._max = np.zeros(shape), np.full(shape, np.inf), np.zeros(shape)
-            self._counts = np.zeros((*shape, _BINS), np.uint32)
+            if self._with_quantiles:
+                self._counts = np.zeros((*shape, _BINS), np.uint32)
         elif pattern.theta_gain_dbi.shape != self._sum.shape:
             raise ValueError(
                 f"a pattern of {pattern.theta_gain_dbi.shape} directions among {self._sum.shape}"
@@ -140,7 +147,8 @@ class RunningEnvelope:
         self._sum += gain
         np.minimum(self._min, gain, out=self._min)
         np.maximum(self._max, gain, out=self._max)
-        _count_levels(np.asarray(to_dbi(gain), float), LEVELS_DBI[0], LEVEL_STEP_DB, self._counts)
+        if self._with_quantiles:
+            _count_levels(np.asarray(to_dbi(gain), float), LEVELS_DBI[0], LEVEL_STEP_DB, self._counts)
 
     def result(self) -> Envelope:
         """Of the patterns so far; raises ValueError when there are none."""
@@ -148,20 +156,34 @@ class RunningEnvelope:
             raise ValueError("an envelope needs at least one pattern")
         theta_deg, phi_deg = self._angles_deg
         min_dbi, max_dbi = to_dbi(self._min), to_dbi(self._max)
+        levels_dbi = self._quantile_levels_dbi() if self._with_quantiles else {}
         return Envelope(
             samples=self._samples, theta_deg=theta_deg, phi_deg=phi_deg,
             mean_dbi=to_dbi(self._sum / self._samples), min_dbi=min_dbi, max_dbi=max_dbi,
-            quantiles_dbi={q: np.clip(self._quantile_dbi(q), min_dbi, max_dbi) for q in QUANTILES},
+            quantiles_dbi={q: np.clip(level, min_dbi, max_dbi) for q, level in levels_dbi.items()},
         )  # fmt: skip
 
-    def _quantile_dbi(self, quantile: float) -> Array:
-        """(T, P) levels below which this part of the gains lies, straight within the histogram's bins."""
-        below = np.cumsum(self._counts, axis=-1)
-        wanted = quantile * self._samples
-        bins = (below < wanted).sum(axis=-1)
-        inside = np.take_along_axis(self._counts, bins[..., None], axis=-1)[..., 0]
-        before = np.take_along_axis(below, bins[..., None], axis=-1)[..., 0] - inside
-        return np.asarray(LEVELS_DBI[0] + LEVEL_STEP_DB * (bins + (wanted - before) / inside), float)
+    def _quantile_levels_dbi(self) -> dict[float, Array]:
+        """(T, P) by `QUANTILES`, row by row of the grid: running sums of all would be as large again."""
+        levels_dbi = {q: np.empty(self._counts.shape[:2]) for q in QUANTILES}
+        for t, counts in enumerate(self._counts):
+            up_to = np.cumsum(counts, axis=-1, dtype=np.uint32)
+            for q in QUANTILES:
+                rank, part = divmod(q * (self._samples - 1), 1.0)
+                below, above = (
+                    _sorted_gain_dbi(counts, up_to, min(int(rank) + more, self._samples - 1))
+                    for more in (0, 1)
+                )
+                levels_dbi[q][t] = (1.0 - part) * below + part * above
+        return levels_dbi
+
+
+def _sorted_gain_dbi(counts: NDArray[np.uint32], up_to: NDArray[np.uint32], rank: int) -> Array:
+    """(P,) gain number ``rank`` of the sorted ones, from 0; those of one bin are evenly spread over it."""
+    bins = (up_to <= rank).sum(axis=-1)[:, None]
+    inside = np.take_along_axis(counts, bins, axis=-1)[:, 0].astype(float)
+    before = np.take_along_axis(up_to, bins, axis=-1)[:, 0] - inside
+    return np.asarray(LEVELS_DBI[0] + LEVEL_STEP_DB * (bins[:, 0] + (rank - before + 0.5) / inside), float)
 
 
 @njit(cache=True, error_model="numpy")

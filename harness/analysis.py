@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from antenna.clearance import GROUND
 from antenna.config import AntennaConfig
-from antenna.geometry import ElementsTouch, Snapshot
+from antenna.geometry import ElementsTooNear, ElementsTouch, Snapshot
 from antenna.parallel import compute_patterns
 from antenna.patterns import Pattern
 from antenna.ports import feed
@@ -113,7 +113,12 @@ def antenna_snapshot(
         )
     attitudes = rotations if config.feeds_for == "truth" else None
     try:
-        voltages = feed((fed_ned_m - origin_ned_m) @ from_ned.T, config, attitudes)
+        voltages = feed(
+            (fed_ned_m - origin_ned_m) @ from_ned.T,
+            config,
+            attitudes,
+            places_m=(desired_pos_ned_m - origin_ned_m) @ from_ned.T,
+        )
     except ValueError as error:
         raise NoFeed(str(error)) from None
     return Snapshot(centres_m=(pos_ned_m - origin_ned_m) @ from_ned.T, rotations=rotations, voltages=voltages)
@@ -188,9 +193,12 @@ def living(flight: Flight, t: int) -> list[int]:
 
 def describe_touch(touch: ElementsTouch, vehicles: Sequence[int]) -> str:
     """Say whose antennas touch, element k being on ``vehicles[k]``."""
+    near = isinstance(touch, ElementsTooNear)
     if touch.second == GROUND:
-        return f"the antenna of UAV {vehicles[touch.first]} touches the ground"
-    return f"antennas of UAVs {vehicles[touch.first]} and {vehicles[touch.second]} touch"
+        what = "is too near the ground for a solution" if near else "touches the ground"
+        return f"the antenna of UAV {vehicles[touch.first]} {what}"
+    what = "are too near each other for a solution" if near else "touch"
+    return f"antennas of UAVs {vehicles[touch.first]} and {vehicles[touch.second]} {what}"
 
 
 def figure_patterns(

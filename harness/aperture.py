@@ -1,7 +1,10 @@
 """The antenna's part of a run's report: patterns of what was flown, their numbers, and their files."""
 
+import contextlib
 import math
 import os
+from collections.abc import Iterator
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +21,9 @@ from harness.flight import Flight
 from harness.run_folder import RunFolder
 from harness.scenario import Scenario
 from harness.tables import write_gains
+
+_threads: ContextVar[int | None] = ContextVar("threads", default=None)
+"""That compute patterns; None: as many as there are processors"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,6 +47,16 @@ class Aperture:
     note: str | None = None
 
 
+@contextlib.contextmanager
+def on_threads(count: int) -> Iterator[None]:
+    """Have `measure` take so many threads or processes within the block, for flights go on side by side."""
+    before = _threads.set(count)
+    try:
+        yield
+    finally:
+        _threads.reset(before)
+
+
 def measure(window: Flight, scenario: Scenario) -> Aperture:
     """Compute the patterns of the formation's time, which may be empty, and the ideal one."""
     config, note, ideal = scenario.antenna, None, None
@@ -53,7 +69,7 @@ def measure(window: Flight, scenario: Scenario) -> Aperture:
             note = f"the ideal formation: {describe_touch(touch, range(scenario.agents))}"
         except NoFeed as error:
             note = f"the ideal formation: {error}"
-        series = gain_series(window, config, workers=os.cpu_count() or 1)
+        series = gain_series(window, config, workers=_threads.get() or os.cpu_count() or 1)
     except (BackendUnavailable, WorkerError, Nec2cFailed) as error:
         return Aperture(note=str(error))
     if not len(window):

@@ -17,10 +17,10 @@ from antenna.backend import BackendUnavailable, make_backend
 from antenna.geometry import ElementsTouch
 from antenna.nec2c import Nec2cFailed
 from harness.analysis import NoFeed, describe_touch, living, snapshot_at
-from harness.campaign.series import read_flight
 from harness.refusals import explain
 from harness.run_folder import RunFolder
 from harness.scenario import Scenario
+from harness.tables import read_flight
 
 FINE, BAD_INPUT = 0, 2
 

@@ -50,7 +50,7 @@ def prepare(note: Callable[[str], None]) -> None:
     if complete.exists():
         environment()  # what is used is kept
         return
-    note("compiling the numerical kernels, which takes about half a minute and is done once")
+    note("compiling the numerical kernels, which takes about a minute and is done once")
     folder().mkdir(parents=True, exist_ok=True)
     with (folder() / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # given back when the file closes, however this process ends

@@ -113,6 +113,8 @@ class _Inside(Supervisor):
         self._inbox: queue.SimpleQueue[AnyCommand] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
         self._flight: _Flight | None = None
+        self.error: Exception | None = None
+        """What ended the flight"""
 
     def launch(self, physics: PhysicsConfig, radio: ServerConfig, vehicles: Sequence[VehicleConfig]) -> None:
         """Put the flight together and let it wait for commands."""
@@ -122,18 +124,21 @@ class _Inside(Supervisor):
         self._thread.start()
 
     def _live(self, physics: PhysicsConfig, radio: ServerConfig, vehicles: Sequence[VehicleConfig]) -> None:
-        code, last_words = 0, ""
+        code, last_words = 1, ""
         try:
             with contextlib.ExitStack() as stack:
                 self._flight = _Flight(physics, radio, vehicles, emit=self._say, stack=stack)
                 self._say(PHYSICS, Ready(name=PHYSICS, pid=os.getpid()))
                 self._flight.fly(self._inbox)
+            code = 0
         except Exception as error:  # noqa: BLE001  as a process would end, with its traceback in its log
-            self.log_path(NAME).write_text(traceback.format_exc(), encoding="utf-8")
-            code, last_words = 1, f"{type(error).__name__}: {error}".rstrip(": ")
-        self._flight = None
-        ended = Exited(name=NAME, pid=os.getpid(), returncode=code, log_tail=last_words)
-        self._heard.put((PHYSICS, ended))
+            self.error, last_words = error, f"{type(error).__name__}: {error}".rstrip(": ")
+            with contextlib.suppress(OSError):  # a full disk has no room for it
+                self.log_path(NAME).write_text(traceback.format_exc(), encoding="utf-8")
+        finally:  # whatever else goes wrong, who waits for the flight hears of its end
+            self._flight = None
+            ended = Exited(name=NAME, pid=os.getpid(), returncode=code, log_tail=last_words)
+            self._heard.put((PHYSICS, ended))
 
     def _say(self, name: str, event: Any) -> None:  # noqa: ANN401  whatever a child says
         self._heard.put((name, event))
@@ -199,6 +204,13 @@ class _Processes(Processes):
         gc.freeze()
         self._inside.launch(physics, radio, vehicles)
         self._await_ready([PHYSICS])
+
+    def next(self, wall_limit_s: float, complaint: str) -> Message:
+        """See `Processes.next`; the cause of a SwarmError is what ended the flight."""
+        try:
+            return super().next(wall_limit_s, complaint)
+        except SwarmError as error:
+            raise error from self._inside.error
 
     def stop(self) -> None:
         """See `Processes.stop`; what lives is looked at by the garbage collection again."""
@@ -269,20 +281,32 @@ class OneProcessSwarm(Swarm):
 
 
 def fly(scenario: Scenario, out: Path, *, until_s: float | None = None, draw: bool = False) -> dict[str, Any]:
-    """Fly a scenario and return the summary of `harness.report.finish`.
+    """Fly a scenario on one processor and return the summary of `harness.report.finish`.
 
     Until formed and then for ``run.duration_s``, as the command line does, or up to a simulated time. A
     formation that is not reached in time is a result; its ``status`` says so. Raises SwarmError for a run
-    that fails.
+    that fails, but OSError or MemoryError where it is the machine that has no room, such as a full disk.
     """
-    with OneProcessSwarm(scenario, out=out) as swarm:
-        if until_s is not None:
-            swarm.run(until_s=until_s)
-        else:
-            with contextlib.suppress(SwarmTimeoutError):
-                if scenario.onboard.enabled:  # else nobody forms anything
-                    swarm.run_until_formed(timeout_s=scenario.run.reach_timeout_s)
-                swarm.run_for(scenario.run.duration_s)
+    try:
+        with OneProcessSwarm(scenario, out=out) as swarm:
+            return _flown(swarm, scenario, until_s, draw=draw)
+    except SwarmError as error:
+        if isinstance(error.__cause__, OSError | MemoryError):
+            raise error.__cause__ from None
+        raise
+
+
+def _flown(swarm: Swarm, scenario: Scenario, until_s: float | None, *, draw: bool) -> dict[str, Any]:
+    if until_s is not None:
+        swarm.run(until_s=until_s)
+    else:
+        with contextlib.suppress(SwarmTimeoutError):
+            if scenario.onboard.enabled:  # else nobody forms anything
+                swarm.run_until_formed(timeout_s=scenario.run.reach_timeout_s)
+            swarm.run_for(scenario.run.duration_s)
+    from harness import aperture  # noqa: PLC0415  the analysis is slow to import: not before the flight
+
+    with aperture.on_threads(1):
         summary = swarm.summary(draw=draw)
     if summary["status"] == "failed":  # a timeout may be of the machine's
         raise SwarmError(summary["reason"])

@@ -6,7 +6,6 @@ Everything here works from the run folder alone, so a run that was cut short is 
 """
 
 import hashlib
-import importlib.metadata
 import platform
 from dataclasses import asdict
 from pathlib import Path
@@ -17,7 +16,6 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from autopilot.formation_plan import FormationPlan
 from harness import aperture, figures
 from harness.analysis import figure_patterns
 from harness.aperture import Aperture
@@ -27,16 +25,13 @@ from harness.motion_start import flown_start_us, since_start_s
 from harness.recording import AIR_RECORD
 from harness.run_folder import RunFolder
 from harness.scenario import Scenario
-from harness.tables import write_tables
+from harness.tables import flight_of, write_tables
+from harness.versions import DISTRIBUTIONS, versions
 from netsim.logs import FRAME_LOG, SESSION_LOG
 from netsim.record_log import read
 
 LOGS = ("events.jsonl", "flight.parquet", "radio.parquet", "ftm.parquet", "air.parquet")
 """What a seed determines, byte for byte, in this order in ``log_sha256``."""
-_DISTRIBUTIONS = (
-    "coflight", "numpy", "scipy", "numba", "pybullet", "pymavlink", "eclipse-zenoh", "msgspec", "pyarrow",
-    "matplotlib", "PyNEC",
-)  # fmt: skip
 
 
 class ProcessRecord(Struct, frozen=True, kw_only=True):
@@ -83,7 +78,7 @@ def finish(folder: RunFolder, scenario: Scenario, outcome: Outcome, *, draw: boo
     )
     sessions = read(folder.raw_sessions, SESSION_LOG)
     hashes = {name: _sha256(folder.path / name) for name in LOGS}
-    whole = _flight(records, plan, start_us)
+    whole = flight_of(records, plan, start_us=start_us)
     window = _window(whole, outcome)
     error = formation_error(window) if len(window) else None
     antenna = aperture.measure(window, scenario)
@@ -115,20 +110,6 @@ def finish(folder: RunFolder, scenario: Scenario, outcome: Outcome, *, draw: boo
         raw.unlink()
     folder.raw.rmdir()
     return summary
-
-
-def _flight(records: NDArray[Any], plan: FormationPlan, start_us: int | None) -> Flight:
-    """The run's records as the analysis wants them."""
-    time_us = records["time_us"][:, 0]
-    return Flight(
-        time_us=time_us,
-        pos_ned_m=records["pos_ned_m"],
-        q_ned_frd=records["q_ned_frd"],
-        desired_pos_ned_m=records["desired_pos_ned_m"],
-        heading_rad=plan.headings(since_start_s(time_us, start_us)),
-        alive=records["alive"],
-        believed_pos_ned_m=records["onboard_pos_ned_m"],
-    )
 
 
 def _window(whole: Flight, outcome: Outcome) -> Flight:
@@ -210,23 +191,13 @@ def _manifest(
         "interventions": list(outcome.interventions),
         "ground_messages": outcome.ground_messages,
         "processes": [msgspec.to_builtins(process) for process in outcome.processes],
-        "versions": {"python": platform.python_version(), **_versions()},
+        "versions": {"python": platform.python_version(), **versions(DISTRIBUTIONS)},
         "platform": platform.platform(),
         "antenna": None if antenna.solver is None else asdict(antenna.solver),
         "logs_sha256": hashes,
         "figures": written,
         "scenario": msgspec.to_builtins(scenario),
     }
-
-
-def _versions() -> dict[str, str]:
-    versions = {}
-    for name in _DISTRIBUTIONS:
-        try:
-            versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            versions[name] = "not installed"
-    return versions
 
 
 def _sha256(path: Path) -> str:

@@ -1,11 +1,11 @@
-"""From the processes' binary logs to the run's columnar files.
+"""From the processes' binary logs to the run's columnar files, and from these to what the analysis takes.
 
 A structured record's field of several components becomes one column each, named after its frame:
 ``pos_ned_m`` gives ``pos_ned_m.n``, ``.e`` and ``.d``. Rows are in order of time, then vehicle; equal runs
 give equal bytes.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,14 @@ from numpy.typing import NDArray
 
 from antenna.ports import MAIN_LOBE_DEG
 from antenna.statistics import pointing_errors_deg
+from autopilot.formation_plan import FormationPlan
 from autopilot.recording import VEHICLE_RECORD
 from harness.analysis import GainSeries
+from harness.flight import Flight
+from harness.motion_start import flown_start_us, since_start_s
 from harness.recording import AIR_RECORD, TRUTH_RECORD
 from harness.run_folder import RunFolder
+from harness.scenario import Scenario
 from netsim.logs import FRAME_LOG, SESSION_LOG
 from netsim.record_log import read
 
@@ -46,6 +50,41 @@ def write_tables(
     ):
         _write(target, read(raw, dtype))
     return flight
+
+
+def flight_of(records: NDArray[Any], plan: FormationPlan, *, start_us: int | None) -> Flight:
+    """Give the analysis what it wants of (T, N) records with the fields `_ANALYSED`.
+
+    ``start_us``: when the formation began to move; None if it never did.
+    """
+    time_us = records["time_us"][:, 0]
+    return Flight(
+        time_us=time_us,
+        pos_ned_m=records["pos_ned_m"],
+        q_ned_frd=records["q_ned_frd"],
+        desired_pos_ned_m=records["desired_pos_ned_m"],
+        heading_rad=plan.headings(since_start_s(time_us, start_us)),
+        alive=records["alive"],
+        believed_pos_ned_m=records["onboard_pos_ned_m"],
+    )
+
+
+def make_flight(columns: pa.Table, scenario: Scenario, *, start_us: int | None) -> Flight:
+    """Make a flight of a run's table of that name, wherever it was kept; ``start_us`` as in `flight_of`.
+
+    Raises KeyError or ValueError for a table that is not of this scenario.
+    """
+    kind = np.dtype([(name, FLIGHT_RECORD[name]) for name in _ANALYSED])
+    records = np.empty(columns.num_rows, dtype=kind)
+    for name in _ANALYSED:
+        for column, values in _columns(name, records[name]):
+            values[:] = columns.column(column).to_numpy()
+    return flight_of(records.reshape(-1, scenario.agents), scenario.plan(), start_us=start_us)
+
+
+def read_flight(folder: RunFolder, scenario: Scenario) -> Flight:
+    """Read a run that has been reported, as the analysis takes it; raises OSError, and as `make_flight`."""
+    return make_flight(pq.read_table(folder.flight), scenario, start_us=flown_start_us(folder.events))
 
 
 def write_gains(path: Path, series: GainSeries) -> None:
@@ -105,19 +144,26 @@ FLIGHT_RECORD = np.dtype(
     + [("desired_pos_ned_m", np.dtype(("f8", 3)))]
 )
 """Truth, estimates, and where the vehicle should have been, by the formation's plan."""
+_ANALYSED = ("time_us", "pos_ned_m", "q_ned_frd", "desired_pos_ned_m", "alive", "onboard_pos_ned_m")
+"""Fields that make a `Flight`"""
 
 
 def _write(path: Path, records: NDArray[Any]) -> None:
-    columns: dict[str, NDArray[Any]] = {}
-    for name in records.dtype.names or ():
-        values = records[name]
-        if values.ndim == 1:
-            columns[name] = values
-            continue
-        for k, label in enumerate(_labels(name, values.shape[1])):
-            columns[f"{name}.{label}"] = np.ascontiguousarray(values[:, k])
-    arrays = {name: _array(values) for name, values in columns.items()}
+    arrays = {
+        column: _array(np.ascontiguousarray(values))
+        for name in records.dtype.names or ()
+        for column, values in _columns(name, records[name])
+    }
     pq.write_table(pa.table(arrays), path, compression="zstd")
+
+
+def _columns(name: str, values: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Give the columns of a field, (rows,) or (rows, components), by their names, as views."""
+    if values.ndim == 1:
+        yield name, values
+        return
+    for k, label in enumerate(_labels(name, values.shape[1])):
+        yield f"{name}.{label}", values[:, k]
 
 
 def _array(values: NDArray[Any]) -> pa.Array:

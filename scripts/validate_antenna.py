@@ -1,121 +1,12 @@
-"""How right the antenna's solvers are: ``python scripts/validate_antenna.py``. See `antenna.validation`.
+"""How right the antenna is: ``python scripts/validate_antenna.py``. See `harness.validation.antenna`."""
 
-The antenna knows nothing of the harness, whose validations' page, progress and exit status are used here.
-"""
-
-import csv
 import os
-import sys
-from collections.abc import Callable
-from pathlib import Path
-from typing import Annotated
 
 from antenna import kernel_folder
 
 os.environ.update(kernel_folder.environment())  # read when numba is imported, which is next
 
-import typer
-from msgspec.structs import asdict, replace
-from rich.console import Console
-
-from antenna.validation import agreement, ideal, limits, sensitivity, speed
-from antenna.validation.findings import Chapter, Job, Results
-from antenna.validation.plan import QUICK_ANTENNA, AntennaPlan
-from harness.validation.command import Page, chosen, run_with_progress, tell
-from harness.validation.report import Check, Section, Table
-from harness.validation.runner import Subject
-
-INTRODUCTION = """The batch solver beside NEC2, in PyNEC and in the program nec2c, and all of them beside
-closed forms and reference numbers. Every number comes from
-
-    python scripts/validate_antenna.py
-
-which computes everything again and takes some minutes on two cores; with `--out docs` it writes this page,
-its figures and `antenna-validation.csv`, the checks in full. All formations follow from their seeds: the same
-sources give the same numbers, but for the speed.
-"""
-PAGE = Page(file_name="antenna-validation.md", title="Validation of the antenna", introduction=INTRODUCTION)
-TABLE = "antenna-validation.csv"
-
-
-def section(chapter: Chapter) -> Section:
-    """What the antenna found, in the form of all validations."""
-    return Section(
-        title=chapter.title, conditions=chapter.conditions,
-        checks=tuple(Check(**asdict(finding)) for finding in chapter.findings),
-        tables=tuple(Table(**asdict(listing)) for listing in chapter.listings),
-        figures=chapter.figures,
-    )  # fmt: skip
-
-
-def subject(
-    jobs: Callable[[AntennaPlan], dict[str, list[Job]]],
-    judge: Callable[[AntennaPlan, Results, Path | None], Chapter],
-) -> Subject[AntennaPlan]:
-    """One of the antenna's subjects, whose chapter is made a section."""
-    return Subject(jobs, lambda plan, results, images: section(judge(plan, results, images)))
-
-
-SUBJECTS = {
-    "ideal": subject(ideal.jobs, ideal.judge),
-    "agreement": subject(agreement.jobs, agreement.judge),
-    "sensitivity": subject(sensitivity.jobs, sensitivity.judge),
-    "limits": subject(limits.jobs, limits.judge),
-    "speed": subject(speed.jobs, speed.judge),
-}
-"""In the page's order."""
-ALONE = ("speed",)
-"""Measured when nothing else runs."""
-
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-
-
-@app.command()
-def validate_antenna(
-    quick: Annotated[bool, typer.Option("--quick", help="Fewer formations, a shorter benchmark.")] = False,  # noqa: FBT002
-    only: Annotated[
-        str, typer.Option(help=f"Some of {', '.join(SUBJECTS)}.", metavar="NAME,NAME")
-    ] = ",".join(SUBJECTS),
-    seconds: Annotated[
-        float | None, typer.Option(help="Of the benchmark, about.", min=0.0, max=3_600.0)
-    ] = None,
-    json: Annotated[bool, typer.Option("--json", help="The numbers alone on stdout.")] = False,  # noqa: FBT002
-    out: Annotated[
-        Path | None,
-        typer.Option(help=f"Folder for {PAGE.file_name}, {TABLE} and images/; none writes nothing."),
-    ] = None,
-) -> None:
-    """Measure how right the antenna's solvers are: against NEC2, closed forms and reference numbers."""
-    messages = Console(stderr=True, highlight=False)
-    names = chosen("validate_antenna", only, SUBJECTS, messages)
-    plan = QUICK_ANTENNA if quick else AntennaPlan()
-    if seconds is not None:
-        plan = replace(plan, benchmark_s=seconds)
-    judged: dict[str, Section] = {}
-    for alone in (False, True):
-        wanted = {name: one for name, one in SUBJECTS.items() if name in names and (name in ALONE) == alone}
-        if wanted:
-            found = run_with_progress(plan, wanted, out=out, messages=messages)
-            judged |= dict(zip(wanted, found, strict=True))
-    sections = [judged[name] for name in SUBJECTS if name in judged]
-    if out is not None:
-        write_table(out / TABLE, sections)
-    tell(sections, page=PAGE, out=out, json=json, stdout=sys.stdout, px4=False)
-
-
-def write_table(path: Path, sections: list[Section]) -> None:
-    """Write all checks with all digits."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", encoding="utf-8", newline="") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(("section", "name", "value", "unit", "at_least", "at_most", "met"))
-        for one in sections:
-            for check in one.checks:
-                table.writerow((
-                    one.title, check.name, check.value, check.unit, check.at_least, check.at_most,
-                    check.passed,
-                ))  # fmt: skip
-
+from harness.validation.antenna.cli import validate_antenna_app
 
 if __name__ == "__main__":
-    app()
+    validate_antenna_app()

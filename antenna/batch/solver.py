@@ -9,23 +9,20 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from antenna.backend import Accuracy
+from antenna.backend import batch_accuracy
 from antenna.batch.coupling import solve_arrays
 from antenna.batch.far_field import VECTOR, Single, radiate
 from antenna.batch.kind import Kind, make_kind
 from antenna.batch.maximum import survey_arrays
 from antenna.batch.moments import ETA_OHM, turn
 from antenna.batch.response import NODES
-from antenna.clearance import credible, wire_ends_m
+from antenna.clearance import credible, reach_m
 from antenna.config import AntennaConfig
 from antenna.geometry import Array, Complex, ElementsTooNear, ElementsTouch, Snapshot
-from antenna.patterns import Pattern, directions_deg, resolving_step_deg, row_weights, to_dbi
-from antenna.radiated import mean_intensity
+from antenna.patterns import Pattern, directions_deg, row_weights, times_finer, to_dbi
 
 FAR_FIELD_NODES = ((0.03, 1), (0.15, 2), (0.5, 4), (1.0, 6), (1.8, 8), (3.3, 12), (8.0, 20), (np.inf, 40))
 """Points of a wire for its far field, by its greatest k times half-length."""
-SMALL_K_EXTENT = 0.3
-"""Small elements are within a tenth of the wavelength: k times the farthest end's distance."""
 SLICE = 64
 """Snapshots a thread takes at a time: their patterns fit into a processor's second cache."""
 
@@ -85,18 +82,37 @@ def radiate_arrays(
 ) -> None:
     """Write the partial gains (S, T, P) of S arrays of N points, whose moments are scaled for gains."""
     count = moments.shape[1]
+    middle_m = np.empty(3)
     single, single_axes = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
     single_moments = np.empty(count, np.complex64)
     for s in range(len(moments)):
+        middle_m[:] = 0.0  # about which single precision is enough for phases
         for q in range(count):
             for x in range(3):
-                single[q, x] = points_m[s, q, x] / wavelength_m
+                middle_m[x] += points_m[s, q, x] / count
+        for q in range(count):
+            for x in range(3):
+                single[q, x] = (points_m[s, q, x] - middle_m[x]) / wavelength_m
                 single_axes[q, x] = axes[s, q, x]
             single_moments[q] = moments[s, q]
         radiate(
             single, single_axes, single_moments,
             grid.cos_theta, grid.sin_theta, grid.cos_phi, grid.sin_phi, gain_theta[s], gain_phi[s],
         )  # fmt: skip
+
+
+class Directions:
+    """A grid of directions, with what is known of it beforehand."""
+
+    def __init__(self, step_deg: float, *, grounded: bool) -> None:
+        self.theta_deg, self.phi_deg = directions_deg(step_deg)
+        self.shape = len(self.theta_deg), len(self.phi_deg)
+        self.weights = row_weights(len(self.theta_deg), grounded=grounded)
+        theta = np.radians(self.theta_deg[: len(self.theta_deg) // 2 + 1])
+        columns = len(self.phi_deg) // 2
+        phi = np.zeros(-(-columns // VECTOR) * VECTOR)
+        phi[:columns] = np.radians(self.phi_deg[:columns])
+        self.grid = Grid(*(f(angle).astype(np.float32) for angle in (theta, phi) for f in (np.cos, np.sin)))
 
 
 class Currents(NamedTuple):
@@ -125,20 +141,13 @@ class Batch:
         self._element = config.element()
         image = config.ground == "perfect"
         self.kind = make_kind(self._element, config.wavelength_m, image=image)
-        extent_m = float(np.linalg.norm(wire_ends_m(self._element), axis=-1).max())
-        small = self.kind.k_rad_m * extent_m < SMALL_K_EXTENT
-        self.accuracy = Accuracy.SMALL_ELEMENTS if small else Accuracy.LARGE_ELEMENTS
+        self._reach_m = reach_m(self._element)
+        self.accuracy = batch_accuracy(config)
         size = self.kind.k_rad_m * self.kind.half_m
-        nodes = next(count for limit, count in FAR_FIELD_NODES if size < limit)
-        level = NODES.index(nodes)
+        level = NODES.index(next(count for limit, count in FAR_FIELD_NODES if size < limit))
         self._first, self._last = int(self.kind.firsts[level]), int(self.kind.firsts[level + 1])
-        self._theta_deg, self._phi_deg = directions_deg(config.grid_deg)
-        self._weights = row_weights(len(self._theta_deg), grounded=image)
-        theta = np.radians(self._theta_deg[: len(self._theta_deg) // 2 + 1])
-        columns = len(self._phi_deg) // 2
-        phi = np.zeros(-(-columns // VECTOR) * VECTOR)
-        phi[:columns] = np.radians(self._phi_deg[:columns])
-        self._grid = Grid(*(f(angle).astype(np.float32) for angle in (theta, phi) for f in (np.cos, np.sin)))
+        self.directions = Directions(config.grid_deg, grounded=image)
+        self._step_deg = float(self.directions.theta_deg[1])
 
     def patterns(self, snapshots: Sequence[Snapshot]) -> list[Pattern | ElementsTouch]:
         """See `antenna.backend.Backend`; equal whatever the number of threads."""
@@ -151,45 +160,42 @@ class Batch:
         return [result for part in found for result in part]
 
     def _of_slice(self, snapshots: Sequence[Snapshot]) -> list[Pattern | ElementsTouch]:
-        """Results of few snapshots, those of equally many elements together."""
-        by_count: dict[int, list[int]] = {}
+        """Results of few snapshots, those of equally many elements together that take equally fine grids."""
+        alike: dict[tuple[int, int], list[int]] = {}
         for s, snapshot in enumerate(snapshots):
-            by_count.setdefault(len(snapshot.voltages), []).append(s)
-        if len(by_count) == 1:
-            return self._of_alike(snapshots)
+            alike.setdefault((len(snapshot.voltages), self._times(snapshot)), []).append(s)
         results: dict[int, Pattern | ElementsTouch] = {}
-        for indices in by_count.values():
-            results |= zip(indices, self._of_alike([snapshots[s] for s in indices]), strict=True)
+        for (_, times), indices in alike.items():
+            found = self._of_alike([snapshots[s] for s in indices], times)
+            results |= zip(indices, found, strict=True)
         return [results[s] for s in range(len(snapshots))]
 
-    def _of_alike(self, snapshots: Sequence[Snapshot]) -> list[Pattern | ElementsTouch]:
+    def _times(self, snapshot: Snapshot) -> int:
+        """How many times finer than the grid a snapshot is solved, see `times_finer`."""
+        return times_finer(
+            snapshot.centres_m, self._reach_m, self._config.wavelength_m, self._step_deg, self.kind.image
+        )
+
+    def _of_alike(self, snapshots: Sequence[Snapshot], times: int) -> list[Pattern | ElementsTouch]:
+        directions = self.directions
+        if times > 1:
+            directions = Directions(self._step_deg / times, grounded=self.kind.image)
         radiating = self.currents(snapshots)
-        gain_theta, gain_phi = self.gains(radiating)
+        gain_theta, gain_phi = self.gains(radiating, directions)
         maximum, average = np.empty((len(snapshots), 3)), np.empty(len(snapshots))
         survey_arrays(
             np.array([snapshot.centres_m for snapshot in snapshots]),
             radiating.points_m, radiating.axes, radiating.moments, self._config.wavelength_m,
-            gain_theta, gain_phi, self._weights, maximum, average,
+            gain_theta, gain_phi, directions.weights, maximum, average,
         )  # fmt: skip
-        self._refuse(snapshots, radiating, average, maximum)
+        if times > 1:
+            gain_theta, gain_phi = (
+                gain_theta[:, ::times, ::times].copy(),
+                gain_phi[:, ::times, ::times].copy(),
+            )
         return self._patterns(
             radiating, to_dbi(gain_theta, gain_theta), to_dbi(gain_phi, gain_phi), maximum, average
         )
-
-    def _refuse(
-        self, snapshots: Sequence[Snapshot], radiating: Currents, average: Array, maximum: Array
-    ) -> None:
-        """Take the maximum of arrays of elements near each other that do not radiate what is fed in."""
-        for s in np.flatnonzero(radiating.nearest_m < self.kind.near_m).tolist():
-            centres_m, image = snapshots[s].centres_m, self.kind.image
-            share = float(average[s])
-            if self._config.grid_deg > resolving_step_deg(
-                centres_m, self._config.wavelength_m, grounded=image
-            ):
-                points = radiating.points_m[s], radiating.axes[s], radiating.moments[s]
-                share = mean_intensity(*points, self.kind.k_rad_m) * (0.5 if image else 1.0)
-            if not credible(share):
-                maximum[s, 0] = -np.inf
 
     def currents(self, snapshots: Sequence[Snapshot]) -> Currents:
         """Solve snapshots of equally many elements."""
@@ -212,13 +218,14 @@ class Batch:
         moments[~radiates] = 0.0
         return Currents(points_m, axes, moments, nearest, nearest_m)
 
-    def gains(self, radiating: Currents) -> tuple[Single, Single]:
-        """Linear partial gains (S, T, P) on the grid."""
-        shape = len(radiating.moments), len(self._theta_deg), len(self._phi_deg)
+    def gains(self, radiating: Currents, directions: Directions | None = None) -> tuple[Single, Single]:
+        """Linear partial gains (S, T, P) on the grid, or in other directions."""
+        directions = directions or self.directions
+        shape = len(radiating.moments), *directions.shape
         gain_theta, gain_phi = np.empty(shape, np.float32), np.empty(shape, np.float32)
         radiate_arrays(
             radiating.points_m, radiating.axes, radiating.moments, self._config.wavelength_m,
-            self._grid, gain_theta, gain_phi,
+            directions.grid, gain_theta, gain_phi,
         )  # fmt: skip
         if self.kind.image:
             below = shape[1] // 2 + 1
@@ -236,12 +243,12 @@ class Batch:
         for s, ((first, second), distance_m, (gain_dbi, theta_deg, phi_deg), mean) in enumerate(rows):
             if distance_m <= self.kind.clearance_m:
                 results.append(ElementsTouch(first, second, distance_m))
-            elif not math.isfinite(gain_dbi):
+            elif not math.isfinite(gain_dbi) or (distance_m < self.kind.near_m and not credible(mean)):
                 results.append(ElementsTooNear(first, second, distance_m))
             else:
                 results.append(
                     Pattern(
-                        theta_deg=self._theta_deg, phi_deg=self._phi_deg,
+                        theta_deg=self.directions.theta_deg, phi_deg=self.directions.phi_deg,
                         theta_gain_dbi=theta_dbi[s], phi_gain_dbi=phi_dbi[s],
                         max_gain_dbi=gain_dbi,
                         max_theta_deg=min(theta_deg, 180.0 - theta_deg) if self.kind.image else theta_deg,

@@ -6,7 +6,7 @@ Exit status: 0 fine, 2 bad input, which is one line on stderr, 130 broken off by
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -98,6 +98,7 @@ def _option_of(field: str) -> str:
 def _config(*, deck: Path | None, **fields: object) -> AntennaConfig:
     """Check settings; those that are None keep their defaults. Raises ValueError naming the option."""
     wanted = {name: value for name, value in fields.items() if value is not None}
+    _refuse_without_effect(wanted, deck)
     if deck is not None:
         if wanted.setdefault("element_kind", "deck") != "deck":
             raise ValueError(f"--deck: {deck} is given for an element that is a {wanted['element_kind']}")
@@ -115,6 +116,18 @@ def _config(*, deck: Path | None, **fields: object) -> AntennaConfig:
         if colon and name in AntennaConfig.__struct_fields__:
             raise ValueError(f"--{_option_of(name)}: {rest}") from None
         raise
+
+
+def _refuse_without_effect(wanted: Mapping[str, object], deck: Path | None) -> None:
+    """Raise ValueError for the first option of those given that nothing would come of."""
+    if wanted.get("ground") != "real":
+        for name in ("ground_permittivity", "ground_conductivity_s_m"):
+            if name in wanted:
+                raise ValueError(f"--{_option_of(name)}: of real ground alone; expected --ground real")
+    if deck is not None:
+        for name in ("element_length_m", "element_radius_m", "segments"):
+            if name in wanted:
+                raise ValueError(f"--{_option_of(name)}: {deck} has its own; expected no --deck beside it")
 
 
 def _deck_text(path: Path) -> str:
@@ -277,6 +290,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _refuse(" ".join(str(error).split()))
     except ValueError as error:  # of settings, each alone or together
         return _refuse(" ".join(str(error).split()))
+    except MemoryError as error:
+        said = " ".join(str(error).split()) or "none is left"
+        return _refuse(f"out of memory, a coarser --grid needs less: {said}")
     except KeyboardInterrupt:
         return INTERRUPTED
     return status if isinstance(status, int) else FINE

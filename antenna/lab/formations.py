@@ -50,19 +50,22 @@ def draws(places_m: Array, config: AntennaConfig, disorder: Disorder) -> Iterato
 
     Positions and tilts come from streams of their own, so that one does not change with the other's size.
     Feeds are made for the places, or with ``feeds_for`` truth for positions and attitudes that were drawn.
+    Raises as `feed` does, but not when what was drawn touches.
     """
     streams = np.random.SeedSequence(disorder.seed).spawn(2)
     positions, tilts = (np.random.default_rng(stream) for stream in streams)
-    n, voltages = len(places_m), feed(places_m, config)
+    n = len(places_m)
+    for_places = None if config.feeds_for == "truth" else feed(places_m, config)
     while True:
         centres_m = places_m + disorder.sigma_m * positions.standard_normal((DRAWN_TOGETHER, n, 3))
         turns_rad = np.zeros((DRAWN_TOGETHER, n, 3))
         turns_rad[..., :2] = disorder.tilt_rad * tilts.standard_normal((DRAWN_TOGETHER, n, 2))
         rotations = Rotation.from_rotvec(turns_rad.reshape(-1, 3)).as_matrix().reshape(-1, n, 3, 3)
         for centre_m, rotation in zip(centres_m, rotations, strict=True):
-            if config.feeds_for == "truth":
+            voltages = for_places
+            if voltages is None:
                 try:
-                    voltages = feed(centre_m, config, rotation)
+                    voltages = feed(centre_m, config, rotation, places_m=places_m)
                 except ElementsTouch:  # whoever computes its pattern finds out as well
                     voltages = np.ones(n, complex)
             yield Snapshot(centre_m, rotation, voltages)

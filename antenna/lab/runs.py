@@ -16,15 +16,16 @@ from antenna.array_deck import deck_of
 from antenna.backend import Backend, make_backend
 from antenna.config import AntennaConfig
 from antenna.dataset import to_dataset, write_dataset
-from antenna.features import features
+from antenna.features import features, has_one_maximum
 from antenna.geometry import Array, ElementsTouch, Snapshot
 from antenna.lab.formations import Disorder, draws, ideal
 from antenna.lab.hertzian import hertzian_pattern
 from antenna.parallel import compute_patterns
-from antenna.patterns import Pattern
+from antenna.patterns import Pattern, directions_deg
 from antenna.plots import cuts_figure, envelope_figure, gain_density_figure, patterns_figure
 from antenna.ports import MAIN_LOBE_DEG
 from antenna.statistics import (
+    HISTOGRAM_BYTES,
     RunningEnvelope,
     gain_statistics,
     gain_towards_dbi,
@@ -35,9 +36,13 @@ from antenna.statistics import (
 SHORT_LAMBDA = 0.1
 """Dipoles up to this length have the pattern of Hertzian ones, to 0.01 dB."""
 AT_A_TIME = 512
-"""Patterns in memory, unless they are to be written."""
+"""Patterns in memory at most, unless they are to be written."""
+LOT_BYTES = 200_000_000
+"""Of patterns in memory, unless a single one is more."""
 MOST_KEPT_BYTES = 4_000_000_000
-"""Of patterns for one file."""
+"""Of patterns for one file, or of an envelope's histograms."""
+EXACT_GRID_DEG = 1.0
+"""Least step of the closed form's grid, from which its maximum is looked for."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,7 +73,8 @@ class PatternReport(Struct, frozen=True, kw_only=True):
     null_dbi: float
     towards_dbi: float
     """Gain along +y, for which arrays are fed."""
-    pointing_error_deg: float
+    pointing_error_deg: float | None
+    """Of the maximum from +y; None if others on the grid are as high (`has_one_maximum`)."""
     exact_directivity_dbi: float | None
     """Maximum of Hertzian dipoles with currents in the ratio of the voltages, for short dipoles."""
     elements: int
@@ -101,7 +107,8 @@ class StatisticsReport(Struct, frozen=True, kw_only=True):
     min_dbi: float
     max_dbi: float
     quantiles: dict[str, float]
-    ideal_dbi: float
+    ideal_dbi: float | None
+    """Maximum gain of the ideal formation; None if that has no pattern, for one since its elements touch."""
     samples: int
     missing: int
     """Samples without a pattern, since elements touch, or are too close for the solver."""
@@ -118,9 +125,9 @@ class StatisticsReport(Struct, frozen=True, kw_only=True):
 
 def one_pattern(places_m: Array, config: AntennaConfig, disorder: Disorder, files: Files) -> PatternReport:
     """Solve the ideal formation, or the first that is drawn; raises `ElementsTouch`."""
-    backend, perfect = make_backend(config), ideal(places_m, config)
+    backend = make_backend(config)
     drawn = disorder.sigma_m > 0.0 or disorder.tilt_rad > 0.0
-    snapshot = next(draws(places_m, config, disorder)) if drawn else perfect
+    snapshot = next(draws(places_m, config, disorder)) if drawn else ideal(places_m, config)
     pattern = _solved(backend, snapshot)
     found = features(pattern)
     if files.deck is not None:
@@ -128,11 +135,9 @@ def one_pattern(places_m: Array, config: AntennaConfig, disorder: Disorder, file
     if files.netcdf is not None:
         write_dataset(to_dataset([pattern], config, accuracy=backend.accuracy), _in_folder(files.netcdf))
     if files.figure is not None or files.cuts is not None:
-        panels = (
-            {"Ideal": _solved(backend, perfect), f"Seed {disorder.seed}": pattern}
-            if drawn
-            else {"Ideal": pattern}
-        )
+        panels = {f"Seed {disorder.seed}" if drawn else "Ideal": pattern}
+        if drawn and (perfect := _ideal_pattern(backend, places_m, config)) is not None:
+            panels = {"Ideal": perfect, **panels}
         _save(files.figure, lambda: patterns_figure(panels))
         _save(files.cuts, lambda: cuts_figure(panels))
     return PatternReport(
@@ -148,7 +153,9 @@ def one_pattern(places_m: Array, config: AntennaConfig, disorder: Disorder, file
         back_dbi=found.back_dbi,
         null_dbi=found.null_dbi,
         towards_dbi=float(gain_towards_dbi([pattern], *MAIN_LOBE_DEG)[0]),
-        pointing_error_deg=float(pointing_errors_deg([pattern], *MAIN_LOBE_DEG)[0]),
+        pointing_error_deg=float(pointing_errors_deg([pattern], *MAIN_LOBE_DEG)[0])
+        if has_one_maximum(pattern)
+        else None,
         exact_directivity_dbi=exact_directivity_dbi(snapshot, config),
         elements=len(places_m),
         grid_deg=float(pattern.theta_deg[1]),
@@ -158,13 +165,22 @@ def one_pattern(places_m: Array, config: AntennaConfig, disorder: Disorder, file
 def many_patterns(
     places_m: Array, config: AntennaConfig, disorder: Disorder, *, samples: int, cores: int, files: Files
 ) -> StatisticsReport:
-    """Draw and solve; raises ValueError when the elements of all formations touch."""
+    """Draw and solve; raises ValueError when the elements of all formations touch.
+
+    Raises as well as `draws` does, when the formation cannot be fed.
+    """
     solver = make_backend(config, threads=cores)
-    best = _solved(solver, ideal(places_m, config))
-    size = samples * 2 * best.theta_gain_dbi.size * np.dtype(np.float32).itemsize
+    size = samples * _pattern_bytes(config)
     if files.netcdf is not None and size > MOST_KEPT_BYTES:
         raise ValueError(f"--netcdf: {samples} patterns are {size / 1e9:.1f} GB; expected up to 4")
-    running, missing, first_missing = RunningEnvelope(), 0, None
+    size = _directions(config) * HISTOGRAM_BYTES
+    if files.envelope is not None and size > MOST_KEPT_BYTES:
+        raise ValueError(
+            f"--envelope: histograms of {config.grid_deg:g} degrees are {size / 1e9:.1f} GB; expected up to 4"
+        )
+    best = _ideal_pattern(solver, places_m, config)
+    running = RunningEnvelope(quantiles=files.envelope is not None)
+    missing, first_missing = 0, None
     max_gain_dbi, towards_dbi, errors_deg = [], [], []
     kept: list[Pattern | ElementsTouch] = []
     snapshots = islice(draws(places_m, config, disorder), samples)
@@ -188,7 +204,8 @@ def many_patterns(
     if not max_gain_dbi:
         raise ValueError(f"no sample has a pattern; {first_missing}")
     gains_dbi, envelope = np.array(max_gain_dbi), running.result()
-    _save(files.figure, lambda: gain_density_figure({"drawn": gains_dbi}, best.max_gain_dbi))
+    ideal_dbi = None if best is None else best.max_gain_dbi
+    _save(files.figure, lambda: gain_density_figure({"drawn": gains_dbi}, ideal_dbi))
     _save(files.envelope, lambda: envelope_figure(envelope, best))
     if files.netcdf is not None:
         write_dataset(to_dataset(kept, config, accuracy=solver.accuracy), _in_folder(files.netcdf))
@@ -200,7 +217,7 @@ def many_patterns(
         min_dbi=maximum.min_dbi,
         max_dbi=maximum.max_dbi,
         quantiles=_named(maximum.quantiles_dbi),
-        ideal_dbi=best.max_gain_dbi,
+        ideal_dbi=ideal_dbi,
         samples=samples,
         missing=missing,
         first_missing=first_missing,
@@ -225,8 +242,8 @@ def exact_directivity_dbi(snapshot: Snapshot, config: AntennaConfig) -> float | 
     short = config.element_kind == "dipole" and config.element_length_m <= SHORT_LAMBDA * config.wavelength_m
     if not short or config.ground == "real":
         return None
-    image = config.ground == "perfect"
-    return hertzian_pattern(snapshot, config.wavelength_m, grid_deg=config.grid_deg, image=image).max_gain_dbi
+    grid_deg, image = max(config.grid_deg, EXACT_GRID_DEG), config.ground == "perfect"
+    return hertzian_pattern(snapshot, config.wavelength_m, grid_deg=grid_deg, image=image).max_gain_dbi
 
 
 def _solve(
@@ -235,15 +252,34 @@ def _solve(
     """Solve all snapshots, some at a time, each lot with the number of its first; progress on stderr."""
     source = iter(snapshots)
     console = Console(stderr=True)
-    firsts = range(0, samples, AT_A_TIME)
+    together = max(1, min(AT_A_TIME, LOT_BYTES // _pattern_bytes(config)))
+    firsts = range(0, samples, together)
     for first in track(
         firsts, console=console, description="solving", transient=True, disable=not console.is_terminal
     ):
-        lot = list(islice(source, AT_A_TIME))
+        lot = list(islice(source, together))
         if solver.name == "batch":  # it has threads of its own; the others take a process for each core
             yield first, solver.patterns(lot)
         else:
             yield first, compute_patterns(config, lot, workers=cores)
+
+
+def _pattern_bytes(config: AntennaConfig) -> int:
+    """Two grids in single precision."""
+    return 2 * _directions(config) * np.dtype(np.float32).itemsize
+
+
+def _directions(config: AntennaConfig) -> int:
+    theta_deg, phi_deg = directions_deg(config.grid_deg)
+    return len(theta_deg) * len(phi_deg)
+
+
+def _ideal_pattern(backend: Backend, places_m: Array, config: AntennaConfig) -> Pattern | None:
+    """Of the formation with all vehicles at their places; None if elements touch there, or cannot be fed."""
+    try:
+        return _solved(backend, ideal(places_m, config))
+    except (ElementsTouch, ValueError):
+        return None
 
 
 def _solved(backend: Backend, snapshot: Snapshot) -> Pattern:

@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.table import Table as Shown
 
 from harness import kernel_cache
+from harness.campaign.cluster import check_address
 from harness.campaign.definition import KEPT, Campaign, Run, expand, load
 from harness.campaign.display import Display
 from harness.campaign.running import known, run
@@ -70,6 +71,7 @@ def campaign(
         out = out or Path("runs") / plan.name
         if scheduler is not None and (workers is not None or dashboard):
             raise CampaignError("--scheduler: it has workers and a page of its own")
+        check_address(scheduler)
         if dry_run:
             _tell_plan(plan, out, retry=retry, json=json)
             return FINE
@@ -81,6 +83,7 @@ def campaign(
             table = run(
                 plan,
                 out=out,
+                runs=runs,
                 workers=workers,
                 scheduler=scheduler,
                 retry=retry,
@@ -90,7 +93,8 @@ def campaign(
             )
     except KeyboardInterrupt:
         raise BrokenOff from None
-    return _tell_table(table, flown_now=len(missing), json=json)
+    fine = _tell_table(table, flown_now=len(missing), json=json)
+    return FINE if fine and not display.failed else SOME_FAILED
 
 
 def _planned(plan: Campaign, out: Path, *, retry: bool) -> tuple[list[Run], dict[str, Flown], list[Run]]:
@@ -101,7 +105,8 @@ def _planned(plan: Campaign, out: Path, *, retry: bool) -> tuple[list[Run], dict
     return runs, *known(plan, runs, Store(out), retry=retry)
 
 
-def _tell_table(table: Table, *, flown_now: int, json: bool) -> int:
+def _tell_table(table: Table, *, flown_now: int, json: bool) -> bool:
+    """Say what has come of it; returns whether no run has failed."""
     counts = Counter(table.column("status"))
     if json:
         result = {
@@ -115,7 +120,7 @@ def _tell_table(table: Table, *, flown_now: int, json: bool) -> int:
     else:
         ends = ", ".join(f"{count} {status.replace('_', ' ')}" for status, count in sorted(counts.items()))
         sys.stdout.write(f"{len(table.runs)} runs: {ends}\n{table.parquet}\n{table.csv}\n")
-    return SOME_FAILED if counts.get(FAILED) else FINE
+    return not counts.get(FAILED)
 
 
 def _tell_plan(plan: Campaign, out: Path, *, retry: bool, json: bool) -> None:

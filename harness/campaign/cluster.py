@@ -28,6 +28,12 @@ _NO_DASHBOARD = {"dashboard": False, "dashboard_address": f"{LOOPBACK}:0"}
 """Without an address the scheduler would take port 8787 for a page that says nothing."""
 
 
+def check_address(scheduler: str | None) -> None:
+    """Refuse what is no address of a scheduler; raises CampaignError."""
+    if scheduler is not None and not _ADDRESS.fullmatch(scheduler):
+        raise CampaignError(f"{scheduler}: expected the address of a dask scheduler, tcp://HOST:PORT")
+
+
 @contextlib.contextmanager
 def connected(
     *,
@@ -43,8 +49,7 @@ def connected(
     are of the loopback interface, and a worker ends when this process does, however it does. ``dashboard``
     is the address of the page that shows it. Raises CampaignError, or CompileError.
     """
-    if scheduler is not None and not _ADDRESS.fullmatch(scheduler):
-        raise CampaignError(f"{scheduler}: expected the address of a dask scheduler, tcp://HOST:PORT")
+    check_address(scheduler)
     with contextlib.ExitStack() as stack:
         import dask  # noqa: PLC0415  slow to import, and not wanted by who only reads
         import distributed  # noqa: PLC0415
@@ -61,6 +66,7 @@ def connected(
                 library.LocalCluster(
                     n_workers=workers,
                     threads_per_worker=1,
+                    memory_limit=0,  # else a worker is ended that has more than its share of the machine's
                     processes=True,
                     host=LOOPBACK,
                     dashboard_address=dashboard,

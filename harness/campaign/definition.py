@@ -26,11 +26,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
-from msgspec import Meta, Struct
-from msgspec.structs import replace
+from msgspec import Meta, Struct, structs
+from msgspec.structs import force_setattr, replace
 
 from harness.campaign.store import CampaignError
-from harness.campaign.values import flat, spread, toml_text
+from harness.campaign.values import flat, plain, spread, toml_text
 from harness.refusals import explain
 from harness.scenario import Scenario, ScenarioError
 from harness.scenario import load as load_scenario
@@ -50,6 +50,16 @@ class _Seeds(
     last: Seed
 
 
+class _Fields(Struct, frozen=True, kw_only=True):
+    """Fields of a `Campaign` as a program may give them."""
+
+    seeds: tuple[Seed, ...]
+    fixed: dict[str, Any]
+    sweep: dict[str, Any]
+    keep: tuple[str, ...]
+    overrides: tuple[str, ...]
+
+
 class _File(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, rename={"fixed": "set"}):
     scenario: str
     seeds: Annotated[int, Meta(ge=1, le=MOST_RUNS)] | list[Seed] | _Seeds = 1
@@ -67,7 +77,11 @@ class Case(Struct, frozen=True, kw_only=True):
 
 
 class Campaign(Struct, frozen=True, kw_only=True):
-    """All that is flown: every case with every combination of swept values and every seed, in this order."""
+    """All that is flown: every case with every combination of swept values and every seed, in this order.
+
+    Made in a program it is checked as a file is: tables may be nested, values may be numpy's, and what is
+    swept and the seeds may be any list or range. Raises CampaignError.
+    """
 
     name: str
     scenario: Path
@@ -86,7 +100,15 @@ class Campaign(Struct, frozen=True, kw_only=True):
     """What errors begin with: the file"""
 
     def __post_init__(self) -> None:
-        """Check what makes up the runs; raises CampaignError."""
+        """Bring what a program has given into a file's form, and check what makes up the runs."""
+        try:
+            given = self._as_a_file_has_it()
+        except msgspec.ValidationError as error:
+            raise CampaignError(f"{self.origin}: {explain(error, _EXPECTED)}") from None
+        except ValueError as error:
+            raise CampaignError(f"{self.origin}: {error}") from None
+        for name, value in given.items():
+            force_setattr(self, name, value)
         for name in self.keep:
             if name not in KEPT:
                 raise CampaignError(f"{self.origin}: keep: {name!r}: expected some of {', '.join(KEPT)}")
@@ -100,6 +122,21 @@ class Campaign(Struct, frozen=True, kw_only=True):
         if runs > MOST_RUNS:
             raise CampaignError(f"{self.origin}: {runs} runs; expected at most {MOST_RUNS}")
         self._check_paths()
+
+    def _as_a_file_has_it(self) -> dict[str, Any]:
+        """Give the fields that a program may have given otherwise; raises ValueError, ValidationError."""
+        names = _Fields.__struct_fields__
+        fields = msgspec.convert({name: plain(name, getattr(self, name)) for name in names}, _Fields)
+        sweep = _named("sweep", fields.sweep, ranges=True)
+        return structs.asdict(fields) | {
+            "scenario": Path(self.scenario),
+            "fixed": _named("set", fields.fixed),
+            "sweep": {path: spread(f"sweep.{path}", value) for path, value in sweep.items()},
+            "cases": tuple(
+                _case(number, plain(f"cases[{number}]", case.settings), case.name)
+                for number, case in enumerate(self.cases)
+            ),
+        }
 
     def _check_paths(self) -> None:
         """Refuse what would be lost: a change that a later one of the same run overwrites unseen."""
@@ -165,7 +202,10 @@ def load(path: str | Path, overrides: Sequence[str] = (), keep: Iterable[str] = 
                 where: spread(f"sweep.{where}", value)
                 for where, value in _named("sweep", file.sweep, ranges=True).items()
             },
-            cases=tuple(_case(number, case) for number, case in enumerate(file.cases)),
+            cases=tuple(
+                _case(number, {key: case[key] for key in case if key != "name"}, case.get("name"))
+                for number, case in enumerate(file.cases)
+            ),
             overrides=tuple(overrides),
             keep=tuple(dict.fromkeys([*file.keep, *keep])),
             origin=str(path),
@@ -234,14 +274,10 @@ def _named(table: str, values: dict[str, Any], *, ranges: bool = False) -> dict[
     return dict(found)
 
 
-def _case(number: int, table: dict[str, Any]) -> Case:
-    name = table.get("name")
+def _case(number: int, settings: dict[str, Any], name: object) -> Case:
     if not isinstance(name, str) or not name:
         raise ValueError(f"cases[{number}].name: expected a name")
-    return Case(
-        name=name,
-        settings=_named(f"cases[{number}]", {key: table[key] for key in table if key != "name"}),
-    )
+    return Case(name=name, settings=_named(f"cases[{number}]", settings))
 
 
 def _seeds(seeds: int | list[int] | _Seeds) -> tuple[int, ...]:

@@ -71,7 +71,8 @@ class Display:
     def __init__(self, console: Console, campaign: Campaign, *, total: int, kept: int) -> None:
         self._console, self._campaign = console, campaign
         self._pace = Pace(time.monotonic())
-        self._failed = 0
+        self.failed = 0
+        """Of those that have landed"""
         self._wall_next_s = time.monotonic() + LINE_PERIOD_S
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), _TimeLeft(self._pace))
         self._progress = Progress(*columns, console=console, disable=not console.is_terminal, transient=True)
@@ -92,12 +93,12 @@ class Display:
         self._pace.landed(landed.total, wall_s)
         self._progress.advance(self._task)
         if landed.flown.status == FAILED:
-            self._failed += 1
+            self.failed += 1
             self.note(f"{landed.run.describe(self._campaign)}: {landed.flown.reason}")
         last = landed.done == landed.total
         if not self._console.is_terminal and (wall_s >= self._wall_next_s or last):
             self._wall_next_s = wall_s + LINE_PERIOD_S
-            failed = f", {self._failed} failed" if self._failed else ""
+            failed = f", {self.failed} failed" if self.failed else ""
             left = "" if last else f", {duration_text(self._pace.left_s(wall_s))} left"
             self.note(f"{landed.done} of {landed.total} flown{failed}{left}")
 

@@ -17,18 +17,18 @@ from typing import Any
 
 from msgspec import Struct
 
-from harness.campaign.cluster import connected
+from harness.campaign.cluster import check_address, connected
 from harness.campaign.definition import Campaign, Run, expand
 from harness.campaign.store import FAILED, ClusterError, Flown, Store
 from harness.campaign.table import Table, write_table
-from harness.campaign.worker import Task, failed, fly_on_worker, sources_state
+from harness.campaign.worker import Task, failed, fly_on_worker, sources_bytes, sources_state
 
 DIED = "its process died"
 GONE = "the scheduler has gone; the same campaign goes on from here"
 
 
 class Landed(Struct, frozen=True, kw_only=True):
-    """A run has ended and is in the store."""
+    """A run has ended, and the store has it, or what it had of it before if it now has failed."""
 
     run: Run
     """The first that has this flight"""
@@ -43,6 +43,7 @@ def run(
     campaign: Campaign,
     *,
     out: str | Path,
+    runs: Sequence[Run] | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
     retry: bool = False,
@@ -55,6 +56,7 @@ def run(
     Args:
         campaign: what is flown.
         out: folder, of one campaign at a time.
+        runs: all of the campaign's, for who has had `harness.campaign.definition.expand` make them.
         workers: processes of this machine; by default as many as it has processors.
         scheduler: address of a dask scheduler, whose workers then fly.
         retry: fly those again that failed.
@@ -66,8 +68,10 @@ def run(
     OSError.
 
     """
+    check_address(scheduler)
     state = sources_state()
-    runs = expand(campaign, state=state)
+    if runs is None:
+        runs = expand(campaign, state=state)
     store = Store(Path(out))
     with store.alone():
         flown, missing = known(campaign, runs, store, retry=retry)
@@ -79,8 +83,8 @@ def run(
                 dashboard=dashboard,
                 note=note or _unsaid,
             ) as client:
-                for landed in _fly(client, campaign, missing, store, state):
-                    flown[landed.flown.digest] = landed.flown
+                for landed, kept in _fly(client, campaign, missing, store, state):
+                    flown[kept.digest] = kept
                     if progress is not None:
                         progress(landed)
         return write_table(campaign, runs, flown, store)
@@ -113,8 +117,8 @@ def _fly(
     missing: Sequence[Run],
     store: Store,
     state: str,
-) -> Iterator[Landed]:
-    """Fly them all; each is in the store before it is told.
+) -> Iterator[tuple[Landed, Flown]]:
+    """Fly them all, and give each with what is kept of it; it is in the store before it is told.
 
     A worker that dies takes the runs with it that it had: each of them is flown again alone, when all the
     others have landed, and one that ends a worker once more is the one that does so.
@@ -124,6 +128,7 @@ def _fly(
         return Task(
             digest=each.digest,
             state=state,
+            state_bytes=sources_bytes(),
             scenario=each.scenario,
             settings=each.settings,
             keep=campaign.keep,
@@ -137,9 +142,9 @@ def _fly(
                 suspects.append(each)
                 continue
             flown, series = result or (failed(task_of(each), DIED), {})
-            store.put(flown, series)
+            kept = store.put(flown, series)
             done += 1
-            yield Landed(run=each, flown=flown, done=done, total=len(missing))
+            yield Landed(run=each, flown=flown, done=done, total=len(missing)), kept
 
 
 Result = tuple[Flown, dict[str, bytes]]

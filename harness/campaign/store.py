@@ -9,6 +9,7 @@ lock                               held by the campaign that flies into the fold
 
 import contextlib
 import fcntl
+import hashlib
 import os
 import shutil
 from collections.abc import Iterable, Iterator
@@ -16,9 +17,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
-from msgspec import Struct
+from msgspec import Struct, structs
 
 FAILED: Literal["failed"] = "failed"
+TABLES = ("table.parquet", "table.csv")
 
 
 class CampaignError(Exception):
@@ -27,6 +29,13 @@ class CampaignError(Exception):
 
 class ClusterError(CampaignError):
     """The workers or their scheduler do not go on; the campaign can, once more."""
+
+
+class Kept(Struct, frozen=True, kw_only=True):
+    """A series as it was written, by which one that has been damaged is known."""
+
+    size_bytes: int
+    sha256: str
 
 
 class Flown(Struct, frozen=True, kw_only=True):
@@ -41,6 +50,8 @@ class Flown(Struct, frozen=True, kw_only=True):
     """As `harness.report.finish` has it; empty for one that failed"""
     settings: tuple[str, ...] = ()
     """Overrides of the campaign's scenario, with which it can be flown once more"""
+    series: dict[str, Kept] = {}
+    """What is kept of it, by name"""
 
 
 class Store:
@@ -62,8 +73,10 @@ class Store:
         Raises CampaignError if another one has it.
         """
         with alone(self.folder):
-            for left in self._runs.glob(".*"):
-                left.unlink()
+            tables = (self.folder / f".{name}" for name in TABLES)
+            for left in (*self._runs.glob(".*.json"), *self._runs.glob(".*.parquet"), *tables):
+                if left.is_file():  # and whatever else somebody has put there stays
+                    left.unlink()
             shutil.rmtree(self.flying, ignore_errors=True)
             try:
                 yield
@@ -71,20 +84,44 @@ class Store:
                 shutil.rmtree(self.flying, ignore_errors=True)
 
     def get(self, digest: str, keep: Iterable[str] = ()) -> Flown | None:
-        """Give the run if it has ended, and with it its series ``keep``; one that failed has none."""
+        """Give the run if it has ended, and with it its series ``keep``, whole; one that failed has none."""
         try:
             flown = msgspec.json.decode((self._runs / f"{digest}.json").read_bytes(), type=Flown)
         except (FileNotFoundError, msgspec.DecodeError):  # of another layout: it is flown again
             return None
-        complete = flown.status == FAILED or all(self.series_path(digest, name).exists() for name in keep)
+        complete = flown.status == FAILED or all(self._is_whole(flown, name) for name in keep)
         return flown if complete and flown.digest == digest else None
 
-    def put(self, flown: Flown, series: dict[str, bytes]) -> None:
-        """Write a run down for good; its series come first, so that who finds the run finds them."""
+    def _is_whole(self, flown: Flown, name: str) -> bool:
+        kept, path = flown.series.get(name), self.series_path(flown.digest, name)
+        try:
+            if kept is None or path.stat().st_size != kept.size_bytes:
+                return False
+            with path.open("rb") as file:
+                return hashlib.file_digest(file, "sha256").hexdigest() == kept.sha256
+        except FileNotFoundError:
+            return False
+
+    def put(self, flown: Flown, series: dict[str, bytes]) -> Flown:
+        """Write a run down for good, and return what is kept of it.
+
+        Its series come first, so that who finds the run finds them. A run that is there and did not fail is
+        not replaced by one that did, as it may when it is flown again for one more series; and what was kept
+        of it stays.
+        """
+        before = self.get(flown.digest)
+        if before is not None and before.status == FAILED:
+            before = None
+        if before is not None and flown.status == FAILED:
+            return before
+        kept = {} if before is None else dict(before.series)
         for name, content in series.items():
             write_whole(self.series_path(flown.digest, name), content)
+            kept[name] = Kept(size_bytes=len(content), sha256=hashlib.sha256(content).hexdigest())
+        flown = structs.replace(flown, series=kept)
         content = msgspec.json.format(msgspec.json.encode(flown), indent=1)
         write_whole(self._runs / f"{flown.digest}.json", content + b"\n")
+        return flown
 
     def series_path(self, digest: str, name: str) -> Path:
         """Where a kept series is."""
@@ -105,8 +142,13 @@ def alone(folder: Path) -> Iterator[None]:
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file so that whoever reads it finds all of it or what was there before."""
     beside = path.with_name(f".{path.name}")
-    with beside.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    beside.replace(path)
+    try:
+        with beside.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        beside.replace(path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            beside.unlink()  # what it takes of a full disk is needed
+        raise

@@ -16,7 +16,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from harness.campaign.definition import Campaign, Run
-from harness.campaign.store import Flown, Store, write_whole
+from harness.campaign.store import TABLES, Flown, Store, write_whole
 from harness.campaign.values import toml_text
 
 _LEFT_OUT = {"scenario", "seed", "status", "reason", "wall_s", "real_time_factor"}
@@ -51,7 +51,7 @@ def write_table(campaign: Campaign, runs: Sequence[Run], flown: Mapping[str, Flo
     parquet, csv = io.BytesIO(), io.BytesIO()
     pq.write_table(rows, parquet, compression="zstd")
     pyarrow.csv.write_csv(rows, csv)
-    paths = store.folder / "table.parquet", store.folder / "table.csv"
+    paths = [store.folder / name for name in TABLES]
     for path, content in zip(paths, (parquet, csv), strict=True):
         write_whole(path, content.getvalue())
     return Table(runs=tuple(runs), rows=rows, store=store, parquet=paths[0], csv=paths[1])

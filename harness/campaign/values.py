@@ -34,18 +34,17 @@ def spread(path: str, value: object) -> tuple[Any, ...]:
     """Give the values of a list or range; raises ValueError."""
     if isinstance(value, dict):
         return _range(path, value)
-    if not isinstance(value, list):
+    if not isinstance(value, list | tuple):
         raise ValueError(f"{path}: expected a list of values, {_RANGE}")  # noqa: TRY004  a file is wrong, not a call
     if not value:
         raise ValueError(f"{path}: an empty list flies nothing")
-    twice = next((each for number, each in enumerate(value) if _same_in(each, value[:number])), None)
-    if twice is not None:
-        raise ValueError(f"{path}: {toml_text(twice)} stands twice")
+    seen: set[tuple[type, str]] = set()
+    for each in value:
+        said = type(each), toml_text(each)
+        if said in seen:
+            raise ValueError(f"{path}: {said[1]} stands twice")
+        seen.add(said)
     return tuple(value)
-
-
-def _same_in(value: object, others: list[Any]) -> bool:
-    return any(type(value) is type(other) and value == other for other in others)
 
 
 def _range(path: str, table: Mapping[str, Any]) -> tuple[float, ...]:
@@ -84,8 +83,33 @@ def _decimal(path: str, value: object) -> Decimal:
     return number
 
 
+def plain(path: str, value: object) -> Any:  # noqa: ANN401  whatever a file could have had there
+    """Give a program's value as a file would have given it: numpy's numbers and arrays, ranges and tuples.
+
+    Raises ValueError for what no file can say.
+    """
+    match value:
+        case bool():
+            return value
+        case str():
+            return str(value)
+        case list() | tuple() | range():
+            return [plain(f"{path}[{number}]", each) for number, each in enumerate(value)]
+        case dict():
+            return {key: plain(f"{path}.{key}", each) for key, each in value.items()}
+        case _ if hasattr(value, "tolist"):  # numpy's
+            return plain(path, value.tolist())
+        case int():
+            return int(value)
+        case float():
+            return float(value)
+        case _ if hasattr(value, "isoformat"):
+            return value
+    raise ValueError(f"{path}: a value of the kind {type(value).__name__} cannot be in a campaign")
+
+
 def toml_text(value: object) -> str:
-    """Write a value as TOML has it, for `harness.scenario.load`; dates and times as ISO 8601."""
+    """Write a `plain` value as TOML has it, for `harness.scenario.load`; dates and times as ISO 8601."""
     match value:
         case bool():
             return "true" if value else "false"

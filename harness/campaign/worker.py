@@ -10,7 +10,7 @@ from typing import Any
 
 from msgspec import Struct
 
-from harness.campaign.sources import ROOT, hash_sources
+from harness.campaign.sources import ROOT, hash_bytes, hash_said, read_sources
 from harness.campaign.store import FAILED, ClusterError, Flown
 from harness.scenario import Scenario
 
@@ -23,7 +23,9 @@ class Task(Struct, frozen=True, kw_only=True):
 
     digest: str
     state: str
-    """Of the sources that shall fly it"""
+    """Of the sources that shall fly it, ..."""
+    state_bytes: str
+    """... and of their bytes, for a worker that has the very same files"""
     scenario: Scenario
     settings: tuple[str, ...]
     keep: tuple[str, ...]
@@ -35,24 +37,45 @@ def failed(task: Task, reason: str) -> Flown:
 
 
 @cache
+def _sources() -> dict[str, bytes]:
+    return read_sources(ROOT, measured_by=_MEASURED_BY)
+
+
+@cache
 def sources_state() -> str:
-    """Hash of the sources that fly and measure, as they were when first asked."""
-    return hash_sources(ROOT, measured_by=_MEASURED_BY)
+    """Hash of the libraries and sources that fly and measure, as they were when first read."""
+    return hash_said(_sources())
+
+
+@cache
+def sources_bytes() -> str:
+    """Hash of the same libraries and of the same sources' bytes."""
+    return hash_bytes(_sources())
 
 
 def fly_on_worker(task: Task) -> tuple[Flown, dict[str, bytes]]:
-    """Fly a run in the worker's own folder; raises ClusterError if its sources are not the campaign's."""
+    """Fly a run in the worker's own folder.
+
+    Raises ClusterError if its sources or libraries are not the campaign's, or its machine is in trouble.
+    """
     from distributed import get_worker  # noqa: PLC0415  slow to import
 
     worker = get_worker()
-    if sources_state() != task.state:
+    if sources_bytes() != task.state_bytes and sources_state() != task.state:
         raise ClusterError(
             f"the sources of the worker at {worker.address} are not the campaign's, or have changed since it "
-            "began; start workers and campaign again"
+            "began, or its libraries are others; start workers and campaign again"
         )
     with _silent(_STDERR):
-        from harness.campaign.flights import fly_task  # noqa: PLC0415  Bullet prints a line at its import
-    return fly_task(task, Path(worker.local_directory))
+        from harness.campaign import flights  # noqa: PLC0415  Bullet prints a line at its import
+    folder = Path(worker.local_directory)
+    try:
+        return flights.fly_task(task, folder)
+    except flights.OF_THE_MACHINE as error:
+        raise ClusterError(
+            f"the worker at {worker.address} cannot fly: {flights.one_line(error, folder)}; "
+            "what has been flown stays, and the same campaign goes on from there"
+        ) from None
 
 
 def dask_setup(_worker: Any) -> None:  # noqa: ANN401  a distributed.Worker

@@ -1,5 +1,7 @@
 """Campaigns on real workers: a killed one goes on, a dead worker costs its own run (40 s)."""
 
+import errno
+import io
 import json
 import os
 import signal
@@ -9,10 +11,11 @@ import time
 from pathlib import Path
 
 import psutil
+import pyarrow.parquet as pq
 import pytest
 from distributed import LocalCluster
 
-from harness.campaign import Campaign, ClusterError, running, worker
+from harness.campaign import Campaign, ClusterError, flights, running, worker
 from harness.campaign import run as fly_campaign
 from harness.campaign.store import FAILED, Flown
 
@@ -23,14 +26,17 @@ WALL_LIMIT_S = 60.0
 CAMPAIGN = f"""
 scenario = "{ROOT / "scenarios" / "article.toml"}"
 seeds = 2
+keep = ["gains"]
 [set]
 agents = 2
 formation.columns = 2
 formation.rows = 1
+formation.height_m = 2
 onboard.localisation = "gps"
-run.reach_timeout_s = 1.0
+antenna.snapshot_rate_hz = 4
+run.duration_s = 1.0
 [sweep]
-wind.mean_n = [0, 2.5]
+wind.mean_n = [0, 0.5]
 """
 RUNS = 4
 
@@ -41,8 +47,8 @@ def command(folder: Path, out: str, *, workers: int) -> list[str]:
     return [sys.executable, str(program), str(file), *options]
 
 
-def complete(folder: Path, out: str, *, workers: int) -> tuple[dict[str, object], bytes, bytes]:
-    """Fly to the end; returns what is said, and the tables."""
+def complete(folder: Path, out: str, *, workers: int) -> tuple[dict[str, object], dict[str, bytes]]:
+    """Fly to the end; returns what is said, and all that is kept for good, by its name."""
     ended = subprocess.run(
         command(folder, out, workers=workers),
         capture_output=True,
@@ -51,12 +57,15 @@ def complete(folder: Path, out: str, *, workers: int) -> tuple[dict[str, object]
         check=False,
     )
     assert ended.returncode == 0, ended.stderr
-    tables = [(folder / out / name).read_bytes() for name in ("table.parquet", "table.csv")]
-    return json.loads(ended.stdout), tables[0], tables[1]
+    files = [*(folder / out).glob("table.*"), *(folder / out / "runs").glob("*.parquet")]
+    return json.loads(ended.stdout), {path.name: path.read_bytes() for path in files}
 
 
 def test_a_campaign_that_is_killed_half_way_finishes_with_the_same_table(tmp_path: Path) -> None:
-    """Two workers end with their client, two more finish; one alone flies the campaign that is not killed."""
+    """Two workers end with their client, two more finish; one alone flies the campaign that is not killed.
+
+    All formations are reached, so that the numbers of flights are compared: 4 gains per second, for 1 s.
+    """
     (tmp_path / "c.toml").write_text(CAMPAIGN)
     line = command(tmp_path, "killed", workers=2)
     with subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as client:
@@ -79,11 +88,15 @@ def test_a_campaign_that_is_killed_half_way_finishes_with_the_same_table(tmp_pat
     assert set(listening) == {"127.0.0.1"}
     flown = len(list(runs.glob("[!.]*.json")))
     assert 1 <= flown < RUNS
-    said, *tables = complete(tmp_path, "killed", workers=2)
-    assert (said["runs"], said["flown"], said["failed"]) == (RUNS, RUNS - flown, 0)
-    said, *whole = complete(tmp_path, "whole", workers=1)
-    assert (said["runs"], said["flown"], said["failed"]) == (RUNS, RUNS, 0)
-    assert tables == whole
+    said, kept = complete(tmp_path, "killed", workers=2)
+    assert (said["runs"], said["flown"], said["completed"]) == (RUNS, RUNS - flown, RUNS)
+    said, whole = complete(tmp_path, "whole", workers=1)
+    assert (said["runs"], said["flown"], said["completed"]) == (RUNS, RUNS, RUNS)
+    series = [name for name in whole if name.endswith(".gains.parquet")]
+    assert whole.keys() == {"table.parquet", "table.csv", *series}
+    assert len({whole[name] for name in series}) == RUNS  # other seeds and winds, other flights
+    assert all(pq.read_table(io.BytesIO(whole[name])).num_rows >= 4 for name in series)
+    assert kept == whole
     assert not (tmp_path / "killed" / "flying").exists()
 
 
@@ -95,6 +108,10 @@ def fly_or_die(task):
     if seed == 4:
         return Flown(digest=task.digest, status=FAILED, reason="refused"), {}
     return Flown(digest=task.digest, status="completed", summary={"value": seed}), {"gains": bytes([seed])}
+
+
+def out_of_room(_scenario, _folder):
+    raise OSError(errno.ENOSPC, "No space left on device")
 
 
 def test_a_worker_that_dies_costs_its_own_run_alone(tmp_path, monkeypatch):
@@ -126,7 +143,14 @@ def test_the_workers_of_a_scheduler_fly_and_refuse_for_other_sources(tmp_path, m
             patch.setattr(running, "fly_on_worker", fly_or_die)
             table = fly_campaign(campaign, out=tmp_path / "one", scheduler=address)
         assert table.column("value") == [1, 3, 5, 7]
+        monkeypatch.setattr(flights, "fly", out_of_room)
+        with pytest.raises(ClusterError, match=r"the worker at .* cannot fly: OSError: .* No space left"):
+            fly_campaign(campaign, out=tmp_path / "full", scheduler=address)
+        monkeypatch.setattr(worker, "sources_bytes", lambda: "others")
+        with pytest.raises(ClusterError, match="No space left"):  # of other comments, for all that
+            fly_campaign(campaign, out=tmp_path / "full", scheduler=address)
         monkeypatch.setattr(worker, "sources_state", lambda: "others")
         with pytest.raises(ClusterError, match=r"the sources of the worker at .* are not the campaign's"):
             fly_campaign(campaign, out=tmp_path / "other", scheduler=address)
-    assert not list((tmp_path / "other" / "runs").iterdir())
+    for name in ("full", "other"):
+        assert not list((tmp_path / name / "runs").iterdir())

@@ -15,11 +15,13 @@ from antenna.backend import Accuracy, make_backend
 from antenna.config import AntennaConfig
 from antenna.excitation import vertical_snapshot
 from antenna.geometry import ElementsTouch, Snapshot, grid
+from antenna.nec2c import Nec2cFailed
 
 LAMBDA_M = 10.0
 SHORT = {}
 LONG = {"element_length_m": 5.0, "element_radius_m": 0.001, "segments": 11}
 LOOP = {"element_kind": "loop", "element_length_m": 1.0, "element_radius_m": 0.001, "segments": 12}
+OCTAGON = LOOP | {"segments": 8}
 MONOPOLE = """CE a dipole with two arms at its top
 GW 1 9 0 0 -0.5 0 0 0.5 0.001
 GW 2 3 0 0 0.5 0.3 0 0.6 0.001
@@ -59,7 +61,9 @@ def _compare(found, witness, limits_db):
 
 
 @pytest.mark.nec2
-@pytest.mark.parametrize("element", [SHORT, LONG, LOOP, DECK], ids=["short", "long", "loop", "deck"])
+@pytest.mark.parametrize(
+    "element", [SHORT, LONG, LOOP, OCTAGON, DECK], ids=["short", "long", "loop", "octagon", "deck"]
+)
 @pytest.mark.parametrize("ground", [{}, PERFECT], ids=["free", "perfect"])
 def test_batch_is_nec2_within_its_accuracy_class(element, ground):
     pytest.importorskip("PyNEC", reason="the optional extra coflight[nec2] is not installed")
@@ -68,6 +72,53 @@ def test_batch_is_nec2_within_its_accuracy_class(element, ground):
     batch = make_backend(config)
     witness = make_backend(structs.replace(config, backend="nec2")).patterns(snapshots)
     _compare(batch.patterns(snapshots), witness, LIMITS[batch.accuracy])
+
+
+@pytest.mark.nec2
+@pytest.mark.parametrize("wavelength_m", [20.0, 40.0])
+def test_of_faint_elements_batch_is_nec2_but_for_the_power(wavelength_m):
+    """In directivity, the gain over the average gain, and the pattern of it; grids of 5 degrees suffice."""
+    pytest.importorskip("PyNEC", reason="the optional extra coflight[nec2] is not installed")
+    config = AntennaConfig(wavelength_m=wavelength_m)
+    rng = np.random.default_rng(35)
+    snapshots = [perturbed(rng, wavelength_m, 0.5, tilt_rad=0.15) for _ in range(6)]
+    batch, witness = make_backend(config), make_backend(structs.replace(config, backend="nec2"))
+    assert batch.accuracy == Accuracy.FAINT_ELEMENTS
+    for one, other in zip(batch.patterns(snapshots), witness.patterns(snapshots), strict=True):
+        power_db = 10.0 * np.log10(one.average_gain / other.average_gain)
+        assert one.max_gain_dbi - other.max_gain_dbi == pytest.approx(power_db, abs=0.01)
+        apart_db = one.gain_dbi - other.gain_dbi - power_db
+        assert np.abs(apart_db)[other.gain_dbi > -20.0].max() < 0.1
+
+
+@pytest.mark.nec2
+@pytest.mark.parametrize("step_deg", [4.0, 7.2, 20.0])
+@pytest.mark.parametrize("ground", [{}, PERFECT], ids=["free", "perfect"])
+def test_nec2c_is_nec2_on_grids_of_an_odd_number_of_steps(step_deg, ground):
+    """180 over 4, 7.2 and 20 is odd: the grid that has the horizon on it has smaller steps than these."""
+    pytest.importorskip("PyNEC", reason="the optional extra coflight[nec2] is not installed")
+    if shutil.which("nec2c") is None:
+        pytest.skip("the program nec2c is not installed")
+    from antenna.nec2 import FarField  # noqa: PLC0415 - needs PyNEC
+
+    config = AntennaConfig(wavelength_m=LAMBDA_M, grid_deg=step_deg, backend="nec2c", **ground)
+    (snapshot,) = _snapshots(36, 1, 10.0 if ground else 0.0)
+    expected = FarField(snapshot, config).partial_gains(step_deg)
+    found = make_backend(config)._partial_gains(snapshot, step_deg)
+    assert found == pytest.approx(expected, rel=0.005, abs=1e-3)
+    witness = make_backend(structs.replace(config, backend="nec2")).patterns([snapshot])
+    _compare(make_backend(config).patterns([snapshot]), witness, (0.002, 0.03))
+
+
+@pytest.mark.parametrize("missing", [1, -72])
+def test_a_pattern_of_nec2c_that_lacks_directions_is_one_clear_line(monkeypatch, missing):
+    if shutil.which("nec2c") is None:
+        pytest.skip("the program nec2c is not installed")
+    backend = make_backend(AntennaConfig(backend="nec2c"))
+    monkeypatch.setattr(backend, "_run", lambda _: np.ones((37 * 72 - missing, 2)))
+    given = rf"^nec2c gave {37 * 72 - missing} directions; expected 37 by 72$"
+    with pytest.raises(Nec2cFailed, match=given):
+        backend.patterns([ideal(LAMBDA_M)])
 
 
 @pytest.mark.nec2

@@ -7,7 +7,7 @@ from antenna_hertzian import exact_patterns
 
 from antenna.config import AntennaConfig
 from antenna.dataset import NotPatterns, from_dataset, read_dataset, settings_of, to_dataset, write_dataset
-from antenna.geometry import ElementsTouch
+from antenna.geometry import ElementsTooNear, ElementsTouch
 from antenna.patterns import Pattern
 
 CONFIG = AntennaConfig(wavelength_m=10.0, ground="perfect", excitation="optimum")
@@ -16,7 +16,8 @@ CONFIG = AntennaConfig(wavelength_m=10.0, ground="perfect", excitation="optimum"
 def _results(count=3):
     rng = np.random.default_rng(1)
     patterns = exact_patterns([perturbed(rng, 10.0) for _ in range(count)], 10.0)
-    return [patterns[0], ElementsTouch(2, 5, 0.0003), *patterns[1:], ElementsTouch(4, -1, -0.1)]
+    missing = ElementsTouch(4, -1, -0.1), ElementsTooNear(1, 6, 0.03)
+    return [patterns[0], ElementsTouch(2, 5, 0.0003), *patterns[1:], *missing]
 
 
 def _same(found, wanted):
@@ -26,6 +27,7 @@ def _same(found, wanted):
         assert type(one) is type(other)
         if isinstance(other, ElementsTouch):
             assert (one.first, one.second, one.distance_m) == (other.first, other.second, other.distance_m)
+            assert str(one) == str(other)
             continue
         for name in ("max_gain_dbi", "max_theta_deg", "max_phi_deg", "average_gain", "backend"):
             assert getattr(one, name) == getattr(other, name)
@@ -57,15 +59,16 @@ def test_a_file_explains_itself_to_any_hdf5_tool(tmp_path):
     write_dataset(to_dataset(_results(), CONFIG, accuracy="exact"), tmp_path / "patterns.nc")
     with h5py.File(tmp_path / "patterns.nc") as file:
         grids = file["gain_theta_dbi"]
-        assert (grids.shape, grids.dtype, grids.compression) == ((5, 37, 72), np.float32, "gzip")
+        assert (grids.shape, grids.dtype, grids.compression) == ((6, 37, 72), np.float32, "gzip")
         assert file["max_gain_dbi"].attrs["units"] == "dBi"
         assert file.attrs["backend"] == "exact"
         assert file.attrs["wavelength_m"] == 10.0
         assert file.attrs["ground"].startswith("perfect")
         assert "y end-fire" in file.attrs["frame"]
         assert np.isnan(grids[1]).all()  # those that touch have no gains
-        assert file["touching_second"][:].tolist() == [-1, 5, -1, -1, -1]
-        assert file["touching_first"][:].tolist() == [-1, 2, -1, -1, 4]
+        assert file["touching_second"][:].tolist() == [-1, 5, -1, -1, -1, 6]
+        assert file["touching_first"][:].tolist() == [-1, 2, -1, -1, 4, 1]
+        assert file["too_near"][:].tolist() == [0, 0, 0, 0, 0, 1]
 
 
 def test_labels_find_directions():

@@ -4,7 +4,7 @@ from antenna_hertzian import exact_patterns
 from scipy.optimize import minimize_scalar
 
 from antenna.excitation import vertical_snapshot
-from antenna.features import features, main_lobe
+from antenna.features import LEAST_STEPS, features, has_one_maximum, main_lobe
 from antenna.geometry import Snapshot, grid, upright
 from antenna.patterns import HALF_POWER_DB, Pattern, directions_deg, to_dbi
 
@@ -18,6 +18,15 @@ def _row(count, spacing_lambda):
 
 def _pattern(snapshot, step_deg=5.0):
     return exact_patterns([snapshot], LAMBDA_M, step_deg)[0]
+
+
+def _made(gain, **maximum):
+    """Make a pattern of these gains (T, P), all in the theta polarisation."""
+    theta_deg, phi_deg = directions_deg(180.0 / (len(gain) - 1))
+    return Pattern(
+        theta_deg=theta_deg, phi_deg=phi_deg, theta_gain_dbi=to_dbi(gain), phi_gain_dbi=to_dbi(0.0 * gain),
+        max_gain_dbi=float(10.0 * np.log10(gain.max())), **maximum, average_gain=1.0, backend="made",
+    )  # fmt: skip
 
 
 def _article(turn_deg=0.0, step_deg=2.0):
@@ -103,11 +112,75 @@ def test_a_lobe_over_ground_ends_at_the_horizon():
     theta_deg, phi_deg = directions_deg(5.0)
     theta = np.radians(theta_deg)[:, np.newaxis] * np.ones(len(phi_deg))
     gain = np.where(theta <= np.pi / 2 + 1e-9, 3.0 * np.sin(theta) ** 2, 0.0)
-    pattern = Pattern(
-        theta_deg=theta_deg, phi_deg=phi_deg, theta_gain_dbi=to_dbi(gain), phi_gain_dbi=to_dbi(0.0 * gain),
-        max_gain_dbi=10.0 * np.log10(3.0), max_theta_deg=90.0, max_phi_deg=0.0, average_gain=1.0,
-        backend="made",
-    )  # fmt: skip
-    found = features(pattern)
+    found = features(_made(gain, max_theta_deg=90.0, max_phi_deg=0.0))
+    assert found.side_lobe_dbi is None  # no gain at all is no lobe
     assert found.elevation_width_deg == pytest.approx(45.0, abs=0.1)
     assert found.back_dbi == pytest.approx(10.0 * np.log10(3.0), abs=1e-6)
+
+
+@pytest.mark.parametrize("axis", [(1.0, 0.0), (0.6, 0.8), (0.8, -0.6)])
+def test_a_pole_on_the_flank_of_a_lobe_is_no_lobe(axis):
+    """((1 + cos(a)) / 2)^4 falls from one direction to the opposite one, a away from it.
+
+    At a pole it is less than on the half of the ring that is nearer to that direction, and more than on the
+    other half.
+    """
+    theta_deg, phi_deg = directions_deg(5.0)
+    theta, phi = np.radians(theta_deg)[:, np.newaxis], np.radians(phi_deg)
+    toward = axis[0] * np.sin(theta) * np.cos(phi) + axis[1] * np.cos(theta)
+    top_deg = np.degrees(np.arctan2(*axis))
+    found = features(_made(((1.0 + toward) / 2.0) ** 4, max_theta_deg=top_deg, max_phi_deg=0.0))
+    assert found.side_lobe_dbi is None
+
+
+@pytest.mark.parametrize(("count", "step_deg"), [(8, 15.0), (8, 30.0), (16, 7.5)])
+def test_a_lobe_between_the_directions_of_the_grid_has_no_features(count, step_deg):
+    """A row half a wavelength apart is 102 / count degrees wide, here half a step beside the grid's phi.
+
+    The grid then knows its flanks alone, which are no side lobe.
+    """
+    row, turn_deg = _row(count, 0.5), step_deg / 2.0
+    c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    pattern = _pattern(Snapshot(row.centres_m @ turn.T, turn @ row.rotations, row.voltages), step_deg)
+    assert not main_lobe(pattern).any()
+    found = features(pattern)
+    assert (found.azimuth_width_deg, found.elevation_width_deg, found.side_lobe_dbi) == (None, None, None)
+
+
+@pytest.mark.parametrize("count", [4, 8, 16, 32])
+@pytest.mark.parametrize("step_deg", [2.0, 5.0, 10.0, 15.0])
+def test_a_width_is_right_or_none(count, step_deg):
+    """sin(n psi / 2) / (n sin(psi / 2)) with psi = pi cos(phi) has half power at 1.3916 * 2 / n for many n.
+
+    Found here without that, by minimisation of the difference. The maximum is on the grid, where the pattern
+    has its full gain however wide the steps are: splines through that and its neighbours are as wide as
+    those.
+    """
+
+    def excess(off_rad):
+        half_psi = 0.5 * np.pi * np.sin(off_rad)
+        return abs((np.sin(count * half_psi) / (count * np.sin(half_psi))) ** 2 - 0.5)
+
+    ends = (0.5 * 2.7832 / (np.pi * count), 1.5 * 2.7832 / (np.pi * count))
+    width_deg = 2.0 * np.degrees(minimize_scalar(excess, bounds=ends, method="bounded").x)
+    found = features(_pattern(_row(count, 0.5), step_deg)).azimuth_width_deg
+    if width_deg > (LEAST_STEPS + 0.1) * step_deg:
+        assert found == pytest.approx(width_deg, rel=0.01)
+    elif width_deg < (LEAST_STEPS - 0.5) * step_deg:
+        assert found is None
+    else:
+        assert found is None or found == pytest.approx(width_deg, rel=0.03)
+
+
+@pytest.mark.parametrize("step_deg", [0.5, 5.0, 12.0])
+def test_a_ring_and_mirror_images_are_many_maxima(step_deg):
+    """One dipole's is a ring, a row's are two, on both sides, an end-fire array's is one, on the grid or not.
+
+    That of two elements is flat: a cardioid, whose gain falls with the fourth power of the angle.
+    """
+    assert not has_one_maximum(_pattern(_row(1, 0.0), step_deg))
+    assert not has_one_maximum(_pattern(_row(2, 0.5), step_deg))
+    for turn_deg in (0.0, 0.3 * step_deg, 0.5 * step_deg):
+        assert has_one_maximum(_article(turn_deg, step_deg))
+    assert has_one_maximum(_pattern(vertical_snapshot(grid(2, 1, 0.0, 2.5), LAMBDA_M), step_deg))

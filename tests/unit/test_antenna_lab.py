@@ -13,6 +13,7 @@ from antenna.backend import make_backend
 from antenna.config import AntennaConfig
 from antenna.dataset import read_dataset
 from antenna.geometry import ElementsTouch, Snapshot, grid, upright
+from antenna.lab import runs
 from antenna.lab.cli import main
 from antenna.lab.formations import Disorder, draws
 from antenna.lab.hertzian import hertzian_pattern
@@ -183,6 +184,62 @@ def test_samples_that_touch_are_counted_and_named(capsys):
     assert "elements 0 and 1 touch" in found["first_missing"]
 
 
+@pytest.mark.parametrize("excitation", ["end_fire", "optimum"])
+def test_an_ideal_formation_that_touches_is_no_reason_to_draw_none(capsys, tmp_path, excitation):
+    """All places are one: what is drawn around it, 2 m about, is apart."""
+    common = f"--formation 2x1 --broadside 0 --sigma 2 --feeds truth --excitation {excitation} --seed 4"
+    files = f"--figure {tmp_path}/d.png --envelope {tmp_path}/e.png"
+    found = _run(capsys, f"statistics {common} --samples 20 --cores 1 {files}")
+    assert found["ideal_dbi"] is None
+    assert found["missing"] < 20
+    one = _run(capsys, f"pattern {common} --figure {tmp_path}/p.png --cuts {tmp_path}/c.png")
+    assert 1.0 < one["max_gain_dbi"] < 8.0
+    names = [f"{name}.png" for name in "depc"]
+    assert all((tmp_path / name).read_bytes().startswith(PNG) for name in names)
+
+
+def test_a_maximum_that_is_one_of_many_has_no_pointing_error(capsys):
+    assert _run(capsys, "pattern --formation 1x1")["pointing_error_deg"] is None
+    assert _run(capsys, "pattern --formation 2x1")["pointing_error_deg"] is None  # as high along -y
+    assert _run(capsys, "pattern --formation 1x2")["pointing_error_deg"] == pytest.approx(0.0, abs=0.1)
+
+
+def test_lots_are_sized_by_what_patterns_take(capsys, monkeypatch):
+    """A grid of 5 degrees in two polarisations is 2 * 37 * 72 * 4 bytes."""
+    lots = []
+
+    def recorded(config, *, threads=1):
+        backend = make_backend(config, threads=threads)
+        solve = backend.patterns
+        backend.patterns = lambda snapshots: lots.append(len(snapshots)) or solve(snapshots)
+        return backend
+
+    monkeypatch.setattr(runs, "make_backend", recorded)
+    command = "statistics --formation 2x2 --sigma 1 --samples 10 --cores 1"
+    whole = _run(capsys, command)
+    assert lots == [1, 10]
+    lots.clear()
+    monkeypatch.setattr(runs, "LOT_BYTES", 3 * 2 * 37 * 72 * 4 + 1)
+    assert _run(capsys, command) == whole
+    assert lots == [1, 3, 3, 3, 1]
+    lots.clear()
+    monkeypatch.setattr(runs, "LOT_BYTES", 1)
+    _run(capsys, command)
+    assert lots == [1] * 11
+
+
+def test_memory_that_cannot_be_had_is_one_line(capsys, monkeypatch):
+    def greedy(*_args, **_kwargs):
+        raise MemoryError("Unable to allocate 9.66 GiB for an array\nwith shape (1801, 3600, 400)")
+
+    monkeypatch.setattr(runs, "one_pattern", greedy)
+    assert main(["pattern"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("coflight: out of memory")
+    assert "9.66 GiB" in said
+    assert said.count("\n") == 1
+
+
 def test_a_pattern_leaves_figures_deck_and_data(capsys, tmp_path):
     command = f"pattern --sigma 0.5 --tilt 10 --seed 2 --figure {tmp_path}/p.png --cuts {tmp_path}/c.png"
     found = _run(capsys, f"{command} --deck-out {tmp_path}/p.nec --netcdf {tmp_path}/p.nc")
@@ -235,11 +292,17 @@ def test_people_get_a_table(capsys):
         ("pattern --deck {tmp}/none.nec", "none.nec: No such file"),
         ("pattern --deck {tmp}/bad.nec", "bad.nec: line 2: card 'LD' is not understood"),
         ("pattern --deck {tmp}/good.nec --element loop", "given for an element that is a loop"),
+        ("pattern --deck {tmp}/good.nec --length 2", "--length: {tmp}/good.nec has its own"),
+        ("pattern --deck {tmp}/good.nec --segments 9", "--segments: {tmp}/good.nec has its own"),
+        ("statistics --deck {tmp}/good.nec --radius 0.001", "--radius: {tmp}/good.nec has its own"),
+        ("pattern --permittivity 5", "--permittivity: of real ground alone"),
+        ("pattern --ground perfect --height 9 --conductivity 1", "--conductivity: of real ground alone"),
         ("pattern --figure {tmp}/bad.nec/x.png", "bad.nec"),
         ("pattern --ground real --backend nec2 --height 5 --excitation optimum", "knows no real ground"),
         ("pattern --ground perfect --height 5 --excitation optimum --element loop --length 1", "along +y"),
         ("statistics --samples 0", "'--samples'"),
         ("statistics --samples 900000 --netcdf {tmp}/a.nc", "--netcdf: 900000 patterns are 19.2 GB"),
+        ("statistics --grid 0.1 --envelope {tmp}/e.png", "--envelope: histograms of 0.1 degrees are 10.4 GB"),
         ("statistics --formation 2x1 --broadside 0.00002 --samples 3", "elements 0 and 1 touch"),
         ("statistics --formation 9x9 --ground perfect --height 1 --sigma 9 --samples 3", "no sample has a"),
         ("benchmark --seconds -1", "'--seconds'"),
@@ -254,7 +317,7 @@ def test_bad_input_is_one_line(capsys, tmp_path, command, said):
     assert (status, printed.out) == (2, "")
     assert printed.err.startswith("coflight: ")
     assert printed.err.count("\n") == 1
-    assert said in printed.err
+    assert said.format(tmp=tmp_path) in printed.err
 
 
 @pytest.mark.nec2

@@ -52,6 +52,19 @@ def test_gain_density_shows_every_series_even_a_constant_one():
     assert labels[1:] == ["calm: 13.20 ± 0.00 dBi", "ideal: 13.26 dBi"]
 
 
+def test_gain_density_has_the_deviation_of_gain_statistics():
+    """Of 11, 12 and 13 dBi it is 1 dB, K - 1 in the denominator, and not sqrt(2 / 3)."""
+    (axes,) = gain_density_figure({"three": np.array([11.0, 12.0, 13.0])}, None).axes
+    labels = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert labels == ["three: 12.00 ± 1.00 dBi"]  # and no ideal, where there is none
+
+
+def test_a_lobe_between_the_directions_of_the_grid_has_no_outline():
+    """15 degrees wide, 9 degrees from the nearest direction."""
+    panel, _ = patterns_figure({"Coarse": _pattern(9.0, step_deg=18.0)}).axes
+    assert not any(isinstance(artist, QuadContourSet) for artist in panel.collections)
+
+
 def test_cuts_are_rows_and_columns_of_the_grid_all_the_way_round():
     """The values are theta + phi / 1000, so that each says where it comes from."""
     theta_deg, phi_deg = np.linspace(0.0, 180.0, 7), np.arange(0.0, 360.0, 30.0)

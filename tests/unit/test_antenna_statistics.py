@@ -1,3 +1,5 @@
+import tracemalloc
+
 import numpy as np
 import pytest
 from antenna_arrays import perturbed
@@ -89,6 +91,37 @@ def test_envelope_is_that_of_all_patterns_held_at_once():
     for quantile in QUANTILES:
         exact_dbi = np.quantile(gains_dbi, quantile, axis=0)
         assert np.abs(found.quantiles_dbi[quantile] - exact_dbi).max() < LEVEL_STEP_DB
+
+
+@pytest.mark.parametrize("samples", [2, 3, 4, 7])
+def test_an_envelope_has_the_quantiles_of_gain_statistics_of_few_samples_too(samples):
+    """To a bin: the median of two gains is midway between them, not one of them."""
+    gains_dbi = np.random.default_rng(samples).normal(0.0, 8.0, (samples, 7, 12))
+    running = RunningEnvelope()
+    for one in gains_dbi:
+        running.add(_with_gains(one))
+    found = running.result().quantiles_dbi
+    for t, p in ((0, 0), (3, 5), (6, 11)):
+        wanted = gain_statistics(gains_dbi[:, t, p]).quantiles_dbi
+        assert {q: found[q][t, p] for q in QUANTILES} == pytest.approx(wanted, abs=LEVEL_STEP_DB)
+
+
+def test_without_quantiles_an_envelope_needs_no_more_than_a_few_patterns():
+    gains_dbi = np.random.default_rng(2).normal(0.0, 3.0, (3, 91, 180))
+    patterns = [_with_gains(one) for one in gains_dbi]
+    lean, whole = RunningEnvelope(quantiles=False), RunningEnvelope()
+    tracemalloc.start()
+    for pattern in patterns:
+        lean.add(pattern)
+    peak_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak_bytes < 12 * gains_dbi[0].nbytes  # a histogram of 400 levels is 200 of them
+    for pattern in patterns:
+        whole.add(pattern)
+    found, full = lean.result(), whole.result()
+    assert found.quantiles_dbi == {}
+    for name in ("mean_dbi", "min_dbi", "max_dbi"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(full, name))
 
 
 def test_envelope_of_one_pattern_is_the_pattern_whatever_its_level():

@@ -1,10 +1,8 @@
 """The antenna's validation: its closed forms, a small core of every subject, and that each can fail (8 s)."""
 
 import csv
-import importlib.util
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,15 +13,17 @@ from antenna.backend import BackendUnavailable
 from antenna.config import AntennaConfig
 from antenna.geometry import ElementsTouch, grid
 from antenna.patterns import Pattern
-from antenna.validation import agreement, findings, ideal, limits, sensitivity, speed
-from antenna.validation.closed_form import (
+from harness.validation.antenna import agreement, checks, cli, ideal, limits, near, power, sensitivity, speed
+from harness.validation.antenna.checks import worst
+from harness.validation.antenna.closed_form import (
     directivity_dbi,
     hertzian_coupling,
     isotropic_coupling,
     policy_voltages,
 )
-from antenna.validation.findings import Chapter, Finding, Listing, worst
-from antenna.validation.plan import QUICK_ANTENNA, AntennaPlan
+from harness.validation.antenna.plan import QUICK_ANTENNA, AntennaPlan
+from harness.validation.report import Check, Section, Table
+from harness.validation.runner import Subject
 
 LAMBDA_M = 10.0
 PLAN = AntennaPlan(
@@ -32,28 +32,13 @@ PLAN = AntennaPlan(
 needs_nec2 = pytest.mark.nec2
 
 
-@pytest.fixture(scope="module")
-def script():
-    """Load the program as a module."""
-    path = Path(__file__).parents[2] / "scripts" / "validate_antenna.py"
-    spec = importlib.util.spec_from_file_location("validate_antenna", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture
 def _pynec():
     pytest.importorskip("PyNEC", reason="the optional extra coflight[nec2] is not installed")
 
 
-def met(finding):
-    low = finding.at_least is None or finding.value >= finding.at_least
-    return low and (finding.at_most is None or finding.value <= finding.at_most)
-
-
 def missed(of):
-    return [one.name for one in (of.findings if isinstance(of, Chapter) else of) if not met(one)]
+    return [one.name for one in (of.checks if isinstance(of, Section) else of) if not one.passed]
 
 
 # ---- arithmetic
@@ -136,10 +121,10 @@ def ideal_results():
 @pytest.mark.usefixtures("_pynec")
 def test_the_ideal_array_meets_all_that_is_asked_and_wrong_ones_do_not(tmp_path):
     results = ideal_results()
-    chapter = ideal.judge(PLAN, results, tmp_path)
-    assert missed(chapter) == []
-    assert (tmp_path / chapter.figures[0][0]).exists()
-    names = " ".join(one.name for one in chapter.findings)
+    section = ideal.judge(PLAN, results, tmp_path)
+    assert missed(section) == []
+    assert (tmp_path / section.figures[0][0]).exists()
+    names = " ".join(one.name for one in section.checks)
     assert all(f"{solver}, 10 m" in names for solver in ("nec2", "batch", "exact"))
 
     def wrong(**fields):
@@ -170,10 +155,10 @@ def test_long_dipoles_are_judged_by_their_reference():
             replace(right, max_gain_dbi=gain_dbi) if config.wavelength_m == LAMBDA_M else None
             for _, config in asked
         ]
-        chapter = ideal.judge(PLAN, results, None)
-        assert sum("5 m, 10 m" in one.name for one in chapter.findings) == 3
-        assert len([name for name in missed(chapter) if "dipole 5 m" in name]) == expected
-    assert "Not installed here, so without a row: batch, nec2, nec2c" in chapter.conditions
+        section = ideal.judge(PLAN, results, None)
+        assert sum("5 m, 10 m" in one.name for one in section.checks) == 3
+        assert len([name for name in missed(section) if "dipole 5 m" in name]) == expected
+    assert "Not installed here, so without a row: batch, nec2, nec2c" in section.conditions
 
 
 # ---- batch against NEC2
@@ -254,17 +239,17 @@ def test_a_witness_that_is_missing_is_said_and_fails_nothing(monkeypatch):
     def unavailable(config):
         raise BackendUnavailable(f"no {config.backend}")
 
-    monkeypatch.setattr(findings, "make_backend", unavailable)
+    monkeypatch.setattr(checks, "make_backend", unavailable)
     results = {
         group: [function(argument) for function, argument in jobs]
         for group, jobs in agreement.jobs(PLAN).items()
     }
-    chapter = agreement.judge(PLAN, results, None)
-    assert chapter.findings == ()
-    assert "Not installed here" in chapter.conditions
-    chapter = limits.judge(PLAN, {g: [f(a) for f, a in jobs] for g, jobs in limits.jobs(PLAN).items()}, None)
-    assert missed(chapter) == []
-    assert "nec2c" in chapter.conditions
+    section = agreement.judge(PLAN, results, None)
+    assert section.checks == ()
+    assert "Not installed here" in section.conditions
+    section = limits.judge(PLAN, {g: [f(a) for f, a in jobs] for g, jobs in limits.jobs(PLAN).items()}, None)
+    assert missed(section) == []
+    assert "nec2c" in section.conditions
 
 
 # ---- position errors
@@ -356,9 +341,9 @@ def test_power_and_segments_are_judged():
     results["near"] = [f(a) if a[1] in {0.5, 0.15} else None for f, a in asked["near"]]
     results["refined"][0] = limits.solve_refined((5.0, 9, 21, 2))
     results["long"] = [f(c) if c.segments == 9 and c.wavelength_m == 5.0 else None for f, c in asked["long"]]
-    chapter = limits.judge(PLAN, results, None)
-    assert missed(chapter) == []
-    assert {"directivity" in one.name for one in chapter.findings} == {True, False}
+    section = limits.judge(PLAN, results, None)
+    assert missed(section) == []
+    assert {"directivity" in one.name for one in section.checks} == {True, False}
     results["short"][0] = replace(results["short"][0], max_gain_dbi=13.25)
     results["near"] = [None if one is None else replace(one, average_gain=0.9) for one in results["near"]]
     results["long"] = [
@@ -374,6 +359,64 @@ def test_power_and_segments_are_judged():
     assert all(word in names for word in ("directivity", "average gain", "same segments", "not converged"))
 
 
+def test_resistance_falls_against_reactance_by_the_cube_of_the_wavelength():
+    """A short dipole's resistance goes with (l / lambda)^2, its reactance is a capacitor's, with lambda.
+
+    The next terms of both series are in (pi l / lambda)^2, 2.5e-4 at 10 m.
+    """
+    ratios = [power.solve((wavelength_m, 9, 1)).resistance_of_reactance for wavelength_m in (10.0, 20.0)]
+    assert ratios[0] / ratios[1] == pytest.approx(8.0, rel=1e-3)
+
+
+@needs_nec2
+@pytest.mark.usefixtures("_pynec")
+def test_power_that_nec2_does_not_know_is_no_difference_of_directivity():
+    results = [power.solve((*size, 4)) if size[1] == 9 else None for size in power.SIZES]
+    checks, table = power.judge(results)
+    assert missed(checks) == []
+    assert len(table.rows) == sum(len(one.programs) + 1 for one in results if one)
+    at = power.SIZES.index(power.FAINTEST)
+    nec2 = results[at].programs["nec2"]
+    # four formations: the power scatters by some percent, and the directivity by nothing of that
+    assert np.std(nec2.average_gain) > 30.0 * abs(10.0 ** (worst(nec2.directivity_db) / 10.0) - 1.0)
+
+    def judged(batch=results[at].batch, **fields):
+        programs = {"nec2": replace(nec2, **fields)}
+        changed = replace(results[at], programs=programs, batch=batch)
+        return missed(power.judge([*results[:at], changed])[0])
+
+    assert judged() == []
+    assert "directivity" in " ".join(judged(directivity_db=(0.0, -1.01 * power.DIRECTIVITY_DB)))
+    assert "not certain" in " ".join(judged(maximum_db=(0.009, -0.009)))
+    unsteady = replace(results[at].batch, average_gain=(0.9959, 0.9959 + 1.01 * power.STEADY))
+    assert "average gain" in " ".join(judged(batch=unsteady))
+
+
+@needs_nec2
+@pytest.mark.usefixtures("_pynec")
+def test_pairs_are_apart_as_wanted_and_what_one_alone_refuses_is_not_met():
+    """At 0.1 m some of 10 formations have no credible power; all solvers refuse the same ones."""
+    snapshots = near.pairs(0.1, 10)
+    for one in snapshots:
+        assert np.linalg.norm(one.centres_m[near.MOVED] - one.centres_m[near.BESIDE]) == pytest.approx(0.1)
+    results = {group: [None] * len(jobs) for group, jobs in limits.jobs(PLAN).items()}
+    results["pairs"][near.APART_M.index(0.1)] = found = near.solve_pairs((0.1, 10))
+    checks, (table,) = near.judge(results)
+    assert missed(checks) == []
+    assert len(table.rows) == len(found.others)
+    batch = found.others["batch"]
+    assert 0 < batch.touching < 10
+    assert batch.touching + len(batch.maximum_db) == 10
+    for worse, word in (
+        ({"maximum_db": (0.0, 0.011)}, "maximum"), ({"directivity_db": (0.0, 0.011)}, "directivity"),
+        ({"pattern_db": (-0.11,)}, "pattern"), ({"disagreeing": 1}, "alone"),
+    ):  # fmt: skip
+        changed = near.Pairs(others={"batch": replace(batch, **worse)})
+        names = missed(near.judge(results | {"pairs": [changed] + [None] * (len(near.APART_M) - 1)})[0])
+        assert len(names) == 1
+        assert word in names[0]
+
+
 def test_no_power_is_no_directivity():
     assert math.isnan(limits.Answer(max_gain_dbi=3.0, average_gain=-0.1).directivity_dbi)
     assert math.isnan(limits.Answer(refusal="elements 0 and 1 touch").directivity_dbi)
@@ -384,14 +427,14 @@ def test_no_power_is_no_directivity():
 
 def test_speed_is_judged_by_the_benchmarks_fields_and_a_lost_one_is_not_met():
     good = {"speedup_short_dipole": 200.0, "speedup_5m_dipole": 40.0, "speedup_two_cores": 1.7}
-    chapter = speed.judge(PLAN, {"benchmark": [good | {"more": {"us": 12.5, "rounds": 3}}]}, None)
-    assert missed(chapter) == []
-    assert ("more.us", "12.5") in chapter.listings[0].rows
+    section = speed.judge(PLAN, {"benchmark": [good | {"more": {"us": 12.5, "rounds": 3}}]}, None)
+    assert missed(section) == []
+    assert ("more.us", "12.5") in section.tables[0].rows
     for name, least in good.items():
         assert missed(speed.requirements(good | {name: least * 0.99})) == [name]
         assert missed(speed.requirements({k: v for k, v in good.items() if k != name})) == [name]
     without = speed.judge(PLAN, {"benchmark": [None]}, None)
-    assert without.findings == without.listings == ()
+    assert without.checks == without.tables == ()
     assert "PyNEC" in without.conditions
 
 
@@ -405,34 +448,34 @@ def test_every_subject_has_jobs_for_other_processes_and_a_quick_plan_has_fewer()
             for plan in (QUICK_ANTENNA, AntennaPlan())
         )
         assert 0 < len(quick) <= len(full)
-        assert all(function.__module__.startswith("antenna.validation") for function, _ in full)
+        assert all(function.__module__.startswith("harness.validation.antenna") for function, _ in full)
 
 
-def test_an_unknown_subject_is_one_line(script):
-    result = CliRunner().invoke(script.app, ["--only", "ideal,nonsense"])
+def test_an_unknown_subject_is_one_line():
+    result = CliRunner().invoke(cli.validate_antenna_app, ["--only", "ideal,nonsense"])
     assert result.exit_code == 2
     assert result.stderr.count("\n") <= 2
     assert "nonsense" in result.stderr
 
 
 @pytest.mark.parametrize(("at_most", "status"), [(2.0, 0), (1.9, 1)])
-def test_page_table_and_exit_status_follow_the_findings(script, monkeypatch, tmp_path, at_most, status):
+def test_page_table_and_exit_status_follow_the_checks(monkeypatch, tmp_path, at_most, status):
     """A subject whose one job is the square root of 4."""
 
     def judge(plan, results, images):
         assert plan == QUICK_ANTENNA
         assert images.is_dir()
-        return Chapter(
+        return Section(
             title="Roots", conditions="Of four.\n",
-            findings=(Finding(name="root", value=results["roots"][0], unit="m", at_most=at_most),),
-            listings=(Listing(caption="All:", columns=("of",), rows=(("4",),)),),
+            checks=(Check(name="root", value=results["roots"][0], unit="m", at_most=at_most),),
+            tables=(Table(caption="All:", columns=("of",), rows=(("4",),)),),
             figures=(("roots.png", "a figure"),),
         )  # fmt: skip
 
-    roots = script.subject(lambda _: {"roots": [(math.sqrt, 4.0)]}, judge)
-    monkeypatch.setattr(script, "SUBJECTS", {"ideal": roots})
+    roots = Subject(lambda _: {"roots": [(math.sqrt, 4.0)]}, judge)
+    monkeypatch.setattr(cli, "SUBJECTS", {"ideal": roots})
     result = CliRunner().invoke(
-        script.app, ["--only", "ideal", "--quick", "--json", "--out", str(tmp_path / "out")]
+        cli.validate_antenna_app, ["--only", "ideal", "--quick", "--json", "--out", str(tmp_path / "out")]
     )
     assert result.exit_code == status, result.output
     (number,) = json.loads(result.stdout)

@@ -2,16 +2,18 @@
 
 import itertools
 import json
+import time
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from harness.campaign import Campaign, CampaignError, Case, cli, load, run
 from harness.campaign.definition import expand
-from harness.campaign.values import flat, spread, toml_text
+from harness.campaign.values import MOST_VALUES, flat, spread, toml_text
 from harness.scenario import load as load_scenario
 
 ROOT = Path(__file__).parents[2]
@@ -135,7 +137,81 @@ def test_the_campaigns_that_come_along_can_be_flown(path):
     assert expand(load(path), state="")
 
 
+def test_a_program_may_give_numpys_values_nested_tables_and_any_list(tmp_path):
+    """All that a program would rather write gives the runs that the file gives."""
+    path = write(
+        tmp_path,
+        """seeds = [3, 4]
+        [set]
+        wind.gust_rms_fraction = 0.5
+        [[cases]]
+        name = "a"
+        agents = 4
+        [sweep]
+        wind.mean_n = [0.0, 2.5]
+        antenna.wavelength_m = [10.0, 11.0, 12.0]
+        """,
+    )
+    given = Campaign(
+        name="campaign",
+        scenario=str(ARTICLE),
+        seeds=np.arange(3, 5),
+        fixed={"wind": {"gust_rms_fraction": np.float32(0.5)}},
+        cases=[Case(name="a", settings={"agents": np.int64(4)})],
+        sweep={
+            "wind": {"mean_n": (np.float64(0.0), np.float64(2.5))},
+            "antenna.wavelength_m": np.linspace(10.0, 12.0, 3),
+        },
+    )
+    runs = expand(given, state="")
+    assert runs == expand(load(path), state="")
+    assert {type(value) for run in runs for value in (*run.swept, run.seed)} == {float, int}
+    flags = Campaign(name="b", scenario=ARTICLE, seeds=range(1), sweep={"x": (np.True_, np.str_("y"))})
+    assert [type(value) for value in flags.sweep["x"]] == [bool, str]
+
+
 # ---- what is refused
+
+
+@pytest.mark.parametrize(
+    ("made", "line"),
+    [
+        ({"seeds": True}, "seeds: expected `array`, got `bool`"),
+        ({"seeds": (True,)}, "seeds[0]: expected `int`, got `bool`"),
+        ({"seeds": ("1",)}, "seeds[0]: expected `int`, got `str`"),
+        ({"seeds": (1, -1)}, "seeds[1]: expected `int` >= 0"),
+        ({"seeds": (2**70,)}, "seeds[0]: expected `int` <= 9223372036854775807"),
+        ({"seeds": {1, 2}}, "seeds: a value of the kind set cannot be in a campaign"),
+        ({"sweep": {"wind.mean_n": ()}}, "sweep.wind.mean_n: an empty list flies nothing"),
+        ({"sweep": {"wind.mean_n": np.empty(0)}}, "sweep.wind.mean_n: an empty list flies nothing"),
+        (
+            {"sweep": {"onboard.localisation": "gps"}},
+            "sweep.onboard.localisation: expected a list of values, ",
+        ),
+        ({"sweep": {"wind.mean_n": (1, 2, 1)}}, "sweep.wind.mean_n: 1 stands twice"),
+        (
+            {"sweep": {"wind.mean_n": (1, None)}},
+            "sweep.wind.mean_n[1]: a value of the kind NoneType cannot be",
+        ),
+        ({"sweep": [1]}, "sweep: expected `object`, got `array`"),
+        ({"fixed": {"wind": {}}}, "set.wind: an empty table sets nothing"),
+        ({"cases": (Case(name=""),)}, "cases[0].name: expected a name"),
+        ({"keep": "gains"}, "keep: expected `array`, got `str`"),
+        ({"overrides": "agents=4"}, "overrides: expected `array`, got `str`"),
+    ],
+)
+def test_a_campaign_made_in_a_program_is_checked_as_a_file_is(made, line):
+    with pytest.raises(CampaignError) as caught:
+        Campaign(**{"name": "one", "scenario": ARTICLE, "seeds": (1,)} | made)
+    assert str(caught.value).startswith(f"campaign: {line}")
+
+
+def test_what_is_swept_is_checked_fast_however_long_it_is():
+    """MOST_VALUES compared with one another would be 5e9 comparisons, minutes of them."""
+    values = tuple(range(MOST_VALUES))
+    begin_s = time.process_time()
+    assert Campaign(name="long", scenario=ARTICLE, seeds=(1,), sweep={"x": values}).sweep["x"] == values
+    assert time.process_time() - begin_s < 10.0
 
 
 @pytest.mark.parametrize(

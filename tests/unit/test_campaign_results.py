@@ -1,7 +1,12 @@
 """What a campaign keeps: runs on disk, their table, and the time that is left."""
 
 import csv
+import errno
+import importlib.metadata
 import io
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,20 +16,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from harness.campaign import Campaign, CampaignError
+from antenna.backend import BackendUnavailable
+from harness.campaign import Campaign, CampaignError, cli, load, running, sources
 from harness.campaign import flights as flying
 from harness.campaign.definition import expand
 from harness.campaign.display import Pace, duration_text
 from harness.campaign.flights import fly_task
 from harness.campaign.running import known
-from harness.campaign.sources import hash_sources
-from harness.campaign.store import FAILED, Flown, Store
+from harness.campaign.store import FAILED, Flown, Store, write_whole
 from harness.campaign.table import make_rows, write_table
-from harness.campaign.worker import Task
-from harness.processes import SwarmError
+from harness.campaign.worker import _MEASURED_BY, Task, sources_state
+from harness.processes import SetupError, SwarmError
 from harness.scenario import load as load_scenario
 
 ARTICLE = Path(__file__).parents[2] / "scenarios" / "article.toml"
+KEEPING = (
+    "__init__", "cluster", "definition", "running", "sources", "store", "table", "values", "worker",
+)  # fmt: skip
+"""Modules of campaigns that neither fly nor measure"""
 SMALL = (
     "agents=2", "formation.columns=2", "formation.rows=1", "formation.height_m=2", "onboard.localisation=gps",
     "antenna.snapshot_rate_hz=4",
@@ -50,8 +59,8 @@ def test_a_run_is_there_when_it_is_whole_with_its_series(tmp_path):
     store.put(flown(one), {})
     assert store.get(one.digest) == flown(one)
     assert store.get(one.digest, ["gains"]) is None  # it was not kept then
-    store.put(flown(one), {"gains": b"1"})
-    assert store.get(one.digest, ["gains"]) == flown(one)
+    kept = store.put(flown(one), {"gains": b"1"})
+    assert store.get(one.digest, ["gains"]) == kept == flown(one, series=kept.series)
     store.put(flown(other, status=FAILED, reason="fell", summary={}), {})
     assert store.get(other.digest, ["gains"]).reason == "fell"  # it has none
     path = tmp_path / "runs" / f"{one.digest}.json"
@@ -61,6 +70,48 @@ def test_a_run_is_there_when_it_is_whole_with_its_series(tmp_path):
         assert store.get(one.digest) is None
     path.write_bytes(whole.replace(one.digest.encode(), other.digest.encode()))
     assert store.get(one.digest) is None
+
+
+def test_a_series_that_has_been_damaged_is_not_there(tmp_path):
+    """Cut short, emptied, a bit turned, or gone: the run is flown again for it, but not for another one."""
+    (run, _) = expand(campaign(), state="")
+    store, content = Store(tmp_path), b"PAR1 of the test PAR1"
+    kept = store.put(flown(run), {"gains": content, "air": b"a"})
+    path = store.series_path(run.digest, "gains")
+    for damaged in (content[:-1], b"", content + b"\0", content.replace(b"t", b"u", 1)):
+        path.write_bytes(damaged)
+        assert store.get(run.digest, ["air", "gains"]) is None
+        assert store.get(run.digest, ["air"]) == store.get(run.digest) == kept
+    path.unlink()
+    assert store.get(run.digest, ["gains"]) is None
+    store.put(flown(run), {"gains": content})
+    assert store.get(run.digest, ["gains", "air"]) == kept  # what was kept before is so still
+
+
+def test_a_run_that_did_not_fail_is_not_replaced_by_one_that_did(tmp_path):
+    """Flown again for one more series it may fail, by what the first flight did not need."""
+    (run, _) = expand(campaign(), state="")
+    store = Store(tmp_path)
+    fell = flown(run, status=FAILED, reason="fell", summary={})
+    for first in (flown(run), flown(run, status="not_formed", reason="late")):
+        store.put(fell, {})
+        kept = store.put(first, {"air": b"a"})  # one that had failed is replaced
+        assert store.put(fell, {}) == kept
+        assert store.get(run.digest, ["air"]) == kept
+        (tmp_path / "runs" / f"{run.digest}.json").unlink()
+
+
+def test_a_disk_that_is_full_leaves_no_half_of_a_file(tmp_path, monkeypatch):
+    path = tmp_path / "whole"
+    write_whole(path, b"before")
+
+    def full(_descriptor):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        write_whole(path, b"after")
+    assert [(each.name, each.read_bytes()) for each in tmp_path.iterdir()] == [("whole", b"before")]
 
 
 def test_what_is_missing_is_flown_once_and_what_failed_when_it_is_asked_for(tmp_path):
@@ -78,10 +129,16 @@ def test_what_is_missing_is_flown_once_and_what_failed_when_it_is_asked_for(tmp_
 
 def test_a_folder_has_one_campaign_at_a_time_which_tidies_up_after_a_killed_one(tmp_path):
     store = Store(tmp_path)
-    (tmp_path / "runs" / ".half.json").write_text("{")
+    for name in ("runs/.half.json", "runs/.half.gains.parquet", ".table.parquet", ".table.csv"):
+        (tmp_path / name).write_text("{")
+    others = {tmp_path / "runs" / name for name in (".ipynb_checkpoints", ".folder.json", ".nfs0001")}
+    for folder in sorted(others)[:2]:
+        folder.mkdir()
+    max(others).write_text("somebody's")
     (store.flying / "run-1").mkdir(parents=True)
     with store.alone():
-        assert not list((tmp_path / "runs").iterdir())
+        assert set((tmp_path / "runs").iterdir()) == others
+        assert {path.name for path in tmp_path.iterdir()} == {"runs", "lock"}
         assert not store.flying.exists()
         with pytest.raises(CampaignError, match="another campaign flies into it"), Store(tmp_path).alone():
             pass
@@ -90,6 +147,35 @@ def test_a_folder_has_one_campaign_at_a_time_which_tidies_up_after_a_killed_one(
     (tmp_path / "file").touch()
     with pytest.raises(CampaignError, match="cannot be a campaign's folder"):
         Store(tmp_path / "file")
+
+
+def complete_campaign(tmp_path):
+    """Give the command of a campaign of two runs that have all ended."""
+    path = tmp_path / "two.toml"
+    path.write_text(f'scenario = "{ARTICLE}"\nseeds = 2\n')
+    store = Store(tmp_path / "out")
+    for run in expand(load(path), state=sources_state()):
+        store.put(flown(run), {})
+    return [str(path), "--out", str(tmp_path / "out")]
+
+
+def test_the_runs_of_a_command_are_made_once(tmp_path, monkeypatch):
+    made = []
+    monkeypatch.setattr(cli, "expand", lambda *args, **named: made.append(0) or expand(*args, **named))
+    monkeypatch.setattr(running, "expand", cli.expand)
+    assert cli.main(complete_campaign(tmp_path)) == cli.FINE
+    assert len(made) == 1
+
+
+def test_a_schedulers_address_is_checked_though_nothing_is_to_be_flown(tmp_path, capfd):
+    command = complete_campaign(tmp_path)
+    for more in ([], ["--dry-run"]):
+        assert cli.main([*command, "--scheduler", "bogus", *more]) == cli.BAD_INPUT
+        line = "campaign: bogus: expected the address of a dask scheduler, tcp://HOST:PORT\n"
+        assert capfd.readouterr() == ("", line)
+    with pytest.raises(CampaignError, match="bogus: expected the address"):
+        running.run(campaign(), out=tmp_path / "other", scheduler="bogus")
+    assert not (tmp_path / "other").exists()
 
 
 # ---- the table
@@ -152,7 +238,12 @@ def test_a_campaign_of_failures_has_a_table_as_well():
 
 def task(*settings, keep=()):
     return Task(
-        digest="d", state="s", scenario=load_scenario(ARTICLE, settings), settings=settings, keep=keep
+        digest="d",
+        state="s",
+        state_bytes="b",
+        scenario=load_scenario(ARTICLE, settings),
+        settings=settings,
+        keep=keep,
     )
 
 
@@ -175,16 +266,41 @@ def test_the_gains_that_are_kept_are_those_of_the_summary(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_gains_that_cannot_be_had_fail_the_run_that_was_to_keep_them(tmp_path, monkeypatch):
+def test_gains_that_a_flight_does_not_give_fail_the_run_that_was_to_keep_them(tmp_path, monkeypatch):
     """Without keeping them it is a run like others, whose summary has the note."""
-    monkeypatch.setenv("PATH", str(tmp_path))
-    settings = (*SMALL, "run.duration_s=0.1", "antenna.backend=nec2c")
-    ended, series = fly_task(task(*settings, keep=("gains",)), tmp_path)
+    summary = {"status": "completed", "reason": None, "max_gain_dbi": {"mean": None, "note": "of the test"}}
+    monkeypatch.setattr(flying, "fly", lambda _scenario, _folder: summary)
+    ended, series = fly_task(task(keep=("gains",)), tmp_path)
     assert (ended.status, series) == (FAILED, {})
-    assert ended.reason.startswith("NoSeries: no gains to keep: nec2c patterns need")
-    ended, _ = fly_task(task(*settings, keep=("air",)), tmp_path)
+    assert ended.reason == "NoSeries: no gains to keep: of the test"
+    ended, _ = fly_task(task(), tmp_path)
     assert ended.status == "completed"
-    assert ended.summary["max_gain_dbi"]["note"].startswith("nec2c patterns need")
+
+
+def test_a_solver_that_is_not_installed_flies_nothing(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr(flying, "fly", None)
+    with pytest.raises(BackendUnavailable, match="nec2c patterns need"):
+        fly_task(task("antenna.backend=nec2c"), tmp_path)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [OSError(errno.ENOSPC, "No space left on device"), MemoryError(), SetupError("No space left on device")],
+    ids=repr,
+)
+def test_trouble_of_the_machine_is_no_runs_result(tmp_path, monkeypatch, error):
+    """It would be kept for good: the run would not be flown again where there is room."""
+
+    def fail(_scenario, folder):
+        (folder / "left").touch()
+        raise error
+
+    monkeypatch.setattr(flying, "fly", fail)
+    with pytest.raises(type(error)) as caught:
+        fly_task(task(), tmp_path)
+    assert caught.value is error
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_formation_that_is_not_reached_is_a_result_without_gains(tmp_path):
@@ -210,24 +326,62 @@ def test_a_failure_is_a_line_that_the_same_run_would_say_again(tmp_path, monkeyp
     assert not list(tmp_path.iterdir())
 
 
+FLOWN_FILES = ("antenna/a.py", "autopilot/b.py", "harness/campaign/flights.py", "harness/report.py")
+OTHER_FILES = (
+    "antenna/lab/cli.py", "antenna/plots.py", "harness/campaign/cli.py", "harness/cli.py",
+    "harness/deck_export.py", "harness/figures.py", "harness/progress.py", "harness/pytest_plugin.py",
+    "harness/validation/page.py",
+)  # fmt: skip
+MEASURED_BY = ("campaign/flights.py",)
+
+
+def hashes(root):
+    read = sources.read_sources(root, measured_by=MEASURED_BY)
+    return sources.hash_said(read), sources.hash_bytes(read)
+
+
 def test_the_state_of_the_sources_is_of_what_flies_and_measures(tmp_path):
-    """How a campaign is shown changes no flight; how its numbers are made does."""
-    for name in ("antenna/a.py", "harness/campaign/cli.py", "harness/campaign/flights.py"):
-        path = tmp_path / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text("A = 1\n")
+    """How a campaign is shown changes no flight; how its numbers are made does, and comments do not."""
+    for name in (*FLOWN_FILES, *OTHER_FILES):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("A = 1\n")
+    said, as_bytes = hashes(tmp_path)
+    for name in OTHER_FILES:
+        (tmp_path / name).write_text("A = 2\n")
+        assert hashes(tmp_path) == (said, as_bytes), name
+    (tmp_path / "antenna" / "a.py").write_text('"""What it is."""\n\nA = (\n    1  # one\n)\n')
+    assert sources.hash_sources(tmp_path, measured_by=MEASURED_BY) == said
+    assert hashes(tmp_path)[1] != as_bytes
+    seen = {hashes(tmp_path)}
+    for name in FLOWN_FILES:
+        (tmp_path / name).write_text("A = 2\n")
+        seen.add(hashes(tmp_path))
+    assert [len(set(each)) for each in zip(*seen, strict=True)] == [1 + len(FLOWN_FILES)] * 2
 
-    def state():
-        return hash_sources(tmp_path, measured_by=("campaign/flights.py",))
 
-    first = state()
-    (tmp_path / "harness" / "campaign" / "cli.py").write_text("A = 2\n")
-    assert state() == first
-    (tmp_path / "harness" / "campaign" / "flights.py").write_text("A = 2\n")
-    second = state()
-    assert second != first
-    (tmp_path / "antenna" / "a.py").write_text("A = 2\n")
-    assert state() != second
+@pytest.mark.parametrize("library", ["numpy", "scipy", "numba", "pybullet", "PyNEC"])
+def test_another_version_of_a_library_that_computes_is_another_state(tmp_path, monkeypatch, library):
+    before = hashes(tmp_path)
+    installed = importlib.metadata.version
+    monkeypatch.setattr(
+        importlib.metadata, "version", lambda name: "0.0.1" if name == library else installed(name)
+    )
+    assert not set(hashes(tmp_path)) & set(before)
+
+
+def test_every_module_that_a_flight_loads_is_of_the_state_but_what_draws():
+    program = (
+        "import sys; import harness.campaign.flights, harness.report\n"
+        "print(*(each.__file__ for name, each in sys.modules.items()\n"
+        "        if name.partition('.')[0] in ('antenna', 'netsim', 'autopilot', 'harness')), sep='\\n')"
+    )
+    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+    paths = {Path(line) for line in said.splitlines() if line.endswith(".py")}
+    loaded = {path.relative_to(sources.ROOT).as_posix() for path in paths}
+    flown = sources.read_sources(sources.ROOT, measured_by=_MEASURED_BY).keys()
+    assert len(loaded & flown) > 100
+    kept_by = {f"harness/campaign/{name}.py" for name in KEEPING}
+    assert loaded - flown == {"antenna/plots.py", "harness/figures.py", *kept_by}
 
 
 # ---- the time that is left

@@ -3,10 +3,13 @@
 That its logs are a swarm of many processes', byte for byte, is in multiprocess/test_swarm_determinism.py.
 """
 
+import dataclasses
+import errno
 import json
 import math
 import multiprocessing
 import os
+import shutil
 import subprocess
 import sys
 import threading
@@ -21,14 +24,17 @@ import pytest
 
 from autopilot.recording import VEHICLE_RECORD
 from autopilot.vehicle import Vehicle
-from harness import kernel_cache
+from harness import aperture, kernel_cache, report
 from harness.air import Air
+from harness.analysis import gain_series
 from harness.cli import FINE, main
 from harness.local import LocalCarrier, LocalRadio
 from harness.messages import Progress, VehicleLost
 from harness.one_process import OneProcessSwarm, fly
 from harness.processes import SwarmError
+from harness.run_folder import RunFolder
 from harness.scenario import load
+from harness.tables import flight_of, read_flight
 from netsim.config import RadioConfig, ServerConfig
 from netsim.hosted import HostedEmulator
 from netsim.record_log import BLOCK_ROWS
@@ -201,6 +207,71 @@ def test_an_error_in_a_vehicle_is_the_runs_and_its_traceback_is_in_the_log(tmp_p
     assert "in fall" in (tmp_path / "run" / "logs" / "one-process.log").read_text()
     rows = flight_table(tmp_path / "run")["time_us"]
     assert max(rows) == 480_000  # what was recorded up to then, every 20 ms, is there
+
+
+def falling(monkeypatch, error, *, before=lambda: None):
+    """Have the second vehicle raise an error at 0.5 s, after doing something."""
+    step = Vehicle.step
+
+    def fall(self, **inputs):
+        if self.config.instance == 1 and inputs["sim_messages"][-1].time_usec == 500_000:
+            before()
+            raise error
+        return step(self, **inputs)
+
+    monkeypatch.setattr(Vehicle, "step", fall)
+
+
+def test_an_error_that_cannot_be_logged_ends_the_run_all_the_same(tmp_path, monkeypatch):
+    """As on a full disk: the run would otherwise wait for its flight for as long as it may."""
+    folder = tmp_path / "run"
+    falling(monkeypatch, ZeroDivisionError("of the test"), before=lambda: shutil.rmtree(folder / "logs"))
+    with (
+        OneProcessSwarm(scenario(), out=folder, wall_limit_s=30.0) as swarm,
+        pytest.raises(SwarmError, match="ZeroDivisionError: of the test"),
+    ):
+        swarm.run(until_s=1.0)
+    assert not (folder / "logs").exists()
+
+
+@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), MemoryError()], ids=repr)
+def test_a_machine_without_room_is_no_runs_failure(tmp_path, monkeypatch, error):
+    falling(monkeypatch, error)
+    with pytest.raises(type(error)) as caught:
+        fly(scenario(), tmp_path / "run", until_s=1.0)
+    assert caught.value is error
+
+
+def test_a_flight_takes_one_processor_for_its_gains_as_well_and_a_swarm_all(tmp_path, monkeypatch):
+    threads = []
+
+    def count(*arguments, workers):
+        threads.append(workers)
+        return gain_series(*arguments)
+
+    monkeypatch.setattr(aperture, "gain_series", count)
+    monkeypatch.setattr(aperture.os, "cpu_count", lambda: 5)
+    fly(scenario(), tmp_path / "fly", until_s=0.1)
+    with OneProcessSwarm(scenario(), out=tmp_path / "swarm") as swarm:
+        swarm.run(until_s=0.1)
+        swarm.summary(draw=False)
+    assert threads == [1, 5]
+
+
+def test_a_flight_is_read_back_as_it_was_reported(tmp_path, monkeypatch):
+    reported = []
+
+    def note(*arguments, **named):
+        reported.append(flight_of(*arguments, **named))
+        return reported[-1]
+
+    monkeypatch.setattr(report, "flight_of", note)
+    flown = scenario("onboard.localisation=gps", agents=3)
+    fly(flown, tmp_path, until_s=1.0)
+    again = read_flight(RunFolder(tmp_path), flown)
+    assert len(again) == 49  # 50 records in a second, at 20 ms, 40 ms ... before 1 s
+    for field in dataclasses.fields(again):
+        np.testing.assert_array_equal(getattr(again, field.name), getattr(reported[0], field.name))
 
 
 def test_a_run_that_is_broken_off_is_reported_and_leaves_no_thread(tmp_path):

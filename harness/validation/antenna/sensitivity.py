@@ -12,12 +12,14 @@ from antenna.backend import make_backend
 from antenna.config import AntennaConfig
 from antenna.geometry import Array, ElementsTouch
 from antenna.lab.formations import Disorder, draws, ideal
-from antenna.validation.figures import save_sensitivity
-from antenna.validation.findings import Chapter, Finding, Job, Listing, Results, difference, worst
-from antenna.validation.ideal import places
-from antenna.validation.plan import AntennaPlan
+from harness.validation.antenna.checks import difference, worst
+from harness.validation.antenna.figures import save_sensitivity
+from harness.validation.antenna.ideal import places
+from harness.validation.antenna.plan import AntennaPlan
+from harness.validation.report import Check, Section, Table
+from harness.validation.runner import Job, Results
 
-REFERENCE = Path(__file__).parents[2] / "tests" / "reference" / "antenna_sensitivity.csv"
+REFERENCE = Path(__file__).parents[3] / "tests" / "reference" / "antenna_sensitivity.csv"
 TOLERANCE_DB = 0.05
 STANDARD_ERRORS = 2.0
 GRID_DEG = 2.0
@@ -139,21 +141,21 @@ def moments(gains_dbi: Array) -> Moments:
     return Moments(mean_dbi=mean, std_db=std, mean_error_db=std / math.sqrt(count), std_error_db=std_error)
 
 
-def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Chapter:
+def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
     """Compare moments with the reference's, and formations with each other."""
-    rows, findings, cells = reference_rows(), [], []
+    rows, checks, cells = reference_rows(), [], []
     tables: list[Gains] = results["table"]
     for one, gains in zip(rows, tables, strict=True):
         on_grid, refined = moments(np.array(gains.on_grid)), moments(np.array(gains.refined))
-        findings += compared(f"{one.wavelength_m:g} m, σ {one.sigma_m:g} m", on_grid, one)
+        checks += compared(f"{one.wavelength_m:g} m, σ {one.sigma_m:g} m", on_grid, one)
         cells.append((
             f"{one.sigma_m:g}", f"{one.wavelength_m:g}",
             f"{one.mean_max_gain_dbi:.2f} ± {one.std_db:.2f}",
             f"{on_grid.mean_dbi:.3f} ± {on_grid.std_db:.3f}",
             f"{refined.mean_dbi:.3f} ± {refined.std_db:.3f}", str(gains.touching),
         ))  # fmt: skip
-    findings.append(
-        Finding(
+    checks.append(
+        Check(
             name="same σ/wavelength, same draws: greatest difference of a formation",
             value=alike_db(rows, tables), unit="dB", at_most=SAME_DB,
         )
@@ -162,7 +164,7 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Chapter:
     for name, of in feeds.items():
         bound_db = TOLERANCE_DB + STANDARD_ERRORS * of.mean_error_db
         expected_dbi = FEEDS_DBI[name]
-        findings.append(
+        checks.append(
             difference(f"{name}: mean, less {expected_dbi:g}", of.mean_dbi - expected_dbi, bound_db, "dB")
         )
     (best,) = make_backend(AntennaConfig()).patterns([ideal(places(4, 10.0), AntennaConfig())])
@@ -185,7 +187,7 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Chapter:
             ideal_dbi=best.max_gain_dbi,
         )
         figures = (("antenna-sensitivity.png", "maximum gain over position errors, and its densities"),)
-    return Chapter(
+    return Section(
         title="Position errors",
         conditions=(
             "Short dipoles, 4x2, upright, displaced by independent Gaussian errors of σ on each axis; "
@@ -196,14 +198,14 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Chapter:
             f"{STANDARD_ERRORS:g} of our standard errors. All rows have the same draws, scaled by σ: rows "
             "of one σ/wavelength have the same formation in wavelengths, and must give the same gain.\n"
         ),
-        findings=tuple(findings),
-        listings=(
-            Listing(
+        checks=tuple(checks),
+        tables=(
+            Table(
                 caption="Maximum gain, mean ± deviation, dBi:",
                 columns=("σ m", "wavelength m", "reference", "grid of 2°", "refined", "touch"),
                 rows=tuple(cells),
             ),
-            Listing(
+            Table(
                 caption="What the feeds are made of, wavelength 10 m, σ 0.5 m, grid of 2 degrees, dBi: "
                 "phases remade for true positions no longer share their error with the array, and gain less:",
                 columns=("feeds", "reference", "mean", "deviation", "standard error of the mean"),
@@ -219,7 +221,7 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Chapter:
     )  # fmt: skip
 
 
-def compared(name: str, ours: Moments, reference: Reference) -> list[Finding]:
+def compared(name: str, ours: Moments, reference: Reference) -> list[Check]:
     """Mean and deviation against one row of the reference."""
     mean_bound_db = TOLERANCE_DB + STANDARD_ERRORS * ours.mean_error_db
     std_bound_db = TOLERANCE_DB + STANDARD_ERRORS * ours.std_error_db
@@ -244,12 +246,12 @@ def alike_db(rows: tuple[Reference, ...], gains: list[Gains]) -> float:
     )
 
 
-def _grids(results: list[Gains]) -> Listing:
+def _grids(results: list[Gains]) -> Table:
     rows = []
     for step_deg, gains in zip(GRIDS_DEG, results, strict=True):
         lost_db = np.array(gains.refined) - np.array(gains.on_grid)
         rows.append((f"{step_deg:g}", f"{lost_db.mean():.4f}", f"{lost_db.max():.4f}"))
-    return Listing(
+    return Table(
         caption="What a grid alone would lose of the maximum, wavelength 10 m, σ 0.5 m, dB:",
         columns=("grid °", "on average", "at most"),
         rows=tuple(rows),

@@ -11,22 +11,14 @@ from antenna.config import AntennaConfig
 from antenna.geometry import ElementsTouch, Snapshot, along, upright
 from antenna.lab.formations import ideal
 from antenna.patterns import Pattern
-from antenna.validation.agreement import Case, Compared, differences, formations
-from antenna.validation.figures import save_convergence
-from antenna.validation.findings import (
-    Chapter,
-    Finding,
-    Job,
-    Listing,
-    Results,
-    difference,
-    row,
-    said_missing,
-    witness,
-    worst,
-)
-from antenna.validation.ideal import EXACT_DBI, SOLVERS, places
-from antenna.validation.plan import AntennaPlan
+from harness.validation.antenna import near, power
+from harness.validation.antenna.agreement import Case, Compared, differences, formations
+from harness.validation.antenna.checks import difference, row, said_missing, witness, worst
+from harness.validation.antenna.figures import save_convergence
+from harness.validation.antenna.ideal import EXACT_DBI, SOLVERS, places
+from harness.validation.antenna.plan import AntennaPlan
+from harness.validation.report import Check, Section, Table
+from harness.validation.runner import Job, Results
 
 SEGMENTS = (5, 7, 9, 11, 15, 21, 31, 41, 61)
 LONG_WAVELENGTHS_M = (5.0, 10.0, 20.0)
@@ -42,7 +34,7 @@ LEAST_APART_M, SEED = 0.35, 5
 NEAR_M = (0.5, 0.2, 0.15, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002)
 """Distances of two short dipoles side by side."""
 BALANCED_M = 0.15
-"""From here on NEC2 balances the power of short dipoles: three times their length."""
+"""From here on at least the power of two that are fed in phase is in balance."""
 BALANCE = 0.01
 TOUCHING = ("side by side, 0.3 mm", "one on the other", "crossing", "end to end", "through the ground")
 """Arrangements of two short dipoles without a pattern."""
@@ -88,6 +80,8 @@ def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:
         "short": [(solve_ideal, _config("nec2", segments=segments)) for segments in SHORT_SEGMENTS],
         "near": [(solve_near, (solver, apart_m)) for apart_m in NEAR_M for solver in SOLVERS],
         "touching": [(solve_touching, (solver, name)) for name in TOUCHING for solver in SOLVERS],
+        "power": power.jobs(plan),
+        **near.jobs(plan),
     }  # fmt: skip
 
 
@@ -146,7 +140,7 @@ def answer(snapshot: Snapshot, config: AntennaConfig) -> Answer | None:
     return Answer(refusal=str(found), touching=(found.first, found.second))
 
 
-def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Chapter:  # one shape
+def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
     """Bound what is known, and show the rest."""
     asked = jobs(plan)
     long = {
@@ -154,13 +148,15 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Chapter: 
         for (_, c), a in zip(asked["long"], results["long"], strict=True)
     }
     short = {c.segments: a for (_, c), a in zip(asked["short"], results["short"], strict=True)}
-    near = {key: a for (_, key), a in zip(asked["near"], results["near"], strict=True)}
+    two = {key: a for (_, key), a in zip(asked["near"], results["near"], strict=True)}
     touching = {key: a for (_, key), a in zip(asked["touching"], results["touching"], strict=True)}
-    findings, listing = _of_segments(long)
+    checks, table = _of_segments(long)
     further, refined = _of_refinement(results["refined"])
     more, balance = _of_balance(short)
-    close, distances = _of_near(near)
+    close, distances = _of_near(two)
     last, refusals = _of_touching(touching)
+    faint, powers = power.judge(results["power"])
+    meeting, crowds = near.judge(results)
     figures: tuple[tuple[str, str], ...] = ()
     if images is not None:
         curves = {
@@ -175,23 +171,25 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Chapter: 
             images / "antenna-convergence.png", {name: points for name, points in curves.items() if points}
         )
         figures = (("antenna-convergence.png", "maximum gain of 5 m dipoles over their segments"),)
-    return Chapter(
+    return Section(
         title="Known limits",
         conditions=(
             "The ideal array of 5 m dipoles (1 mm radius) with more and more segments, of short dipoles "
-            "likewise; two short dipoles, fed in phase, that come nearer and nearer; and arrangements "
-            "without a pattern, which every solver must refuse by the same two elements. A lossless array "
+            "likewise; short dipoles that are smaller and smaller against the wavelength; two of them, fed "
+            "in phase, that come nearer and nearer, and two of an array that do; loops too wide for their "
+            "places; and arrangements without a pattern, which every solver must refuse by the same two "
+            "elements. A lossless array "
             "radiates what it takes, so its average gain is 1 but for the solver's error.\n"
-            + said_missing(s for s in SOLVERS if near[s, NEAR_M[0]] is None)
+            + said_missing(s for s in SOLVERS if two[s, NEAR_M[0]] is None)
         ),
-        findings=(*findings, *further, *more, *close, *last),
-        listings=(listing, refined, balance, distances, refusals),
+        checks=(*checks, *further, *more, *faint, *close, *meeting, *last),
+        tables=(table, refined, balance, powers, distances, *crowds, refusals),
         figures=figures,
     )
 
 
-def _of_segments(long: dict[tuple[float, str, int], Answer | None]) -> tuple[list[Finding], Listing]:
-    findings: list[Finding] = []
+def _of_segments(long: dict[tuple[float, str, int], Answer | None]) -> tuple[list[Check], Table]:
+    checks: list[Check] = []
     rows = []
     for wavelength_m in LONG_WAVELENGTHS_M:
         apart = []
@@ -204,16 +202,16 @@ def _of_segments(long: dict[tuple[float, str, int], Answer | None]) -> tuple[lis
                             nec2.average_gain))  # fmt: skip
         if apart:
             name = f"batch less nec2 of the same segments, 5 m at {wavelength_m:g} m, at worst"
-            findings.append(difference(name, worst(apart), FOLLOWS_DB, "dB"))
-    return findings, Listing(
+            checks.append(difference(name, worst(apart), FOLLOWS_DB, "dB"))
+    return checks, Table(
         caption="Ideal array of dipoles of 5 m, maximum in dBi:",
         columns=("wavelength m", "segments", "nec2", "batch", "less nec2 dB", "average gain of nec2"),
         rows=tuple(rows),
     )
 
 
-def _of_refinement(results: list[Compared | None]) -> tuple[list[Finding], Listing]:
-    findings, rows = [], []
+def _of_refinement(results: list[Compared | None]) -> tuple[list[Check], Table]:
+    checks, rows = [], []
     for (wavelength_m, few, many), found in zip(REFINED, results, strict=True):
         if found is None:
             continue
@@ -224,10 +222,10 @@ def _of_refinement(results: list[Compared | None]) -> tuple[list[Finding], Listi
         ))  # fmt: skip
         if (wavelength_m, few, many) == REFINED[0]:
             name = f"nec2, 5 m at 5 m, {few} to {many} segments: pattern, median; it has not converged"
-            findings.append(
-                Finding(name=name, value=float(np.median(pattern_db)), unit="dB", at_least=UNCONVERGED_DB)
+            checks.append(
+                Check(name=name, value=float(np.median(pattern_db)), unit="dB", at_least=UNCONVERGED_DB)
             )
-    return findings, Listing(
+    return checks, Table(
         caption="Random formations of dipoles of 5 m (0.5 m, 10 degrees), NEC2 with more segments less NEC2 "
         "with fewer. One reference gives 0.94 dB from 9 to 21 segments at 5 m, and does not say of what; it "
         "is the pattern that moves so far, not the maximum:",
@@ -237,16 +235,16 @@ def _of_refinement(results: list[Compared | None]) -> tuple[list[Finding], Listi
     )  # fmt: skip
 
 
-def _of_balance(short: dict[int, Answer | None]) -> tuple[list[Finding], Listing]:
+def _of_balance(short: dict[int, Answer | None]) -> tuple[list[Check], Table]:
     found = {segments: one for segments, one in short.items() if one is not None}
-    findings = [
+    checks = [
         difference(
             f"nec2, short dipoles: directivity, less {EXACT_DBI:g}, at worst of {len(found)} numbers of "
             "segments",
             worst(one.directivity_dbi - EXACT_DBI for one in found.values()), DIRECTIVITY_DB, "dB",
         )
     ] if found else []  # fmt: skip
-    return findings, Listing(
+    return checks, Table(
         caption="Short dipoles at 10 m by NEC2: what segments cost is in the average gain, and nowhere else:",
         columns=("segments", "maximum dBi", "average gain", "directivity dBi"),
         rows=tuple(
@@ -256,17 +254,17 @@ def _of_balance(short: dict[int, Answer | None]) -> tuple[list[Finding], Listing
     )
 
 
-def _of_near(near: dict[tuple[str, float], Answer | None]) -> tuple[list[Finding], Listing]:
-    findings, rows = [], []
+def _of_near(two: dict[tuple[str, float], Answer | None]) -> tuple[list[Check], Table]:
+    checks, rows = [], []
     for solver in SOLVERS:
         balances = [
-            one.average_gain - 1.0 for m in NEAR_M if m >= BALANCED_M and (one := near[solver, m]) is not None
+            one.average_gain - 1.0 for m in NEAR_M if m >= BALANCED_M and (one := two[solver, m]) is not None
         ]
         if balances:
             name = f"{solver}, short dipoles {BALANCED_M:g} m apart or more: average gain, less 1, at worst"
-            findings.append(difference(name, worst(balances), BALANCE, ""))
+            checks.append(difference(name, worst(balances), BALANCE, ""))
     for apart_m in NEAR_M:
-        found = [near[solver, apart_m] for solver in SOLVERS]
+        found = [two[solver, apart_m] for solver in SOLVERS]
         cells = [
             cell
             for one in found
@@ -274,18 +272,18 @@ def _of_near(near: dict[tuple[str, float], Answer | None]) -> tuple[list[Finding
         ]
         rows.append(row(f"{1e3 * apart_m:g}", *cells))
     columns = ("apart mm", *(f"{solver}{what}" for solver in SOLVERS for what in (" dBi", ": average gain")))
-    return findings, Listing(
+    return checks, Table(
         caption="Two short dipoles of 50 mm side by side, in phase, 10 m:", columns=columns, rows=tuple(rows)
     )
 
 
-def _of_touching(touching: dict[tuple[str, str], Answer | None]) -> tuple[list[Finding], Listing]:
-    findings, rows = [], []
+def _of_touching(touching: dict[tuple[str, str], Answer | None]) -> tuple[list[Check], Table]:
+    checks, rows = [], []
     for name in TOUCHING:
         found = {solver: one for solver in SOLVERS if (one := touching[solver, name]) is not None}
         refused = [one.touching for one in found.values()]
-        findings.append(
-            Finding(
+        checks.append(
+            Check(
                 name=f"solvers, of {len(refused)}, that refuse two dipoles by the same elements: {name}",
                 value=float(sum(pair is not None and pair == refused[0] for pair in refused)),
                 unit="", at_least=float(len(refused)),
@@ -294,6 +292,6 @@ def _of_touching(touching: dict[tuple[str, str], Answer | None]) -> tuple[list[F
         rows.append(
             (name, "; ".join(f"{solver}: {one.refusal or 'a pattern'}" for solver, one in found.items()))
         )
-    return findings, Listing(
+    return checks, Table(
         caption="What is said of them:", columns=("two short dipoles", "error"), rows=tuple(rows)
     )

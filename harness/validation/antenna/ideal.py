@@ -16,26 +16,16 @@ from antenna.lab.hertzian import hertzian_pattern
 from antenna.patterns import Pattern
 from antenna.plots import patterns_figure
 from antenna.ports import MAIN_LOBE_DEG, feed
-from antenna.validation.closed_form import (
+from harness.validation.antenna.checks import deviation, difference, row, said_missing, witness, worst
+from harness.validation.antenna.closed_form import (
     directivity_dbi,
     hertzian_coupling,
     isotropic_coupling,
     policy_voltages,
 )
-from antenna.validation.findings import (
-    Chapter,
-    Finding,
-    Job,
-    Listing,
-    Results,
-    deviation,
-    difference,
-    row,
-    said_missing,
-    witness,
-    worst,
-)
-from antenna.validation.plan import AntennaPlan
+from harness.validation.antenna.plan import AntennaPlan
+from harness.validation.report import Check, Section, Table
+from harness.validation.runner import Job, Results
 
 SOLVERS = ("nec2", "nec2c", "batch")
 WAVELENGTHS_M = (5.0, 7.5, 10.0, 15.0, 20.0)
@@ -158,12 +148,12 @@ def summary(pattern: Pattern, *, keep: bool) -> Solved:
     )  # fmt: skip
 
 
-def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Chapter:  # noqa: ARG001  # one shape
+def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:  # noqa: ARG001  # one shape
     """Compare all of it."""
     short = dict(zip(product(WAVELENGTHS_M, SOLVERS), results["short"], strict=True))
     long = dict(zip(product(LONG_DBI, LONG_RADII_M, SOLVERS), results["long"], strict=True))
     policies = dict(zip(product(LAYOUTS, POLICIES, SOLVERS), results["policies"], strict=True))
-    findings, listing = _of_short_dipoles(short)
+    checks, table = _of_short_dipoles(short)
     more, wires = _of_long_dipoles(long)
     last, feeds = _of_policies(policies)
     figures: tuple[tuple[str, str], ...] = ()
@@ -172,7 +162,7 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Chapter: 
         patterns_figure(drawn).savefig(images / "antenna-ideal.png", format="png", dpi=80)
         figures = (("antenna-ideal.png", "the ideal formation's pattern by both solvers"),)
     absent = [s for _, s in short if short[10.0, s] is None]
-    return Chapter(
+    return Section(
         title="The ideal array",
         conditions=(
             "Eight upright dipoles, four columns 0.85 wavelengths apart along x and two rows 0.25 apart "
@@ -182,14 +172,14 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Chapter: 
             f"gain is directivity. Widths and lobes are read off a grid of {GRID_DEG:g} degrees. Reference "
             "numbers are those of other programs over PyNEC 2.3.4 and nec2c 1.3.\n" + said_missing(absent)
         ),
-        findings=(*findings, *more, *last),
-        listings=(listing, wires, feeds),
+        checks=(*checks, *more, *last),
+        tables=(table, wires, feeds),
         figures=figures,
     )
 
 
-def _of_short_dipoles(short: dict[tuple[float, str], Solved | None]) -> tuple[list[Finding], Listing]:
-    findings, rows = [], []
+def _of_short_dipoles(short: dict[tuple[float, str], Solved | None]) -> tuple[list[Check], Table]:
+    checks, rows = [], []
     found: dict[str, list[Solved]] = {name: [] for name in ("exact", *SOLVERS)}
     for wavelength_m in WAVELENGTHS_M:
         config = AntennaConfig(wavelength_m=wavelength_m, grid_deg=GRID_DEG)
@@ -200,20 +190,20 @@ def _of_short_dipoles(short: dict[tuple[float, str], Solved | None]) -> tuple[li
                 continue
             expected_dbi = EXACT_DBI if name == "exact" else NEC2_DBI
             title = f"{name}, {wavelength_m:g} m: maximum"
-            findings.append(deviation(title, one.max_gain_dbi, expected_dbi, TOLERANCE_DB, "dB"))
+            checks.append(deviation(title, one.max_gain_dbi, expected_dbi, TOLERANCE_DB, "dB"))
             found[name].append(one)
             rows.append(_numbers(name, wavelength_m, one))
     for name, all_of_it in found.items():
         if all_of_it:
-            findings += _shape(name, all_of_it)
+            checks += _shape(name, all_of_it)
     columns = (
         "solver", "wavelength m", "maximum dBi", "theta °", "phi °", "average gain", "directivity dBi",
         "azimuth °", "elevation °", "side lobe dBi", "to -y dBi",
     )  # fmt: skip
-    return findings, Listing(caption="Short dipoles:", columns=columns, rows=tuple(rows))
+    return checks, Table(caption="Short dipoles:", columns=columns, rows=tuple(rows))
 
 
-def _shape(name: str, found: Sequence[Solved]) -> list[Finding]:
+def _shape(name: str, found: Sequence[Solved]) -> list[Check]:
     """What must be alike at all wavelengths; the worst of them."""
     return [
         difference(
@@ -229,7 +219,7 @@ def _shape(name: str, found: Sequence[Solved]) -> list[Finding]:
             ("side lobe", lambda one: one.side_lobe_dbi, SIDE_LOBE_DBI, SIDE_LOBE_TOLERANCE_DB, "dB"),
         )
     ] + [
-        Finding(
+        Check(
             name=f"{name}: gain to -y, greatest", value=max(one.back_dbi for one in found), unit="dBi",
             at_most=DEEP_NULL_DBI,
         )
@@ -257,19 +247,19 @@ def from_main_lobe_deg(found: Solved) -> float:
 
 def _of_long_dipoles(
     long: dict[tuple[float, float, str], Solved | None],
-) -> tuple[list[Finding], Listing]:
-    findings, rows = [], []
+) -> tuple[list[Check], Table]:
+    checks, rows = [], []
     for wavelength_m, radius_m in product(LONG_DBI, LONG_RADII_M):
         reference_dbi, tolerance_db = LONG_DBI[wavelength_m]
         solved = [long[wavelength_m, radius_m, solver] for solver in SOLVERS]
         for solver, found in zip(SOLVERS, solved, strict=True):
             if found is not None and radius_m == REFERENCE_RADIUS_M:
                 name = f"{solver}, dipole 5 m, {wavelength_m:g} m: maximum"
-                findings.append(deviation(name, found.max_gain_dbi, reference_dbi, tolerance_db, "dB"))
+                checks.append(deviation(name, found.max_gain_dbi, reference_dbi, tolerance_db, "dB"))
         gains = [None if found is None else found.max_gain_dbi for found in solved]
         average = None if solved[0] is None else solved[0].average_gain
         rows.append(row(f"{wavelength_m:g}", f"{1e3 * radius_m:g}", f"{reference_dbi:g}", *gains, average))
-    return findings, Listing(
+    return checks, Table(
         caption="Dipoles of 5 m, 11 segments, maximum in dBi; equal voltages no longer give equal currents. "
         f"The reference does not say its wire's radius; {1e3 * REFERENCE_RADIUS_M:g} mm was chosen since all "
         "of its numbers come out with it, so that they are a check of the solvers together, but not of each "
@@ -281,8 +271,8 @@ def _of_long_dipoles(
 
 def _of_policies(
     policies: dict[tuple[str, str, str], Solved | None],
-) -> tuple[list[Finding], Listing]:
-    findings, rows, wavelength_m = [], [], 10.0
+) -> tuple[list[Check], Table]:
+    checks, rows, wavelength_m = [], [], 10.0
     apart_db: dict[str, list[float]] = {solver: [] for solver in SOLVERS}
     for (kind, policy), reference_dbi in REFERENCE_DBI.items():
         layout, wired = kind.split()[0], "isotropic" not in kind
@@ -291,7 +281,7 @@ def _of_policies(
         voltages = policy_voltages(policy, coupling, places_m, wavelength_m)
         exact_dbi = directivity_dbi(voltages, coupling, places_m, wavelength_m)
         name = f"{kind}, {policy}"
-        findings.append(deviation(f"{name}: exact", exact_dbi, reference_dbi, ROUNDING_DB, "dB"))
+        checks.append(deviation(f"{name}: exact", exact_dbi, reference_dbi, ROUNDING_DB, "dB"))
         solved = [policies[layout, policy, solver] if wired else None for solver in SOLVERS]
         for solver, found in zip(SOLVERS, solved, strict=True):
             if found is not None:
@@ -301,8 +291,8 @@ def _of_policies(
     for solver, errors_db in apart_db.items():
         if errors_db:
             name = f"all policies: {solver}'s directivity, less the exact, at worst"
-            findings.append(difference(name, worst(errors_db), WIRES_DB, "dB"))
-    return findings, Listing(
+            checks.append(difference(name, worst(errors_db), WIRES_DB, "dB"))
+    return checks, Table(
         caption="Feeding policies, 10 m: directivity along +y in closed form; solvers' maximum gain, dBi:",
         columns=("formation", "policy", "reference", "exact", *SOLVERS),
         rows=tuple(rows),

@@ -8,8 +8,10 @@ from typing import Any
 import msgspec
 
 from antenna.backend import BackendUnavailable
-from antenna.validation.findings import Chapter, Finding, Job, Listing, Results, said_missing
-from antenna.validation.plan import AntennaPlan
+from harness.validation.antenna.checks import said_missing
+from harness.validation.antenna.plan import AntennaPlan
+from harness.validation.report import Check, Section, Table
+from harness.validation.runner import Job, Results
 
 LEAST = {"speedup_short_dipole": 200.0, "speedup_5m_dipole": 40.0, "speedup_two_cores": 1.7}
 """Asked of fields of the benchmark."""
@@ -31,11 +33,11 @@ def measure(seconds: float) -> dict[str, Any] | None:
     return fields
 
 
-def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Chapter:  # noqa: ARG001  # one shape
+def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:  # noqa: ARG001  # one shape
     """Bound three of its numbers, and list all."""
     (fields,) = results["benchmark"]
     cores = len(os.sched_getaffinity(0))
-    return Chapter(
+    return Section(
         title="Speed",
         conditions=(
             f"`antenna_lab.py benchmark --seconds {plan.benchmark_s:g}`, with nothing else of this "
@@ -45,17 +47,17 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Chapter: 
             "wall. docs/antenna.md says what is counted.\n"
             + said_missing([] if fields is not None else ["nec2 (PyNEC), without which nothing is compared"])
         ),
-        findings=() if fields is None else requirements(fields),
-        listings=() if fields is None else (
-            Listing(caption="All that it measured:", columns=("field", "value"), rows=tuple(flat(fields))),
+        checks=() if fields is None else requirements(fields),
+        tables=() if fields is None else (
+            Table(caption="All that it measured:", columns=("field", "value"), rows=tuple(flat(fields))),
         ),
     )  # fmt: skip
 
 
-def requirements(fields: dict[str, Any]) -> tuple[Finding, ...]:
+def requirements(fields: dict[str, Any]) -> tuple[Check, ...]:
     """Speed-ups that are asked for; one that the benchmark does not have is not met."""
     return tuple(
-        Finding(name=name, value=float(fields.get(name, math.nan)), unit="", at_least=least)
+        Check(name=name, value=float(fields.get(name, math.nan)), unit="", at_least=least)
         for name, least in LEAST.items()
     )
 
