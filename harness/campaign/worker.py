@@ -72,10 +72,12 @@ def fly_on_worker(task: Task) -> tuple[Flown, dict[str, bytes]]:
     try:
         return flights.fly_task(task, folder)
     except flights.OF_THE_MACHINE as error:
-        raise ClusterError(
-            f"the worker at {worker.address} cannot fly: {flights.one_line(error, folder)}; "
-            "what has been flown stays, and the same campaign goes on from there"
-        ) from None
+        trouble = flights.one_line(error, folder)
+    # not within the block: with the other errors as its context it could not always travel
+    raise ClusterError(
+        f"the worker at {worker.address} cannot fly: {trouble}; what has been flown stays, and the same "
+        "campaign goes on from there"
+    )
 
 
 def dask_setup(_worker: Any) -> None:  # noqa: ANN401  a distributed.Worker
