@@ -19,9 +19,10 @@ from rich.console import Console
 
 from harness import kernel_cache
 from harness.article import figures, page
-from harness.article.draws import WIND_PHIS_DEG, draw, ideal_gains, tilted
+from harness.article.draws import WAVELENGTHS_M as DRAWN_M
+from harness.article.draws import WIND_PHIS_DEG, array_of, draw, frequency_mhz, ideal_gains, tilted
 from harness.article.evidence import Evidence
-from harness.article.kept import figure_flight, figure_patterns_of, kept_flights, separate
+from harness.article.kept import figure_flights, figure_patterns_of, kept_flights, separate
 from harness.article.patterns import read_pattern
 from harness.article.plan import FIGURE_WAVELENGTH_M, FIGURE_WIND_N, KEPT, QUICK, Plan, campaigns
 from harness.article.readings import csv_text, read_cells
@@ -84,15 +85,25 @@ def article(
             sections = page.sections(results)
             if out is not None:
                 _write(results, sections, out, quick=quick)
+            _tell(results, sections, out, json=json, stdout=stdout)
     except KeyboardInterrupt:
         messages.print("broken off: the same command goes on from here")
         raise typer.Exit(INTERRUPTED) from None
-    except (CampaignError, kernel_cache.CompileError, OSError) as error:
-        messages.print(f"{PROGRAM}: {error}", soft_wrap=True)
-        known_bad = isinstance(error, CampaignError) and not isinstance(error, ClusterError)
-        raise typer.Exit(BAD_INPUT if known_bad else SOME_FAILED) from None
-    _tell(results, sections, out, json=json, stdout=stdout)
+    except Exception as error:  # noqa: BLE001  every end has its status and its line
+        status, line = _ending(error)
+        messages.print(f"{PROGRAM}: {line}", soft_wrap=True, markup=False)
+        raise typer.Exit(status) from None
     raise typer.Exit(SOME_FAILED if results.broken else FINE)
+
+
+def _ending(error: Exception) -> tuple[int, str]:
+    match error:
+        case ClusterError() | kernel_cache.CompileError() | OSError():
+            return SOME_FAILED, str(error)
+        case CampaignError():
+            return BAD_INPUT, str(error)
+        case _:
+            return SOME_FAILED, f"{type(error).__name__}: {error}".rstrip(": ").splitlines()[0]
 
 
 @contextlib.contextmanager
@@ -119,7 +130,9 @@ def _fly(
         missing = known(campaign, runs, Store(folder), retry=retry)[1]
         total = len({each.digest for each in runs})
         messages.print(
-            f"{name}: {total} flights, {len(missing)} of them to be flown; into {folder}", soft_wrap=True
+            f"{name}: {total} flights, {len(missing)} of them to be flown; into {folder}",
+            soft_wrap=True,
+            markup=False,
         )
         with Display(messages, campaign, total=total, kept=total - len(missing)) as display:
             tables[name] = run(
@@ -137,9 +150,10 @@ def _measure(plan: Plan, tables: Mapping[str, Table], messages: Console) -> page
     with progress_lines(messages) as (note, _):
         drawn = draw(plan.draws, done=lambda done, total: note("random formations", done, total))
         kept = list(kept_flights(tables[KEPT]))
-        shown = figure_flight(kept)
         separations = separate(kept, done=lambda done: note("kept flights", done, len(kept)))
-        figure = None if shown is None else figure_patterns_of(shown)
+        solved = list(map(figure_patterns_of, figure_flights(kept)))
+        drawn_from = [each for each in solved if each is not None]
+        figure = drawn_from[0] if drawn_from else None
     leaning = {}
     of_figure = (FIGURE_WAVELENGTH_M, FIGURE_WIND_N)
     windy = next((each for each in separations if (each.wavelength_m, each.wind_n) == of_figure), None)
@@ -152,8 +166,11 @@ def _measure(plan: Plan, tables: Mapping[str, Table], messages: Console) -> page
             for phi_deg in WIND_PHIS_DEG
         }
     evidence = Evidence(
-        cells=cells, ideals=ideal_gains(plan.wavelengths_m), separations=separations,
+        cells=cells, ideals=ideal_gains(sorted({*plan.wavelengths_m, *DRAWN_M})), separations=separations,
         patterns={} if figure is None else figure.readings(), drawn=drawn, leaning=leaning,
+        pattern_flights={each.seed: each.readings() for each in drawn_from},
+        solver=array_of(FIGURE_WAVELENGTH_M)[1].backend,
+        frequencies_mhz={each: frequency_mhz(each) for each in plan.wavelengths_m},
     )  # fmt: skip
     plans = campaigns(plan)
     broken = {
@@ -195,6 +212,7 @@ def _tell(
     result = {
         "agree": found[Verdict.AGREES],
         "differ": found[Verdict.DIFFERS],
+        "not_told_apart": found[Verdict.OPEN],
         "not_measured": found[Verdict.UNKNOWN],
         "failed": len(results.broken),
         "page": None if out is None else str(out / page.FILE_NAME),

@@ -5,7 +5,7 @@ its vehicles in their places, tilted as they flew. What differs between them is 
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,10 +16,11 @@ from antenna.geometry import Snapshot
 from antenna.parallel import compute_patterns
 from antenna.patterns import Pattern
 from antenna.ports import MAIN_LOBE_DEG
-from antenna.statistics import RunningEnvelope, pointing_errors_deg
-from harness.analysis import FIGURE_GRID_DEG, figure_patterns, gain_series, ideal_pattern
+from antenna.statistics import pointing_errors_deg
+from harness.analysis import FIGURE_GRID_DEG, gain_series, ideal_pattern
 from harness.article.patterns import PatternReading, mean_pattern, read_pattern
 from harness.article.plan import FIGURE_WAVELENGTH_M, FIGURE_WIND_N
+from harness.article.snapshots import snapshots_of, upright_array
 from harness.campaign import Table
 from harness.campaign.series import make_flight
 from harness.flight import Array, Flight
@@ -51,10 +52,9 @@ class Separation(Struct, frozen=True, kw_only=True):
 
     wavelength_m: float
     wind_n: float
-    flights: int
     ideal_dbi: float
-    mean_dbi: dict[str, float]
-    """By `VARIANTS`."""
+    mean_dbi: dict[int, dict[str, float]]
+    """Of each flight, by its seed and by `VARIANTS`."""
     tilt_rms_deg: float
     """Of vehicles from the vertical."""
     turned_rms_deg: float
@@ -62,9 +62,15 @@ class Separation(Struct, frozen=True, kw_only=True):
     pointing_rms_deg: float
     """Of the maximum from the end-fire axis, as flown."""
 
-    def loss_db(self, variant: str) -> float:
-        """Less than ideal."""
-        return self.ideal_dbi - self.mean_dbi[variant]
+    @property
+    def seeds(self) -> list[int]:
+        """Of the flights, rising."""
+        return sorted(self.mean_dbi)
+
+    def loss_db(self, variant: str, seeds: Sequence[int] | None = None) -> float:
+        """Less than ideal, mean of the flights of some seeds; without, of all."""
+        means = [self.mean_dbi[seed][variant] for seed in (self.seeds if seeds is None else seeds)]
+        return self.ideal_dbi - math.fsum(means) / len(means)
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -121,11 +127,12 @@ def separate(
 ) -> list[Separation]:
     """Solve every variant of every flight, and take means over those of one wavelength and wind.
 
-    ``done`` is told how many flights are through.
+    Flights of which a variant has no pattern are left out. ``done`` is told how many flights are through.
     """
     groups: dict[tuple[float, float], list[_Solved]] = {}
     for number, kept in enumerate(flights, start=1):
-        groups.setdefault((kept.scenario.antenna.wavelength_m, kept.wind_n), []).append(_solve(kept))
+        if (solved := _solve(kept)) is not None:
+            groups.setdefault((kept.scenario.antenna.wavelength_m, kept.wind_n), []).append(solved)
         done(number)
     return [_separation(wavelength_m, wind_n, group) for (wavelength_m, wind_n), group in groups.items()]
 
@@ -134,6 +141,7 @@ def separate(
 class _Solved:
     """Numbers of one flight, over its instants and living vehicles."""
 
+    seed: int
     ideal_dbi: float
     max_gain_dbi: dict[str, Array]
     tilts_rad: Array
@@ -141,24 +149,27 @@ class _Solved:
     pointing_deg: Array
 
 
-def _solve(kept: KeptFlight) -> _Solved:
+def _solve(kept: KeptFlight) -> _Solved | None:
     series = {
         name: gain_series(variant, kept.scenario.antenna) for name, variant in variants(kept.flight).items()
     }
+    if not all(len(each.patterns) for each in series.values()):
+        return None
     return _Solved(
-        ideal_dbi=_ideal_dbi(kept.scenario),
+        seed=kept.scenario.run.seed, ideal_dbi=_ideal_dbi(kept.scenario),
         max_gain_dbi={name: each.max_gain_dbi for name, each in series.items()},
         tilts_rad=tilts_rad(kept.flight.q_ned_frd)[kept.flight.alive],
         turned_rad=formation_error(kept.flight).yaw_rad,
         pointing_deg=pointing_errors_deg(series[FLOWN].patterns, *MAIN_LOBE_DEG),
-    )
+    )  # fmt: skip
 
 
 def _separation(wavelength_m: float, wind_n: float, group: Sequence[_Solved]) -> Separation:
-    gains = {name: np.concatenate([each.max_gain_dbi[name] for each in group]) for name in VARIANTS}
     return Separation(
-        wavelength_m=wavelength_m, wind_n=wind_n, flights=len(group), ideal_dbi=group[0].ideal_dbi,
-        mean_dbi={name: float(values.mean()) for name, values in gains.items()},
+        wavelength_m=wavelength_m, wind_n=wind_n, ideal_dbi=group[0].ideal_dbi,
+        mean_dbi={
+            each.seed: {name: float(each.max_gain_dbi[name].mean()) for name in VARIANTS} for each in group
+        },
         tilt_rms_deg=math.degrees(_rms([each.tilts_rad for each in group])),
         turned_rms_deg=math.degrees(_rms([each.turned_rad for each in group])),
         pointing_rms_deg=_rms([each.pointing_deg for each in group]),
@@ -174,34 +185,47 @@ def _rms(parts: Sequence[Array]) -> float:
     return float(np.sqrt((np.concatenate(parts) ** 2).mean()))
 
 
-def figure_flight(flights: Sequence[KeptFlight]) -> KeptFlight | None:
-    """Give the first flight of the article's pattern's wavelength and wind; None if there is none."""
+def figure_flights(flights: Iterable[KeptFlight]) -> Iterator[KeptFlight]:
+    """Give the flights of the article's pattern's wavelength and wind."""
     wanted = (FIGURE_WAVELENGTH_M, FIGURE_WIND_N)
-    return next(
-        (each for each in flights if (each.scenario.antenna.wavelength_m, each.wind_n) == wanted), None
+    return (each for each in flights if (each.scenario.antenna.wavelength_m, each.wind_n) == wanted)
+
+
+def figure_patterns_of(kept: KeptFlight) -> FigurePatterns | None:
+    """Solve one flight on a fine grid: its median instant, and the means of its variants.
+
+    None if a variant has no pattern.
+    """
+    scenario = kept.scenario
+    fine = structs.replace(scenario.antenna, grid_deg=min(scenario.antenna.grid_deg, FIGURE_GRID_DEG))
+    means: dict[str, Pattern] = {}
+    flown: list[tuple[float, int]] = []  # maximum gains, with their times in us
+    arrays = {name: snapshots_of(each, scenario.antenna) for name, each in variants(kept.flight).items()}
+    for name, snapshots in arrays.items():
+        noted: list[tuple[float, int]] = []
+        mean = mean_pattern(_patterns(fine, snapshots, noted))
+        if mean is None:
+            return None
+        means[name] = mean
+        flown = noted if name == FLOWN else flown
+    _, time_us = sorted(flown)[(len(flown) - 1) // 2]
+    ideal, median = compute_patterns(fine, [upright_array(scenario), arrays[FLOWN][time_us]])
+    if not isinstance(ideal, Pattern) or not isinstance(median, Pattern):
+        return None
+    return FigurePatterns(
+        seed=scenario.run.seed, time_s=time_us / 1e6, ideal=ideal, median=median, means=means
     )
 
 
-def figure_patterns_of(kept: KeptFlight) -> FigurePatterns:
-    """Solve one flight on a fine grid: its median instant, and the means of its variants."""
-    scenario, means = kept.scenario, {}
-    series = gain_series(kept.flight, scenario.antenna)
-    heading_rad = math.radians(scenario.formation.heading_deg)
-    ideal, median = figure_patterns(series, scenario.places_ned_m(), heading_rad, scenario.antenna)
-    fine = structs.replace(scenario.antenna, grid_deg=min(scenario.antenna.grid_deg, FIGURE_GRID_DEG))
-    for name, variant in variants(kept.flight).items():
-        means[name] = _mean(gain_series(variant, scenario.antenna).snapshots, fine)
-    return FigurePatterns(
-        seed=scenario.run.seed, time_s=float(series.time_us[series.median_index]) / 1e6, ideal=ideal,
-        median=median, means=means,
-    )  # fmt: skip
-
-
-def _mean(snapshots: Sequence[Snapshot], config: AntennaConfig) -> Pattern:
-    running, backend = RunningEnvelope(), ""
-    for first in range(0, len(snapshots), _AT_A_TIME):
-        for pattern in compute_patterns(config, snapshots[first : first + _AT_A_TIME]):
-            if isinstance(pattern, Pattern):
-                running.add(pattern)
-                backend = pattern.backend
-    return mean_pattern(running.result(), backend)
+def _patterns(
+    config: AntennaConfig, snapshots: Mapping[int, Snapshot], noted: list[tuple[float, int]]
+) -> Iterator[Pattern]:
+    """Solve a few at a time, and note the maximum gain and the time of each."""
+    times_us = list(snapshots)
+    for first in range(0, len(times_us), _AT_A_TIME):
+        batch = times_us[first : first + _AT_A_TIME]
+        results = compute_patterns(config, [snapshots[time_us] for time_us in batch])
+        for time_us, result in zip(batch, results, strict=True):
+            if isinstance(result, Pattern):
+                noted.append((result.max_gain_dbi, time_us))
+                yield result

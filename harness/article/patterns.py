@@ -3,6 +3,7 @@
 Directions count by their solid angle. Gains are total, in dBi, on the pattern's grid.
 """
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,6 @@ from numpy.typing import NDArray
 from antenna.features import main_lobe
 from antenna.patterns import FLOOR_DBI, HALF_POWER_DB, Pattern, from_dbi, to_dbi
 from antenna.plots import GAIN_RANGE_DBI
-from antenna.statistics import Envelope
 from harness.flight import Array
 
 REGION_THETA_DEG, REGION_PHI_DEG = (0.0, 45.0), (180.0, 225.0)
@@ -120,14 +120,26 @@ def lobe_sr(pattern: Pattern, level_dbi: float) -> float:
     return float(solid_angles_sr(pattern.theta_deg, pattern.phi_deg)[inside].sum())
 
 
-def mean_pattern(envelope: Envelope, backend: str) -> Pattern:
-    """Make a pattern of many patterns' mean power density; which polarisation has it is not kept."""
-    row, column = np.unravel_index(int(envelope.mean_dbi.argmax()), envelope.mean_dbi.shape)
-    weights = solid_angles_sr(envelope.theta_deg, envelope.phi_deg)
-    return Pattern(
-        theta_deg=envelope.theta_deg, phi_deg=envelope.phi_deg, theta_gain_dbi=envelope.mean_dbi,
-        phi_gain_dbi=np.full_like(envelope.mean_dbi, FLOOR_DBI),
-        max_gain_dbi=float(envelope.mean_dbi[row, column]), max_theta_deg=float(envelope.theta_deg[row]),
-        max_phi_deg=float(envelope.phi_deg[column]), backend=backend,
-        average_gain=float((from_dbi(envelope.mean_dbi) * weights).sum() / weights.sum()),
+def mean_pattern(patterns: Iterable[Pattern]) -> Pattern | None:
+    """Make a pattern of many patterns' mean power density; which polarisation has it is not kept.
+
+    None without any. They are taken one at a time. Raises ValueError if they are not on one grid.
+    """
+    total, count, first = np.empty((0, 0)), 0, None
+    for pattern in patterns:
+        if first is None:
+            total, first = np.zeros(pattern.gain.shape), pattern
+        elif pattern.gain.shape != total.shape:
+            raise ValueError(f"a pattern of {pattern.gain.shape} directions among {total.shape}")
+        total, count = total + pattern.gain, count + 1
+    if first is None:
+        return None
+    mean_dbi = np.asarray(to_dbi(total / count))
+    row, column = np.unravel_index(int(mean_dbi.argmax()), mean_dbi.shape)
+    weights = solid_angles_sr(first.theta_deg, first.phi_deg)
+    return replace(
+        first, theta_gain_dbi=mean_dbi, phi_gain_dbi=np.full_like(mean_dbi, FLOOR_DBI),
+        max_gain_dbi=float(mean_dbi[row, column]), max_theta_deg=float(first.theta_deg[row]),
+        max_phi_deg=float(first.phi_deg[column]),
+        average_gain=float((from_dbi(mean_dbi) * weights).sum() / weights.sum()),
     )  # fmt: skip

@@ -5,25 +5,36 @@ import io
 import json
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pyarrow as pa
 import pytest
+from msgspec import structs
+from rich.console import Console
 from typer.testing import CliRunner
 
+from antenna.nec2c import Nec2cFailed
+from antenna.parallel import WorkerError, compute_patterns
+from harness import analysis
 from harness.article import cli, page
-from harness.article.draws import draw, ideal_gains
+from harness.article import kept as kept_module
+from harness.article.draws import WIND_PHIS_DEG, array_of, draw, frequency_mhz, ideal_gains, tilted
 from harness.article.evidence import Evidence
-from harness.article.kept import VARIANTS, FigurePatterns, kept_flights, separate
+from harness.article.kept import VARIANTS, FigurePatterns, figure_patterns_of, kept_flights, separate
 from harness.article.plan import (
     ARTICLE,
     CHANGES,
     CROWDED,
+    CROWDED_FTM_PERIOD_S,
     EXPLAINING,
     KEPT,
     QUICK,
+    SCENARIO,
+    UNCROWDED,
     Plan,
     campaigns,
 )
@@ -51,9 +62,15 @@ def test_every_flight_of_the_plans_can_be_flown(plan):
     assert {run.digest for run in made[KEPT]} <= {run.digest for run in made[ARTICLE]}  # flown once
     assert {run.case for run in made[EXPLAINING]} == set(CHANGES)
     crowded = made.get(CROWDED, [])
-    assert len(crowded) == plan.crowded_seeds
-    others = {run.digest for run in made[EXPLAINING] + crowded}
-    assert len(others) == len(made[EXPLAINING]) + len(crowded)  # each change changes something
+    by_case = {case: [run for run in crowded if run.case == case] for case in (CROWDED, UNCROWDED)}
+    assert {len(runs) for runs in by_case.values()} == {plan.crowded_seeds}
+    for often, usual in zip(by_case[CROWDED], by_case[UNCROWDED], strict=True):  # but for the period alike
+        assert often.seed == usual.seed
+        assert often.scenario.onboard.ftm_period_s == CROWDED_FTM_PERIOD_S
+        onboard = structs.replace(often.scenario.onboard, ftm_period_s=usual.scenario.onboard.ftm_period_s)
+        assert structs.replace(often.scenario, onboard=onboard) == usual.scenario
+    others = {run.digest for run in made[EXPLAINING] + by_case[CROWDED]}
+    assert len(others) == len(made[EXPLAINING]) + plan.crowded_seeds  # each change changes something
     assert not others & {run.digest for run in made[ARTICLE]}
     assert list(made)[-1] == ARTICLE  # its table stays in the folder
     assert all(campaign.keep for campaign in campaigns(plan).values())
@@ -102,11 +119,27 @@ def test_a_cell_has_all_instants_of_its_seeds():
     assert first.max_gain_dbi.tolist() == [12.0, 13.0]
     assert (first.flights, first.completed, first.collided, first.missing) == (2, 1, 1, 1)
     assert (first.ftm_requested, first.ftm_completed, first.busy_fraction) == (100, 90, None)
+    assert [run.seed for run in first.runs] == [1, 2]
+    assert first.between_flights_db is None  # one flight has gains
     assert first.sigma_m == pytest.approx(0.13 / math.sqrt(2.0 - 3.0 / 8.0))  # 16 degrees of freedom less 3
     row = next(csv.DictReader(io.StringIO(csv_text([first]))))
     assert tuple(row) == CSV_COLUMNS
     assert (row["mean_dbi"], row["q50_dbi"], row["missing"]) == ("12.5", "12.5", "1")
     assert row["channel_busy_fraction"] == ""
+    assert row["between_flights_db"] == ""
+
+
+def test_the_deviation_between_flights_is_that_of_their_means():
+    """Means of 12 and 13 dBi deviate by 1 / sqrt(2), whatever their instants do."""
+    made = table(
+        campaigns(SMALL)[ARTICLE], gains=lambda row: of_gains([11.0 + row % 2, 13.0 + row % 2]),
+        status=lambda _: "completed",
+    )  # fmt: skip
+    cell = read_cells(made)[ARTICLE, 5.0, 0.0]
+    assert cell.between_flights_db == pytest.approx(math.sqrt(0.5))
+    row = next(csv.DictReader(io.StringIO(csv_text([cell]))))
+    assert float(row["between_flights_db"]) == pytest.approx(math.sqrt(0.5), rel=1e-5)
+    assert cell.of([2]).max_gain_dbi.tolist() == [12.0, 14.0]
 
 
 def test_without_a_pattern_a_cell_has_no_numbers():
@@ -120,9 +153,9 @@ def test_without_a_pattern_a_cell_has_no_numbers():
 def test_gains_that_do_not_differ_have_an_infinite_peak():
     campaign = campaigns(SMALL)[CROWDED]
     made = table(campaign, gains=lambda _: of_gains([13.0, 13.0]), status=lambda _: "completed")
-    (key,), (cell,) = zip(*read_cells(made).items(), strict=True)
-    assert key == (CROWDED, 10.0, 5.0)
-    assert cell.peak_per_db == math.inf
+    cells = read_cells(made)
+    assert list(cells) == [(CROWDED, 10.0, 5.0), (UNCROWDED, 10.0, 5.0)]
+    assert all(cell.peak_per_db == math.inf for cell in cells.values())
 
 
 def kept_table(tilt_rad):
@@ -163,6 +196,102 @@ def test_kept_flights_are_solved_as_they_flew_upright_and_in_their_places():
         assert each.turned_rms_deg == pytest.approx(0.0, abs=1e-6)
 
 
+def without_patterns(kept):
+    """Put two vehicles of a flight into one place, all the time."""
+    touching = kept.flight.pos_ned_m.copy()
+    touching[:, 1] = touching[:, 0]
+    return replace(kept, flight=replace(kept.flight, pos_ned_m=touching))
+
+
+def test_a_flight_without_patterns_is_left_out():
+    """As one all of whose antennas touch; the other flight's numbers are its own."""
+    flights = list(kept_flights(kept_table(0.1)))[:2]
+    assert flights[0].scenario.antenna.wavelength_m == flights[1].scenario.antenna.wavelength_m
+    told = []
+    assert separate([without_patterns(flights[0])], done=told.append) == []
+    assert told == [1]
+    (found,) = separate([without_patterns(flights[0]), flights[1]])
+    assert found.mean_dbi == separate(flights[1:])[0].mean_dbi
+    assert figure_patterns_of(without_patterns(flights[0])) is None
+
+
+def test_figure_4_solves_each_array_once(monkeypatch):
+    """K instants in each of three variants, then the ideal and the median instant: 3 K + 2 patterns."""
+    kept = next(each for each in kept_flights(kept_table(0.1)) if each.scenario.antenna.wavelength_m == 10.0)
+    instants = len(kept.flight.sampled(kept.scenario.antenna.snapshot_rate_hz).time_us)
+    solved = []
+
+    def counted(config, snapshots, **options):
+        solved.append((config.grid_deg, len(snapshots)))
+        return compute_patterns(config, snapshots, **options)
+
+    for module in (kept_module, analysis):
+        monkeypatch.setattr(module, "compute_patterns", counted)
+    found = figure_patterns_of(kept)
+    assert sum(count for _, count in solved) == 3 * instants + 2
+    assert {grid_deg for grid_deg, _ in solved} == {analysis.FIGURE_GRID_DEG}
+    assert set(found.means) == set(VARIANTS)
+    # all instants are alike, so mean and median are one pattern, and the upright one is the ideal
+    assert found.median.gain_dbi == pytest.approx(found.means["flown"].gain_dbi, abs=1e-3)
+    assert found.ideal.gain_dbi == pytest.approx(found.means["upright"].gain_dbi, abs=1e-3)
+
+
+def test_the_median_instant_is_in_the_middle_of_the_gains():
+    """The flight tilts more and more, which lowers the gain: the instant in the middle has the median."""
+    kept = next(each for each in kept_flights(kept_table(0.0)) if each.scenario.antenna.wavelength_m == 10.0)
+    flight = kept.flight
+    half_rad = np.linspace(0.05, 0.25, len(flight.time_us))
+    q = np.zeros_like(flight.q_ned_frd)
+    q[..., 0], q[..., 1] = np.cos(half_rad)[:, None], np.sin(half_rad)[:, None]
+    found = figure_patterns_of(replace(kept, flight=replace(flight, q_ned_frd=q)))
+    assert found.time_s == pytest.approx((flight.time_us[0] + flight.time_us[-1]) / 2e6, abs=0.051)
+
+
+# ---- arrays without a flight
+
+
+def scenario_of(tmp_path, *changes):
+    """Write the article's scenario with lines changed."""
+    text = SCENARIO.read_text(encoding="utf-8")
+    for before, after in changes:
+        assert before in text
+        text = text.replace(before, after)
+    path = tmp_path / "changed.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_places_and_settings_are_those_of_the_scenario(tmp_path):
+    """One row of eight at half a wavelength, on a grid of 10 degrees: array and draws are that one."""
+    path = scenario_of(
+        tmp_path, ("columns = 4", "columns = 8"), ("rows = 2", "rows = 1"),
+        ("broadside_spacing_lambda = 0.85", "broadside_spacing_lambda = 0.5"),
+        ("wavelength_m = 10.0", "wavelength_m = 10.0\ngrid_deg = 10.0\nelement_length_m = 0.1"),
+    )  # fmt: skip
+    snapshot, config = array_of(7.5, path)
+    assert (config.wavelength_m, config.grid_deg, config.element_length_m) == (7.5, 10.0, 0.1)
+    assert sorted(snapshot.centres_m[:, 0]) == pytest.approx(3.75 * (np.arange(8) - 3.5))
+    assert snapshot.centres_m[:, 1:] == pytest.approx(0.0)
+    usual, changed = (ideal_gains((10.0,), each)["batch"][10.0] for each in (SCENARIO, path))
+    assert abs(usual.max_gain_dbi - changed.max_gain_dbi) > 1.0
+    assert changed.theta_deg[1] == 10.0
+    drawn = draw(20, sigmas_m=(1e-4,), wavelengths_m=(10.0,), scenario=path)
+    assert drawn[1e-4, 10.0].statistics.mean_dbi == pytest.approx(changed.max_gain_dbi, abs=0.01)
+    assert drawn[1e-4, 10.0].mean_gain == pytest.approx(10.0 ** (changed.max_gain_dbi / 10.0), rel=0.01)
+
+
+def test_an_array_that_leans_has_its_tops_upwind():
+    """Against a wind towards phi = 0 a dipole's axis, and with it its null, goes to phi = 180 degrees."""
+    leaning = tilted(10.0, math.radians(30.0), 0.0, 5.0)
+    row = int(np.flatnonzero(leaning.theta_deg == 30.0)[0])
+    assert leaning.gain_dbi[row, leaning.phi_deg == 180.0] < -50.0
+    assert leaning.gain_dbi[row, leaning.phi_deg == 0.0] > -50.0
+
+
+def test_solvers_are_told_the_frequency_of_the_wavelength():
+    assert frequency_mhz(20.0) == pytest.approx(299.792458 / 20.0)
+
+
 # ---- the page
 
 
@@ -198,6 +327,7 @@ def test_the_page_names_every_statement_case_and_flight(results, tmp_path):
     for statement in STATEMENTS:
         assert statement.said in text
         assert statement.criterion in text
+        assert statement.known in " ".join(text.split())
     for name in CHANGES:
         assert f"| {name} |" in text
     for wavelength_m in SMALL.wavelengths_m:
@@ -234,6 +364,33 @@ def test_a_page_comes_out_when_every_flight_has_failed(results, tmp_path):
     assert (tmp_path / "images" / page.FIGURE3).exists()
 
 
+def test_all_that_is_judged_comes_out_of_the_tables(monkeypatch):
+    """The first flight of figure 4 has no pattern, so it is the second's; a flight that failed is named."""
+    monkeypatch.setattr(cli, "draw", lambda *_, **__: {})
+    tables = {
+        name: table(
+            campaign, gains=lambda row: of_gains([12.0, 13.0 + 0.01 * row]),
+            **{"status": lambda row: "failed" if row == 0 else "completed", "reason": lambda _: "fell",
+               "formation_rms_m.shape_horizontal": lambda _: 0.1},
+        )
+        for name, campaign in campaigns(SMALL).items()
+    }  # fmt: skip
+    flights = [
+        without_patterns(each) if each.scenario.run.seed == 1 else each
+        for each in kept_flights(kept_table(0.1))
+    ]
+    monkeypatch.setattr(cli, "kept_flights", lambda _: iter(flights))
+    found = cli._measure(SMALL, tables, Console(stderr=True))
+    evidence = found.evidence
+    assert (found.figure.seed, evidence.solver) == (2, "batch")
+    assert set(evidence.frequencies_mhz) == set(SMALL.wavelengths_m)
+    assert set(evidence.leaning) == set(WIND_PHIS_DEG)
+    assert all(each.seeds == [2] for each in evidence.separations)
+    assert {case for case, _, _ in evidence.cells} == {ARTICLE, CROWDED, UNCROWDED, *CHANGES}
+    assert "article, antenna.wavelength_m = 5.0, wind.mean_n = 0.0, seed 1: fell" in found.broken
+    assert {each.name for each in found.judged} == {each.name for each in STATEMENTS}
+
+
 # ---- the command line
 
 
@@ -247,25 +404,36 @@ def test_json_is_one_object_with_every_verdict(command, monkeypatch, results, tm
     found = results
     monkeypatch.setattr(cli, "_fly", lambda *_, **__: {})
     monkeypatch.setattr(cli, "_measure", lambda *_: found)
+    monkeypatch.setattr(cli, "figures", Mock())  # drawn elsewhere
     ended = command("--quick", "--json", "--out", str(tmp_path))
     said = json.loads(ended.stdout)
     assert [each["name"] for each in said["statements"]] == [each.name for each in STATEMENTS]
-    assert said["agree"] + said["differ"] + said["not_measured"] == len(STATEMENTS)
+    assert said["agree"] + said["differ"] + said["not_told_apart"] + said["not_measured"] == len(STATEMENTS)
     assert Path(said["page"]).exists()
     assert (said["failed"], ended.exit_code) == (1, cli.SOME_FAILED)
 
 
 @pytest.mark.parametrize(
-    ("error", "status"), [(CampaignError("no room"), cli.BAD_INPUT), (OSError("disk full"), cli.SOME_FAILED)]
+    ("error", "status", "line"),
+    [
+        (CampaignError("no room"), cli.BAD_INPUT, "no room"),
+        (OSError(28, "No space left"), cli.SOME_FAILED, "[Errno 28] No space left"),
+        (Nec2cFailed("nec2c: no\ngains"), cli.SOME_FAILED, "Nec2cFailed: nec2c: no"),
+        (WorkerError("a worker died"), cli.SOME_FAILED, "WorkerError: a worker died"),
+        (pa.ArrowInvalid("not Parquet"), cli.SOME_FAILED, "ArrowInvalid: not Parquet"),
+        (ValueError(), cli.SOME_FAILED, "ValueError"),
+    ],
 )
-def test_what_stops_it_is_one_line(command, monkeypatch, error, status):
+@pytest.mark.parametrize("step", ["_fly", "_measure"])
+def test_what_stops_it_is_one_line(command, monkeypatch, error, status, line, step):
     def fly(*_, **__):
         raise error
 
-    monkeypatch.setattr(cli, "_fly", fly)
+    monkeypatch.setattr(cli, "_fly", lambda *_, **__: {})
+    monkeypatch.setattr(cli, step, fly)
     ended = command("--quick")
     assert ended.exit_code == status
-    assert ended.stderr == f"reproduce_article: {error}\n"
+    assert ended.stderr == f"reproduce_article: {line}\n"
     assert ended.stdout == ""
 
 

@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from antenna.patterns import FLOOR_DBI, HALF_POWER_DB, Pattern, directions_deg, from_dbi
-from antenna.statistics import RunningEnvelope
 from harness.article.kept import FLOWN, IN_PLACE, UPRIGHT, tilts_rad, variants
 from harness.article.patterns import (
     LEVEL_DBI,
@@ -124,15 +123,18 @@ def test_patterns_of_other_grids_are_refused():
 
 def test_a_mean_pattern_is_of_the_power():
     """Of gains 2 and 4 it is 3, in every direction, and so over all of them."""
-    running = RunningEnvelope()
-    for gain in (2.0, 4.0):
-        running.add(pattern(level(10.0 * math.log10(gain)), 10.0))
-    mean = mean_pattern(running.result(), "made up")
+    mean = mean_pattern(pattern(level(10.0 * math.log10(gain)), 10.0) for gain in (2.0, 4.0))
     assert from_dbi(mean.gain_dbi) == pytest.approx(3.0)
     assert mean.average_gain == pytest.approx(3.0)
     assert mean_gain_dbi(mean.gain_dbi, solid_angles_sr(mean.theta_deg, mean.phi_deg)) == pytest.approx(
         10.0 * math.log10(3.0)
     )
+
+
+def test_a_mean_of_nothing_is_none_and_of_two_grids_refused():
+    assert mean_pattern(iter(())) is None
+    with pytest.raises(ValueError, match="among"):
+        mean_pattern([pattern(beam, 5.0), pattern(beam, 3.0)])
 
 
 def test_a_flight_is_set_upright_and_into_its_places():
