@@ -4,13 +4,10 @@ Uniform amplitudes, but for the optimum. Positions are those that the feeds are 
 antenna's frame: of the ideal formation, or of where the vehicles are or believe themselves to be.
 """
 
-from typing import Literal
-
 import numpy as np
 
-from antenna.geometry import Array, Complex, Snapshot, Voltages, upright
+from antenna.geometry import Array, Complex, Voltages
 
-Excitation = Literal["end_fire", "hansen_woodyard", "optimum"]
 ROW_APART_LAMBDA = 0.05
 """Places nearer to each other along y belong to one row."""
 
@@ -52,8 +49,3 @@ def optimum(conductance_s: Array, towards: Complex) -> Voltages:
     weights = spread @ vectors[:, -1]
     voltages: Voltages = weights * (np.sqrt(len(weights)) / np.linalg.norm(weights))
     return voltages
-
-
-def vertical_snapshot(places_m: Array, wavelength_m: float) -> Snapshot:
-    """Make the undisturbed array: elements upright at (n, 3) places, fed as an ordinary end-fire array."""
-    return upright(places_m, end_fire(places_m, wavelength_m))

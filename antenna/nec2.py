@@ -4,18 +4,17 @@ This is the only import of PyNEC, which is optional. PyNEC keeps the interpreter
 several cores take several processes, see `antenna.parallel`.
 """
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from antenna.backend import Accuracy, BackendUnavailable
-from antenna.clearance import check_apart, placed_wires_m
+from antenna.backend import BackendUnavailable
+from antenna.clearance import placed_wires_m
 from antenna.config import AntennaConfig
 from antenna.deck import SPEED_OF_LIGHT_M_S, feed
-from antenna.geometry import Array, ElementsTouch, Snapshot
-from antenna.patterns import Pattern, decimated, directions_deg, from_dbi, make_pattern
-from antenna.witness import check_credible, check_height, grid_step_deg, solve_finer
+from antenna.geometry import Array, Snapshot
+from antenna.patterns import directions_deg, from_dbi
+from antenna.witness import Witness
 
 
 class Nec2Unavailable(BackendUnavailable):
@@ -28,45 +27,14 @@ except ImportError as error:
     raise Nec2Unavailable("NEC2 patterns need PyNEC: pip install 'coflight[nec2]'") from error
 
 
-class Nec2:
-    """Patterns of arrays of alike elements."""
+class Nec2(Witness):
+    """Patterns by PyNEC."""
 
     name = "nec2"
-    accuracy = Accuracy.REFERENCE
 
-    def __init__(self, config: AntennaConfig) -> None:
-        self._config = config
-        self._element = config.element()
-
-    def patterns(self, snapshots: Sequence[Snapshot]) -> list[Pattern | ElementsTouch]:
-        """See `antenna.backend.Backend`."""
-        results: list[Pattern | ElementsTouch] = []
-        for snapshot in snapshots:
-            try:
-                results.append(self.pattern(snapshot))
-            except ElementsTouch as touch:
-                results.append(touch)
-        return results
-
-    def pattern(self, snapshot: Snapshot) -> Pattern:
-        """Pattern of one snapshot; raises `ElementsTouch`, `ElementsTooNear`."""
-        config = self._config
-        grounded = config.ground != "none"
-        found = check_apart(snapshot, self._element, grounded=grounded)
-        check_height(snapshot, self._element, config)
-        far_field = FarField(snapshot, config)
-        times = solve_finer(snapshot, self._element, config)
-
-        def gain_at(theta: Array, phi: Array) -> Array:
-            pairs = zip(theta.ravel().tolist(), phi.ravel().tolist(), strict=True)
-            return np.array([far_field.gain_dbi(*pair) for pair in pairs]).reshape(theta.shape)
-
-        theta_gain, phi_gain = far_field.partial_gains(grid_step_deg(config) / times)
-        pattern = make_pattern(
-            theta_gain, phi_gain, gain_at, snapshot, config.wavelength_m, self.name, grounded=grounded
-        )
-        check_credible(pattern, found, config)
-        return decimated(pattern, times)
+    def far_field(self, snapshot: Snapshot) -> "FarField":
+        """Build an array in NEC2."""
+        return FarField(snapshot, self._config)
 
 
 class FarField:
@@ -111,11 +79,13 @@ class FarField:
         gains[:, :rows] = share * from_dbi(pattern.get_gain())
         return gains
 
-    def gain_dbi(self, theta_deg: float, phi_deg: float) -> float:
-        """Total gain in one direction; below a ground that of the mirror image's, see `make_pattern`."""
+    def gains_dbi(self, theta_deg: Array, phi_deg: Array) -> Array:
+        """Total gains in directions; below a ground those of the mirror image, see `make_pattern`."""
         if self._grounded:
-            theta_deg = min(theta_deg, 180.0 - theta_deg)
-        return float(self._request(1, 1, theta_deg, phi_deg, 0.0).get_gain()[0, 0])
+            theta_deg = np.minimum(theta_deg, 180.0 - theta_deg)
+        pairs = zip(theta_deg.ravel().tolist(), phi_deg.ravel().tolist(), strict=True)
+        gains_dbi = [self._request(1, 1, *pair, 0.0).get_gain()[0, 0] for pair in pairs]
+        return np.array(gains_dbi).reshape(theta_deg.shape)
 
     def _request(self, rows: int, columns: int, theta_deg: float, phi_deg: float, step_deg: float) -> Any:  # noqa: ANN401  PyNEC has no types
         """Let one RP card in normal mode be computed."""

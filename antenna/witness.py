@@ -1,12 +1,15 @@
-"""What both NEC2 programs ask of a snapshot and of the pattern that they find, one at a time."""
+"""NEC2 one array at a time, whichever program solves it: what both ask of a snapshot and of its pattern."""
 
 import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Protocol
 
-from antenna.clearance import GROUND, Nearest, credible, near_m, placed_wires_m, reach_m
+from antenna.backend import Accuracy
+from antenna.clearance import GROUND, Nearest, check_apart, credible, near_m, placed_wires_m, reach_m
 from antenna.config import AntennaConfig
-from antenna.elements import Element
-from antenna.geometry import ElementsTooNear, Snapshot
-from antenna.patterns import FLOOR_DBI, Pattern, directions_deg, times_finer
+from antenna.geometry import Array, ElementsTooNear, ElementsTouch, Snapshot
+from antenna.patterns import FLOOR_DBI, Pattern, decimated, directions_deg, make_pattern, times_finer
 
 SMALL_RAD = 0.3
 """Elements that reach less of the wave's phase radiate so little that NEC2's ground errs."""
@@ -17,39 +20,86 @@ LEAST_HEIGHT_LAMBDA = 0.25
 """The same of larger elements, for 0.05 dB."""
 
 
-def grid_step_deg(config: AntennaConfig) -> float:
-    """Step of the grid that is asked for, which divides the half circle."""
-    theta_deg, _ = directions_deg(config.grid_deg)
-    return float(theta_deg[1])
+class NoPower(Exception):
+    """The sources feed nothing in, or less."""
 
 
-def solve_finer(snapshot: Snapshot, element: Element, config: AntennaConfig) -> int:
-    """How many times finer than that the pattern is to be solved, see `times_finer`."""
-    return times_finer(
-        snapshot.centres_m,
-        reach_m(element),
-        config.wavelength_m,
-        grid_step_deg(config),
-        config.ground != "none",
-    )
+class FarField(Protocol):
+    """One array, as a NEC2 program solves it."""
+
+    def partial_gains(self, step_deg: float) -> Array:
+        """(2, T, P) linear gains in the theta and phi polarisations on the grid of `directions_deg`.
+
+        Raises NoPower.
+        """
+        ...
+
+    def gains_dbi(self, theta_deg: Array, phi_deg: Array) -> Array:
+        """Total gains in directions, all of one shape; below a ground those of the mirror image."""
+        ...
 
 
-def check_height(snapshot: Snapshot, element: Element, config: AntennaConfig) -> None:
-    """Raise `ElementsTooNear` for the lowest element if it is too low over real ground."""
-    if config.ground != "real":
-        return
-    small = 2.0 * math.pi * reach_m(element) / config.wavelength_m < SMALL_RAD
-    least_m = (LEAST_HEIGHT_SMALL_LAMBDA if small else LEAST_HEIGHT_LAMBDA) * config.wavelength_m
-    heights_m = placed_wires_m(snapshot, element)[..., 2].min(axis=(1, 2))
-    lowest = int(heights_m.argmin())
-    if heights_m[lowest] < least_m:
-        raise ElementsTooNear(lowest, GROUND, float(heights_m[lowest]))
+class Witness(ABC):
+    """Patterns of arrays of alike elements, each solved by itself."""
 
+    name: str
+    accuracy = Accuracy.REFERENCE
 
-def check_credible(pattern: Pattern, found: Nearest, config: AntennaConfig) -> None:
-    """Raise `ElementsTooNear` for a pattern without power, or of elements near each other out of balance."""
-    lossy = config.ground == "real"
-    doubtful = lossy or found.distance_m < near_m(config.wavelength_m)
-    balanced = credible(pattern.average_gain, lossy=lossy)
-    if pattern.max_gain_dbi <= FLOOR_DBI or (doubtful and not balanced):
-        raise ElementsTooNear(*found)
+    def __init__(self, config: AntennaConfig) -> None:
+        self._config = config
+        self._element = config.element()
+        self._grounded = config.ground != "none"
+
+    @abstractmethod
+    def far_field(self, snapshot: Snapshot) -> FarField:
+        """Hand an array to the program."""
+
+    def patterns(self, snapshots: Sequence[Snapshot]) -> list[Pattern | ElementsTouch]:
+        """See `antenna.backend.Backend`."""
+        results: list[Pattern | ElementsTouch] = []
+        for snapshot in snapshots:
+            try:
+                results.append(self.pattern(snapshot))
+            except ElementsTouch as touch:
+                results.append(touch)
+        return results
+
+    def pattern(self, snapshot: Snapshot) -> Pattern:
+        """Pattern of one snapshot; raises `ElementsTouch`, `ElementsTooNear`, and what the program does."""
+        config = self._config
+        found = check_apart(snapshot, self._element, grounded=self._grounded)
+        self._check_height(snapshot)
+        theta_deg, _ = directions_deg(config.grid_deg)
+        step_deg = float(theta_deg[1])
+        reach, wavelength_m = reach_m(self._element), config.wavelength_m
+        times = times_finer(snapshot.centres_m, reach, wavelength_m, step_deg, self._grounded)
+        far_field = self.far_field(snapshot)
+        try:
+            theta_gain, phi_gain = far_field.partial_gains(step_deg / times)
+            pattern = make_pattern(
+                theta_gain, phi_gain, far_field.gains_dbi, snapshot, wavelength_m, self.name,
+                grounded=self._grounded,
+            )  # fmt: skip
+        except NoPower:
+            raise ElementsTooNear(*found) from None
+        self._check_credible(pattern, found)
+        return decimated(pattern, times)
+
+    def _check_height(self, snapshot: Snapshot) -> None:
+        """Raise `ElementsTooNear` for the lowest element if it is too low over real ground."""
+        if self._config.ground != "real":
+            return
+        small = 2.0 * math.pi * reach_m(self._element) / self._config.wavelength_m < SMALL_RAD
+        least_m = (LEAST_HEIGHT_SMALL_LAMBDA if small else LEAST_HEIGHT_LAMBDA) * self._config.wavelength_m
+        heights_m = placed_wires_m(snapshot, self._element)[..., 2].min(axis=(1, 2))
+        lowest = int(heights_m.argmin())
+        if heights_m[lowest] < least_m:
+            raise ElementsTooNear(lowest, GROUND, float(heights_m[lowest]))
+
+    def _check_credible(self, pattern: Pattern, found: Nearest) -> None:
+        """Raise `ElementsTooNear` for a pattern without power, or of near elements and out of balance."""
+        lossy = self._config.ground == "real"
+        doubtful = lossy or found.distance_m < near_m(self._config.wavelength_m)
+        balanced = credible(pattern.average_gain, lossy=lossy)
+        if pattern.max_gain_dbi <= FLOOR_DBI or (doubtful and not balanced):
+            raise ElementsTooNear(*found)

@@ -22,10 +22,10 @@ from harness.article.patterns import PatternReading, mean_pattern, read_pattern
 from harness.article.plan import FIGURE_WAVELENGTH_M, FIGURE_WIND_N
 from harness.article.snapshots import snapshots_of, upright_array
 from harness.campaign import Table
-from harness.campaign.series import make_flight
 from harness.flight import Array, Flight
 from harness.formation_error import formation_error
 from harness.scenario import Scenario
+from harness.tables import make_flight
 
 FLOWN, UPRIGHT, IN_PLACE = "flown", "upright", "in place"
 VARIANTS = (FLOWN, UPRIGHT, IN_PLACE)

@@ -3,9 +3,6 @@
 from collections.abc import Sequence
 
 from harness.run_folder import RunFolder
-from harness.tables import make_flight
-
-__all__ = ["NoSeries", "make_flight", "read_series"]
 
 
 class NoSeries(RuntimeError):

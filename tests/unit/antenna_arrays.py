@@ -2,8 +2,13 @@
 
 import numpy as np
 
-from antenna.excitation import vertical_snapshot
-from antenna.geometry import Snapshot, along, grid
+from antenna.excitation import end_fire
+from antenna.geometry import Snapshot, along, grid, upright
+
+
+def vertical_snapshot(places_m, wavelength_m):
+    """Make the undisturbed array: elements upright at (n, 3) places, fed as an ordinary end-fire array."""
+    return upright(places_m, end_fire(places_m, wavelength_m))
 
 
 def ideal(wavelength_m, count=8):

@@ -2,12 +2,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from antenna_arrays import vertical_snapshot
 from antenna_hertzian import gain_dbi
 from msgspec import structs
 from scipy.spatial.transform import Rotation
 
 from antenna.config import AntennaConfig
-from antenna.excitation import vertical_snapshot
 from antenna.geometry import ElementsTouch, grid
 from autopilot.config import RacetrackMotion
 from autopilot.formation_plan import FormationPlan

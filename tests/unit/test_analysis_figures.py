@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
+from antenna_arrays import vertical_snapshot
 from antenna_hertzian import exact_patterns
 from matplotlib.image import imread
 
-from antenna.excitation import vertical_snapshot
 from antenna.geometry import grid
 from autopilot.config import RacetrackMotion
 from autopilot.formation_plan import FormationPlan

@@ -7,13 +7,13 @@ import shutil
 
 import numpy as np
 import pytest
-from antenna_arrays import ideal, perturbed
+from antenna_arrays import ideal, perturbed, vertical_snapshot
 from antenna_hertzian import gain_dbi
 from msgspec import structs
 
+from antenna import nec2c
 from antenna.backend import Accuracy, make_backend
 from antenna.config import AntennaConfig
-from antenna.excitation import vertical_snapshot
 from antenna.geometry import ElementsTouch, Snapshot, grid
 from antenna.nec2c import Nec2cFailed
 
@@ -104,7 +104,7 @@ def test_nec2c_is_nec2_on_grids_of_an_odd_number_of_steps(step_deg, ground):
     config = AntennaConfig(wavelength_m=LAMBDA_M, grid_deg=step_deg, backend="nec2c", **ground)
     (snapshot,) = _snapshots(36, 1, 10.0 if ground else 0.0)
     expected = FarField(snapshot, config).partial_gains(step_deg)
-    found = make_backend(config)._partial_gains(snapshot, step_deg)
+    found = make_backend(config).far_field(snapshot).partial_gains(step_deg)
     assert found == pytest.approx(expected, rel=0.005, abs=1e-3)
     witness = make_backend(structs.replace(config, backend="nec2")).patterns([snapshot])
     _compare(make_backend(config).patterns([snapshot]), witness, (0.002, 0.03))
@@ -115,7 +115,7 @@ def test_a_pattern_of_nec2c_that_lacks_directions_is_one_clear_line(monkeypatch,
     if shutil.which("nec2c") is None:
         pytest.skip("the program nec2c is not installed")
     backend = make_backend(AntennaConfig(backend="nec2c"))
-    monkeypatch.setattr(backend, "_run", lambda _: np.ones((37 * 72 - missing, 2)))
+    monkeypatch.setattr(nec2c.FarField, "_run", lambda *_: np.ones((37 * 72 - missing, 2)))
     given = rf"^nec2c gave {37 * 72 - missing} directions; expected 37 by 72$"
     with pytest.raises(Nec2cFailed, match=given):
         backend.patterns([ideal(LAMBDA_M)])

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from antenna_arrays import vertical_snapshot
 
 from antenna.deck import DeckError, Ground, read_element, write_deck
 from antenna.elements import Wire, dipole, loop
-from antenna.excitation import vertical_snapshot
 from antenna.patterns import directions_deg
 
 ONE = "GW 1 9 0 0 -0.5 0 0 0.5 0.001"

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
+from antenna_arrays import vertical_snapshot
 from antenna_hertzian import exact_patterns
 from scipy.optimize import minimize_scalar
 
-from antenna.excitation import vertical_snapshot
 from antenna.features import LEAST_STEPS, features, has_one_maximum, main_lobe
 from antenna.geometry import Snapshot, grid, upright
 from antenna.patterns import HALF_POWER_DB, Pattern, directions_deg, to_dbi

@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
+from antenna_arrays import vertical_snapshot
 from antenna_hertzian import gain_dbi
 
 from antenna.clearance import check_apart, segment_distance_m
 from antenna.elements import dipole
-from antenna.excitation import end_fire, vertical_snapshot
+from antenna.excitation import end_fire
 from antenna.geometry import ElementsTouch, Snapshot, along, grid
 
 

@@ -5,13 +5,12 @@ import sys
 import numpy as np
 import psutil
 import pytest
-from antenna_arrays import ideal, perturbed
+from antenna_arrays import ideal, perturbed, vertical_snapshot
 from antenna_hertzian import gain_dbi
 
 from antenna import parallel
 from antenna.backend import BackendUnavailable, make_backend
 from antenna.config import AntennaConfig
-from antenna.excitation import vertical_snapshot
 from antenna.geometry import ElementsTouch, Snapshot, along, grid
 from antenna.parallel import CHUNK, compute_patterns
 from antenna.patterns import Pattern, directions_deg
@@ -61,11 +60,9 @@ def test_maximum_is_within_a_hundredth_of_that_of_a_half_degree_grid(nec2):
         exact_dbi = gain_dbi(snapshot, LAMBDA_M, theta_deg[:, np.newaxis], phi_deg)
         row, column = np.unravel_index(exact_dbi.argmax(), exact_dbi.shape)
         far_field = nec2.FarField(snapshot, CONFIG)
-        fine_dbi = max(
-            far_field.gain_dbi(theta_deg[row] + 0.5 * a, phi_deg[column] + 0.5 * b)
-            for a in range(-20, 21)
-            for b in range(-20, 21)
-        )
+        near_deg = 0.5 * np.arange(-20, 21)
+        at = np.meshgrid(theta_deg[row] + near_deg, phi_deg[column] + near_deg)
+        fine_dbi = far_field.gains_dbi(*at).max()
         assert fine_dbi - 1e-6 <= nec2.Nec2(CONFIG).pattern(snapshot).max_gain_dbi < fine_dbi + 0.01
 
 
@@ -166,11 +163,12 @@ def test_a_script_without_a_guard_is_run_once(tmp_path):
     script.write_text(
         "import numpy as np\n"
         "from antenna.config import AntennaConfig\n"
-        "from antenna.excitation import vertical_snapshot\n"
-        "from antenna.geometry import grid\n"
+        "from antenna.excitation import end_fire\n"
+        "from antenna.geometry import grid, upright\n"
         "from antenna.parallel import CHUNK, compute_patterns\n"
         "print('run')\n"
-        "snapshots = [vertical_snapshot(grid(2, 2, 8.5, 2.5), 10.0)] * (2 * CHUNK)\n"
+        "places_m = grid(2, 2, 8.5, 2.5)\n"
+        "snapshots = [upright(places_m, end_fire(places_m, 10.0))] * (2 * CHUNK)\n"
         "print(len(compute_patterns(AntennaConfig(grid_deg=15.0, backend='nec2'), snapshots, workers=2)))\n"
     )
     done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=True)

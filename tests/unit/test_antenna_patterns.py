@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
-from antenna_arrays import ideal, perturbed
+from antenna_arrays import ideal, perturbed, vertical_snapshot
 from antenna_hertzian import exact_patterns, gain_dbi
 
-from antenna.excitation import vertical_snapshot
 from antenna.maxima import find_maximum
 from antenna.patterns import FLOOR_DBI, directions_deg, row_weights
 
