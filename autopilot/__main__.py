@@ -23,13 +23,13 @@ if "--supervised" not in sys.argv:  # else the launcher has
 
 from autopilot import parameter_file
 from autopilot.config import AutopilotConfig, VehicleConfig, VehiclePorts
-from autopilot.host import Host, warnings
+from autopilot.host import Host, Links, warnings
 from autopilot.mavlink.codec import Encoder, Message
 from autopilot.mavlink.links import UdpLink
 from autopilot.parameter_file import ParameterFileError
 from autopilot.params import ParameterError
+from autopilot.protocol.service import COMPANION, GROUND_STATION, Addressed, Partner
 from autopilot.site_plan import PlanError
-from autopilot.vehicle import COMPANION, GROUND_STATION
 from netsim.child import Finished, Influenced, Ready, Warned, emit, end_with_parent
 from netsim.radio import RadioClient
 
@@ -129,10 +129,14 @@ class Process:
     def _step(self, simulator_messages: list[Message]) -> bytes:
         """One step for a HIL_SENSOR and what came before it; returns what goes back to the simulator."""
         now_us: int = simulator_messages[-1].time_usec
-        incoming: list[tuple[int, Message]] = []
+        incoming: Links = []
         if now_us >= self._poll_us:
             self._poll_us = now_us + LINK_PERIOD_US
-            incoming = [(i, message) for i, link in enumerate(self._links) for message in link.receive()]
+            incoming = [
+                Addressed(Partner(i, number), message)
+                for i, link in enumerate(self._links)
+                for number, message in link.receive()
+            ]
             if incoming and not self._link_messages:
                 emit(Influenced(name=self._host.name, by="a ground station or companion"))
             self._link_messages += len(incoming)
@@ -146,7 +150,7 @@ class Process:
             for text in warnings(outgoing):
                 emit(Warned(name=self._host.name, time_us=now_us, text=text))
             for i, link in enumerate(self._links):
-                link.send(message for to, message in outgoing if to == i)
+                link.send([(to.number, message) for to, message in outgoing if to.link == i])
         return answer
 
 

@@ -15,14 +15,15 @@ from autopilot import parameter_file
 from autopilot.config import VehicleConfig
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.hil import HilEncoder, HilParser, HilSensor
+from autopilot.protocol.service import GROUND_STATION, Addressed
 from autopilot.recording import VEHICLE_RECORD, record
-from autopilot.vehicle import GROUND_STATION, Vehicle, is_clock
+from autopilot.vehicle import Vehicle, is_clock
 from netsim.radio import BATCH_HANDED_OVER
 from netsim.record_log import RecordLog
 from netsim.wire.messages import RxItem, TxItem
 
-Links = list[tuple[int, Message]]
-"""Messages of the links to the outside, each with its link's number."""
+Links = list[Addressed]
+"""Messages of the links to the outside, each with its partner."""
 
 
 class Radio(Protocol):
@@ -120,9 +121,9 @@ class Host:
 
 def warnings(links: Links) -> Iterator[str]:
     """What the ground station is warned of, for whoever looks on without one."""
-    for to, message in links:
+    for partner, message in links:
         if (
-            to == GROUND_STATION
+            partner.link == GROUND_STATION
             and message.get_msgId() == common.MAVLINK_MSG_ID_STATUSTEXT
             and message.severity <= common.MAV_SEVERITY_WARNING
         ):

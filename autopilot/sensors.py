@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.commander.conditions import Condition
 from autopilot.estimation.estimator import Estimator
 from autopilot.mavlink.codec import Message
-from autopilot.mavlink.esc_status import ESC_STATUS
+from autopilot.mavlink.dialect import ESC_STATUS
 from autopilot.types import GpsFix, ImuSample
 
 IMU_FIELDS = 0b11_1111

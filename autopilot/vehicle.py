@@ -26,11 +26,24 @@ from autopilot.params import ParameterError, ParameterSet, Settings
 from autopilot.pilot import Pilot
 from autopilot.protocol.command import CommandService
 from autopilot.protocol.flight_data import FlightData
-from autopilot.protocol.link import Link
 from autopilot.protocol.manual_control import ManualControlService
 from autopilot.protocol.offboard import OffboardService
 from autopilot.protocol.parameter import ParameterService
-from autopilot.protocol.service import AUTOPILOT_COMPONENT, is_addressed_to
+from autopilot.protocol.service import (
+    ALL,
+    APPLICATION,
+    APPLICATION_COMPONENT,
+    APPLICATION_PARTNER,
+    AUTOPILOT_COMPONENT,
+    COMPANION,
+    EVERYBODY,
+    GROUND_STATION,
+    Addressed,
+    Partner,
+    is_addressed_to,
+    reply,
+)
+from autopilot.protocol.services import Services
 from autopilot.protocol.status import heartbeat, status_text
 from autopilot.protocol.streams import (
     APPLICATION_HZ,
@@ -44,12 +57,8 @@ from autopilot.recording import SiteFrame
 from autopilot.sensors import SensorInput
 from netsim.wire.messages import RxItem, TxItem
 
-GROUND_STATION = 0
-COMPANION = 1
-"""Numbers of the links to the outside."""
-APPLICATION_COMPONENT = 191
-"""MAV_COMP_ID_ONBOARD_COMPUTER"""
-
+_OUTSIDE = (GROUND_STATION, COMPANION)
+_GROUND = Partner(GROUND_STATION)
 _HEARTBEAT_PERIOD_US = 1_000_000
 _TRUTH_INTERVAL_US = 5_000.0
 """What PX4 asks a simulator for on connecting."""
@@ -75,7 +84,8 @@ class StepOutput(Struct, frozen=True, kw_only=True):
     """HIL_ACTUATOR_CONTROLS, stamped as the sensor data that it answers."""
     simulator: list[Message]
     """Other messages to the simulator; those of the application carry its component as source."""
-    links: list[tuple[int, Message]]
+    links: list[Addressed]
+    """To partners of the links to the outside."""
     radio: tuple[TxItem, ...]
     save_parameters: bool = False
     """The parameters are to be written to their file."""
@@ -121,10 +131,19 @@ class Vehicle:
         self.flight.battery = self.monitor.battery
         self.pilot = Pilot(settings, self.flight, offboard=self.offboard, manual=self.manual)
         self.pilot.load_mission(site_plan.mission(config.autopilot.mission, config.site))
-        self._links = (self._make_link(GROUND_STATION_HZ), self._make_link(COMPANION_HZ))
-        self._app_link = self._make_link(
-            APPLICATION_WITH_ATTITUDE_HZ if config.onboard.wind_feed_forward else APPLICATION_HZ
-        )
+        application_hz = APPLICATION_WITH_ATTITUDE_HZ if config.onboard.wind_feed_forward else APPLICATION_HZ
+        self.streams = {
+            link: Streams(self.telemetry.builders, rates_hz)
+            for link, rates_hz in (
+                (GROUND_STATION, GROUND_STATION_HZ),
+                (COMPANION, COMPANION_HZ),
+                (APPLICATION, application_hz),
+            )
+        }
+        """By the links' numbers."""
+        self._services = self._make_services()
+        self._before_conditions = self.offboard.takes | self.manual.takes
+        """Messages that conditions depend on, so that a mode is asked for in vain no longer than need be."""
         self._told_truth = config.onboard.localisation == "truth"
         self.app = self._make_app()
         self._last_us: int | None = None
@@ -136,7 +155,7 @@ class Vehicle:
         self,
         *,
         sim_messages: Sequence[Message],
-        link_messages: Sequence[tuple[int, Message]] = (),
+        link_messages: Sequence[Addressed] = (),
         radio_items: Sequence[RxItem] = (),
         link_active: tuple[bool, ...] = (True, True),
     ) -> StepOutput:
@@ -154,12 +173,12 @@ class Vehicle:
         dt_s = (self.config.step_us if self._last_us is None else now_us - self._last_us) / US_PER_S
         self._last_us = now_us
 
-        new_fix = self._sensors.take(sim_messages, now_us)
+        if self._sensors.take(sim_messages, now_us):
+            for streams in self.streams.values():
+                streams.on_new_data(_GPS_RAW_INT)
+        outgoing: list[Addressed] = []
+        to_answer = self._take_in(link_messages, outgoing, now_us)
         self._sense(now_us)
-        if new_fix:
-            for link in (*self._links, self._app_link):
-                link.on_new_data(_GPS_RAW_INT)
-        outgoing: list[tuple[int, Message]] = []
         simulator = [_greeting()] if first else []
         for notice in self.commander.update(
             now_us,
@@ -168,17 +187,20 @@ class Vehicle:
             landed=self.pilot.landed,
             next_mode=self.pilot.next_mode,
         ):
-            self._tell_everybody(status_text(notice.severity, notice.text), outgoing, now_us)
-        for number, message in link_messages:
-            outgoing += [(number, answer) for answer in self._on_link_message(number, message, now_us)]
+            self._post(reply(ALL, status_text(notice.severity, notice.text)), outgoing, now_us)
+        for partner, message in to_answer:
+            self._on_link_message(partner, message, outgoing, now_us)
         if self._told_truth:
             self._pass_truth_on(sim_messages, now_us)
         radio = self._run_app(radio_items, outgoing, simulator, now_us)
         self.pilot.fly(dt_s)
-        for number, link in enumerate(self._links):
-            link.set_active(active=link_active[number])
-            if now_us >= link.deadline_us:
-                outgoing += [(number, message) for message in link.on_timer(now_us)]
+        if now_us >= self._services.deadline_us:
+            self._post(self._services.on_timer(now_us), outgoing, now_us)
+        for link in _OUTSIDE:
+            streams = self.streams[link]
+            streams.active = link_active[link]
+            if now_us >= streams.next_deadline_us():
+                outgoing += reply(Partner(link), *streams.on_timer(now_us))
         self._announce(simulator, now_us)
         saving, self._save_wanted = self._save_wanted, False
         return StepOutput(
@@ -238,20 +260,34 @@ class Vehicle:
         self.monitor.mission_valid = self.pilot.mission_valid
         self.monitor.update(flight)
 
-    def _on_link_message(self, number: int, message: Message, now_us: int) -> list[Message]:
-        self.monitor.on_message(message, now_us)
+    def _take_in(
+        self, link_messages: Sequence[Addressed], outgoing: list[Addressed], now_us: int
+    ) -> list[Addressed]:
+        """Take what conditions depend on, wherever it stands among the messages; returns the others."""
+        to_answer = []
+        for received in link_messages:
+            partner, message = received
+            self.monitor.on_message(message, now_us)
+            if message.get_msgId() in self._before_conditions:
+                self._on_link_message(partner, message, outgoing, now_us)
+            else:
+                to_answer.append(received)
+        return to_answer
+
+    def _on_link_message(
+        self, partner: Partner, message: Message, outgoing: list[Addressed], now_us: int
+    ) -> None:
         if is_addressed_to(message, system=self._system, component=AUTOPILOT_COMPONENT):
-            return self._links[number].on_message(message, now_us)
-        if self.app is not None and is_addressed_to(
+            self._post(self._services.on_message(message, now_us, partner), outgoing, now_us)
+        elif self.app is not None and is_addressed_to(
             message, system=self._system, component=APPLICATION_COMPONENT
         ):
             self.app.on_mavlink(message, now_us)
-        return []
 
     def _run_app(
         self,
         radio_items: Sequence[RxItem],
-        outgoing: list[tuple[int, Message]],
+        outgoing: list[Addressed],
         simulator: list[Message],
         now_us: int,
     ) -> tuple[TxItem, ...]:
@@ -259,8 +295,9 @@ class Vehicle:
         app = self.app
         if app is None:
             return ()
-        if now_us >= self._app_link.deadline_us:
-            for message in self._app_link.on_timer(now_us):
+        streams = self.streams[APPLICATION]
+        if now_us >= streams.next_deadline_us():
+            for message in streams.on_timer(now_us):
                 app.on_mavlink(message, now_us)
         for item in radio_items:
             app.on_radio(item, now_us)
@@ -272,14 +309,12 @@ class Vehicle:
             kind = message.get_msgId()
             if kind in _TO_GROUND_TOO:
                 simulator.append(message)
-                outgoing.append((GROUND_STATION, message))
+                outgoing.append(Addressed(_GROUND, message))
             elif kind == common.MAVLINK_MSG_ID_STATUSTEXT:
-                outgoing.append((GROUND_STATION, message))
+                outgoing.append(Addressed(_GROUND, message))
             else:
-                for answer in self._app_link.on_message(message, now_us):
-                    app.on_mavlink(answer, now_us)
-                    if answer.get_msgId() == common.MAVLINK_MSG_ID_STATUSTEXT:
-                        outgoing.append((GROUND_STATION, answer))
+                answers = self._services.on_message(message, now_us, APPLICATION_PARTNER)
+                self._post(answers, outgoing, now_us)
         return output.radio
 
     def _pass_truth_on(self, sim_messages: Sequence[Message], now_us: int) -> None:
@@ -305,18 +340,23 @@ class Vehicle:
         mode = _MODE_ARMED if self.commander.armed else _MODE_DISARMED
         return HilActuatorControls(now_us, self.pilot.controls, mode, _LOCKSTEP_FLAG)
 
-    def _tell_everybody(self, text: Message, outgoing: list[tuple[int, Message]], now_us: int) -> None:
-        outgoing += [(number, text) for number in range(len(self._links))]
-        if self.app is not None:
-            self.app.on_mavlink(text, now_us)
+    def _post(self, messages: Sequence[Addressed], outgoing: list[Addressed], now_us: int) -> None:
+        """Hand over what goes out, and give the application what is for it."""
+        for addressed in messages:
+            link = addressed.partner.link
+            if link == EVERYBODY:
+                outgoing += [Addressed(Partner(outside), addressed.message) for outside in _OUTSIDE]
+            elif link != APPLICATION:
+                outgoing.append(addressed)
+            if link in {EVERYBODY, APPLICATION} and self.app is not None:
+                self.app.on_mavlink(addressed.message, now_us)
 
-    def _make_link(self, rates_hz: dict[int, float]) -> Link:
-        streams = Streams(self.telemetry.builders, rates_hz)
+    def _make_services(self) -> Services:
         commands = CommandService(
-            self.commander, self.pilot.takeoff_altitude, streams, save_parameters=self._want_save
+            self.commander, self.pilot.takeoff_altitude, self.streams, save_parameters=self._want_save
         )
         parameters = ParameterService(self.parameters.get, self.set_parameter)
-        return Link(streams, parameters, (self.offboard, self.manual, commands))
+        return Services((self.offboard, self.manual, commands, parameters))
 
     def _want_save(self) -> bool:
         """Have the parameters written; tells whether there is a file for them."""

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from fastcrc import crc16
 
-from autopilot.mavlink.esc_status import ESC_STATUS, EscStatus
+from autopilot.mavlink.dialect import ESC_STATUS, EscStatus
 from autopilot.types import Array
 
 PERIOD_US = 50_000

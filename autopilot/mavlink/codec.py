@@ -10,6 +10,8 @@ from typing import TypeAlias
 
 from pymavlink.dialects.v20 import common
 
+from autopilot.mavlink import dialect  # noqa: F401  # completes the dialect: without it nobody should parse
+
 Message: TypeAlias = common.MAVLink_message
 
 _MAGIC = re.compile(rb"[\xfd\xfe]")

@@ -7,7 +7,7 @@ error that names the address. So no clock is needed, and nothing is formed for n
 import contextlib
 import socket
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from autopilot.mavlink.codec import Encoder, Message, Parser
 
@@ -17,6 +17,8 @@ MAX_DATAGRAM_BYTES = 1400
 """Messages of one step share datagrams up to this size, which fits one Ethernet frame."""
 MAX_PARTNERS = 8
 """The partner that was silent longest gives way to a ninth."""
+EVERYBODY = -1
+"""In place of a partner's number: all of them."""
 MAX_DATAGRAMS_PER_CALL = 64
 _IP_RECVERR = 11  # linux/in.h; the socket module of CPython 3.11 does not name it
 _LARGEST_DATAGRAM_BYTES = 65_535
@@ -34,8 +36,9 @@ class UdpLink:
         self._encoder = encoder
         self._default: Address | None = (host, remote_port) if remote_port else None
         self._default_listens = False
-        self._partners: dict[Address, None] = {}
-        """Ordered: who spoke last is last."""
+        self._partners: dict[Address, int] = {}
+        """Their numbers. Ordered: who spoke last is last."""
+        self._next_number = 0
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.settimeout(0.0)  # non-blocking
@@ -66,9 +69,12 @@ class UdpLink:
         """For select and its kin."""
         return self._socket.fileno()
 
-    def receive(self) -> list[Message]:
-        """Messages that have arrived, without waiting; their senders become partners."""
-        messages: list[Message] = []
+    def receive(self) -> list[tuple[int, Message]]:
+        """Messages that have arrived, without waiting, with the numbers of the partners that they are from.
+
+        Whoever sends one becomes a partner, and keeps its number until it is forgotten.
+        """
+        messages: list[tuple[int, Message]] = []
         for _ in range(MAX_DATAGRAMS_PER_CALL):
             try:
                 data, address = self._socket.recvfrom(_LARGEST_DATAGRAM_BYTES)
@@ -79,20 +85,29 @@ class UdpLink:
                 continue
             received = self._parser.push_datagram(data)
             if received:
-                self._remember(address)
-                messages += received
+                number = self._remember(address)
+                messages += [(number, message) for message in received]
         return messages
 
-    def send(self, messages: Iterable[Message]) -> None:
-        """Send the messages, packed into few datagrams, to the default partner and all others."""
-        addresses = list(self._partners)
-        if self._default is not None and self._default not in self._partners:
-            addresses.append(self._default)
-        datagrams = self._pack(messages)
-        if not addresses or not datagrams:
-            return
-        self._default_listens = self._default is not None  # until the kernel says otherwise, below
-        for address in addresses:
+    def send(self, messages: Sequence[tuple[int, Message]]) -> None:
+        """Send messages, packed into few datagrams, each to the partner of its number or to EVERYBODY.
+
+        The default partner is one of everybody whether it has spoken or not. What is for a partner that is
+        gone is dropped.
+        """
+        for_all = all(number == EVERYBODY for number, _ in messages)
+        packed = self._pack(message for _, message in messages) if for_all else None
+        recipients = dict(self._partners)
+        if self._default is not None:
+            recipients.setdefault(self._default, EVERYBODY)
+        for address, own_number in recipients.items():
+            datagrams = (
+                self._pack(message for number, message in messages if number in {EVERYBODY, own_number})
+                if packed is None
+                else packed
+            )
+            if datagrams and address == self._default:
+                self._default_listens = True  # until the kernel says otherwise, below
             for datagram in datagrams:
                 self._send_to(datagram, address)
         self._forget_refusing()
@@ -122,11 +137,15 @@ class UdpLink:
                 pass  # a full buffer or an unreachable network loses a datagram, as UDP may
             return
 
-    def _remember(self, address: Address) -> None:
-        self._partners.pop(address, None)
-        self._partners[address] = None
+    def _remember(self, address: Address) -> int:
+        number = self._partners.pop(address, None)
+        if number is None:
+            number = self._next_number
+            self._next_number += 1
+        self._partners[address] = number
         if len(self._partners) > MAX_PARTNERS:
             del self._partners[next(iter(self._partners))]
+        return number
 
     def _forget_refusing(self) -> None:
         """Read from the error queue which addresses have no listener."""

@@ -5,7 +5,7 @@ refusal carries a MAV_RESULT for the program and a STATUSTEXT for the person.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common
@@ -14,12 +14,14 @@ from autopilot.commander.commander import Commander
 from autopilot.commander.conditions import Reason
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.modes import FlightMode, mode_from_custom, mode_from_main_sub
-from autopilot.protocol.service import NEVER_US
+from autopilot.protocol.service import ALL, Addressed, Listener, Partner, reply
 from autopilot.protocol.status import status_text
 from autopilot.protocol.streams import Streams
 
 FORCE_MAGIC = 21196.0
 """Second parameter of MAV_CMD_COMPONENT_ARM_DISARM: skip the checks."""
+
+_STATUSTEXT = common.MAVLINK_MSG_ID_STATUSTEXT
 
 Params = tuple[float, float, float, float, float, float, float]
 
@@ -39,14 +41,22 @@ class TakeoffAltitude:
         """None: MIS_TAKEOFF_ALT above home."""
 
 
-class CommandService:
-    """The commands of one link."""
+class CommandService(Listener):
+    """The commands of all links, whose streams are given by the links' numbers."""
+
+    takes = frozenset(
+        {
+            common.MAVLINK_MSG_ID_COMMAND_LONG,
+            common.MAVLINK_MSG_ID_COMMAND_INT,
+            common.MAVLINK_MSG_ID_SET_MODE,
+        }
+    )
 
     def __init__(
         self,
         commander: Commander,
         takeoff_altitude: TakeoffAltitude,
-        streams: Streams,
+        streams: Mapping[int, Streams],
         *,
         save_parameters: Callable[[], bool] = lambda: False,
     ) -> None:
@@ -54,7 +64,7 @@ class CommandService:
         self._takeoff_altitude = takeoff_altitude
         self._streams = streams
         self._save_parameters = save_parameters
-        self._actions: dict[int, Callable[[Params, int], Answer]] = {
+        self._actions: dict[int, Callable[[Params, int, Partner], Answer]] = {
             common.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_or_disarm,
             common.MAV_CMD_DO_SET_MODE: self._set_mode,
             common.MAV_CMD_NAV_TAKEOFF: self._take_off,
@@ -68,7 +78,7 @@ class CommandService:
             common.MAV_CMD_REQUEST_MESSAGE: self._request_message,
         }
 
-    def on_message(self, message: Message, now_us: int) -> Sequence[Message]:
+    def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
         """Do what a command message asks and acknowledge it."""
         kind = message.get_msgId()
         if kind == common.MAVLINK_MSG_ID_COMMAND_LONG:
@@ -82,29 +92,27 @@ class CommandService:
                 message.param1, message.param2, message.param3, message.param4,
                 float(message.x), float(message.y), message.z,
             )  # fmt: skip
-        elif kind == common.MAVLINK_MSG_ID_SET_MODE:
-            return self._enter(mode_from_custom(message.custom_mode), "Mode").messages
         else:
-            return ()
+            return reply(ALL, *self._enter(mode_from_custom(message.custom_mode), "Mode").messages)
         action = self._actions.get(message.command)
-        answer = Answer(common.MAV_RESULT_UNSUPPORTED) if action is None else action(params, now_us)
+        answer = Answer(common.MAV_RESULT_UNSUPPORTED) if action is None else action(params, now_us, partner)
         ack = common.MAVLink_command_ack_message(
             message.command,
             answer.result,
             target_system=message.get_srcSystem(),
             target_component=message.get_srcComponent(),
         )
-        return [ack, *answer.messages]
+        # an answer is the asker's alone; what is said in words, and what was asked to be sent, is for all
+        texts = (message.get_msgId() == _STATUSTEXT for message in answer.messages)
+        return [
+            *reply(partner, ack),
+            *(
+                Addressed(ALL if is_text else Partner(partner.link), message)
+                for is_text, message in zip(texts, answer.messages, strict=True)
+            ),
+        ]
 
-    def on_timer(self, now_us: int) -> Sequence[Message]:  # noqa: ARG002  # commands are answered at once
-        """Nothing is ever due."""
-        return ()
-
-    def next_deadline_us(self) -> int:  # part of the shape
-        """Never."""
-        return NEVER_US
-
-    def _arm_or_disarm(self, params: Params, now_us: int) -> Answer:
+    def _arm_or_disarm(self, params: Params, now_us: int, partner: Partner) -> Answer:  # noqa: ARG002
         forced = params[1] == FORCE_MAGIC
         if params[0] == 1.0:
             return _answer("Arming", self._commander.arm(now_us, forced=forced))
@@ -112,32 +120,32 @@ class CommandService:
             return _answer("Disarming", self._commander.disarm(forced=forced))
         return _answer("Arming", Reason.BAD_ARGUMENT)
 
-    def _set_mode(self, params: Params, now_us: int) -> Answer:  # noqa: ARG002
+    def _set_mode(self, params: Params, now_us: int, partner: Partner) -> Answer:  # noqa: ARG002
         base_mode = params[0]
         if not (0.0 <= base_mode < 256.0 and int(base_mode) & common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED):
             return _answer("Mode", Reason.BAD_ARGUMENT)
         return self._enter(mode_from_main_sub(params[1], params[2]), "Mode")
 
-    def _take_off(self, params: Params, now_us: int) -> Answer:  # noqa: ARG002
+    def _take_off(self, params: Params, now_us: int, partner: Partner) -> Answer:  # noqa: ARG002
         altitude_m = params[6]
         return self._enter(
             FlightMode.TAKEOFF, "Takeoff", amsl_m=altitude_m if math.isfinite(altitude_m) else None
         )
 
-    def _land(self, params: Params, now_us: int) -> Answer:  # noqa: ARG002
+    def _land(self, params: Params, now_us: int, partner: Partner) -> Answer:  # noqa: ARG002
         return self._enter(FlightMode.LAND, "Landing")
 
-    def _return(self, params: Params, now_us: int) -> Answer:  # noqa: ARG002
+    def _return(self, params: Params, now_us: int, partner: Partner) -> Answer:  # noqa: ARG002
         return self._enter(FlightMode.RETURN, "Return")
 
-    def _start_mission(self, params: Params, now_us: int) -> Answer:  # noqa: ARG002
+    def _start_mission(self, params: Params, now_us: int, partner: Partner) -> Answer:  # noqa: ARG002
         """Enter mission mode and arm, as PX4 does; the items of the parameters are not looked at."""
         answer = self._enter(FlightMode.MISSION, "Mission")
         if answer.result != common.MAV_RESULT_ACCEPTED:
             return answer
         return _answer("Arming", self._commander.arm(now_us))
 
-    def _terminate(self, params: Params, now_us: int) -> Answer:  # noqa: ARG002
+    def _terminate(self, params: Params, now_us: int, partner: Partner) -> Answer:  # noqa: ARG002
         if params[0] < 0.5:
             return Answer(common.MAV_RESULT_UNSUPPORTED)  # a terminated flight is not taken up again
         if not params[0] >= 0.5:
@@ -146,14 +154,14 @@ class CommandService:
         text = status_text(common.MAV_SEVERITY_EMERGENCY, "Flight terminated by command")
         return Answer(messages=(text,))
 
-    def _check(self, params: Params, now_us: int) -> Answer:  # noqa: ARG002
+    def _check(self, params: Params, now_us: int, partner: Partner) -> Answer:  # noqa: ARG002
         """Say everything for which arming would be refused."""
         if self._commander.armed:
             return Answer(common.MAV_RESULT_TEMPORARILY_REJECTED)
         refusals = self._commander.arming_refusals()
         return Answer(messages=tuple(_refusal_text("Arming", refusal) for refusal in refusals))
 
-    def _store(self, params: Params, now_us: int) -> Answer:  # noqa: ARG002
+    def _store(self, params: Params, now_us: int, partner: Partner) -> Answer:  # noqa: ARG002
         """Write the parameters to their file; reading and resetting are done by a new start."""
         if params[0] != 1.0 or not self._save_parameters():
             return Answer(common.MAV_RESULT_UNSUPPORTED)
@@ -165,17 +173,18 @@ class CommandService:
             self._takeoff_altitude.amsl_m = amsl_m
         return _answer(what, refusal)
 
-    def _set_message_interval(self, params: Params, now_us: int) -> Answer:
+    def _set_message_interval(self, params: Params, now_us: int, partner: Partner) -> Answer:
         if not all(map(math.isfinite, params[:2])):
             return Answer(common.MAV_RESULT_DENIED)
-        known = self._streams.set_interval(int(params[0]), int(params[1]), now_us)
+        known = self._streams[partner.link].set_interval(int(params[0]), int(params[1]), now_us)
         return Answer(common.MAV_RESULT_ACCEPTED if known else common.MAV_RESULT_UNSUPPORTED)
 
-    def _request_message(self, params: Params, now_us: int) -> Answer:  # noqa: ARG002
+    def _request_message(self, params: Params, now_us: int, partner: Partner) -> Answer:  # noqa: ARG002
         message_id = int(params[0]) if math.isfinite(params[0]) else -1
-        if not self._streams.knows(message_id):
+        streams = self._streams[partner.link]
+        if not streams.knows(message_id):
             return Answer(common.MAV_RESULT_UNSUPPORTED)
-        message = self._streams.form(message_id)
+        message = streams.form(message_id)
         return (
             Answer(common.MAV_RESULT_TEMPORARILY_REJECTED) if message is None else Answer(messages=(message,))
         )

@@ -10,7 +10,7 @@ from autopilot.commander.conditions import MANUAL_MODES
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.manual import ManualInput
-from autopilot.protocol.service import NEVER_US
+from autopilot.protocol.service import ALL, Addressed, Listener, Partner, reply
 from autopilot.protocol.status import status_text
 
 _FULL = 1000.0
@@ -20,8 +20,10 @@ _FROM_AUTO, _FROM_OFFBOARD = 1, 2
 """Bits of COM_RC_OVERRIDE."""
 
 
-class ManualControlService:
+class ManualControlService(Listener):
     """The newest sticks from any link."""
+
+    takes = frozenset({common.MAVLINK_MSG_ID_MANUAL_CONTROL})
 
     def __init__(self, commander: Commander) -> None:
         self._commander = commander
@@ -32,10 +34,8 @@ class ManualControlService:
         """Whether sticks came within ``timeout_us``."""
         return self.sticks is not None and now_us - self.sticks.time_us <= timeout_us
 
-    def on_message(self, message: Message, now_us: int) -> Sequence[Message]:
+    def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:  # noqa: ARG002
         """Take the sticks; moved far enough, they take over from modes that fly by themselves."""
-        if message.get_msgId() != common.MAVLINK_MSG_ID_MANUAL_CONTROL:
-            return ()
         axes = (message.x, message.y, message.r)
         pitch, roll, yaw = (0.0 if axis == _INVALID else _clamp(axis / _FULL, -1.0) for axis in axes)
         throttle = 0.5 if message.z == _INVALID else _clamp(message.z / _FULL, 0.0)
@@ -44,15 +44,7 @@ class ManualControlService:
         self.sticks = ManualInput(time_us=now_us, roll=roll, pitch=pitch, yaw=yaw, throttle=throttle)
         return self._take_over(max(abs(roll), abs(pitch), abs(yaw)))
 
-    def on_timer(self, now_us: int) -> Sequence[Message]:  # noqa: ARG002  # the commander says what is lost
-        """Nothing is ever due."""
-        return ()
-
-    def next_deadline_us(self) -> int:  # part of the shape
-        """Never."""
-        return NEVER_US
-
-    def _take_over(self, deflection: float) -> Sequence[Message]:
+    def _take_over(self, deflection: float) -> Sequence[Addressed]:
         commander = self._commander
         params = commander.params
         if (
@@ -66,7 +58,7 @@ class ManualControlService:
         bit = _FROM_OFFBOARD if commander.mode is FlightMode.OFFBOARD else _FROM_AUTO
         if not params.stick_takeover & bit or commander.set_mode(FlightMode.POSITION) is not None:
             return ()
-        return [status_text(common.MAV_SEVERITY_INFO, "Pilot took over using sticks")]
+        return reply(ALL, status_text(common.MAV_SEVERITY_INFO, "Pilot took over using sticks"))
 
 
 def _clamp(value: float, least: float) -> float:

@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.estimation.rotation import quat_to_euler
 from autopilot.mavlink.codec import Message
 from autopilot.protocol.flight_data import FlightData
-from autopilot.protocol.service import NEVER_US
+from autopilot.protocol.service import Addressed, Listener, Partner
 from autopilot.types import Array, TrajectorySetpoint
 
 _YAW_IGNORED = common.POSITION_TARGET_TYPEMASK_YAW_IGNORE
@@ -22,8 +22,10 @@ _FORCE = common.POSITION_TARGET_TYPEMASK_FORCE_SET
 _ALL_AXES = (True, True, True)
 
 
-class OffboardService:
+class OffboardService(Listener):
     """The newest setpoint from any link."""
+
+    takes = frozenset({common.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED})
 
     def __init__(self, flight: FlightData) -> None:
         self._flight = flight
@@ -35,24 +37,15 @@ class OffboardService:
         """Whether a setpoint came within ``timeout_us``."""
         return self.received_us is not None and now_us - self.received_us <= timeout_us
 
-    def on_message(self, message: Message, now_us: int) -> Sequence[Message]:
+    def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:  # noqa: ARG002
         """Take a setpoint; nothing is answered."""
-        if message.get_msgId() == common.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED:
-            setpoint = self._decode(message)
-            if setpoint is None:
-                self.rejected += 1
-            else:
-                self.setpoint = setpoint
-                self.received_us = now_us
+        setpoint = self._decode(message)
+        if setpoint is None:
+            self.rejected += 1
+        else:
+            self.setpoint = setpoint
+            self.received_us = now_us
         return ()
-
-    def on_timer(self, now_us: int) -> Sequence[Message]:  # noqa: ARG002  # the commander says what is lost
-        """Nothing is ever due."""
-        return ()
-
-    def next_deadline_us(self) -> int:  # part of the shape
-        """Never."""
-        return NEVER_US
 
     def _decode(self, message: Message) -> TrajectorySetpoint | None:
         mask = message.type_mask

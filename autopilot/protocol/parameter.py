@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
 from autopilot.params import INDEX_OF, TABLE, ParameterError
-from autopilot.protocol.service import NEVER_US
+from autopilot.protocol.service import ALL, NEVER_US, Addressed, Partner, reply
 from autopilot.protocol.status import status_text
 
 LIST_PERIOD_US = 20_000
@@ -25,50 +25,63 @@ Setter = Callable[[str, float], None]
 
 
 class ParameterService:
-    """The parameters as one link sees them."""
+    """The parameters as the links see them; each partner may be sent its list."""
+
+    takes = frozenset(
+        {
+            common.MAVLINK_MSG_ID_PARAM_REQUEST_LIST,
+            common.MAVLINK_MSG_ID_PARAM_REQUEST_READ,
+            common.MAVLINK_MSG_ID_PARAM_SET,
+        }
+    )
 
     def __init__(self, get: Getter, put: Setter) -> None:
         self._get = get
         self._put = put
-        self._next_index = len(TABLE)
+        self._next_index: dict[Partner, int] = {}
         self._list_due_us = NEVER_US
 
-    def on_message(self, message: Message, now_us: int) -> Sequence[Message]:
+    def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
         """Answer a request; a list is sent by `on_timer`, and asking for it again starts it anew."""
         kind = message.get_msgId()
         if kind == common.MAVLINK_MSG_ID_PARAM_REQUEST_LIST:
-            self._next_index, self._list_due_us = 0, now_us
+            self._next_index[partner] = 0
+            self._list_due_us = min(self._list_due_us, now_us)
         elif kind == common.MAVLINK_MSG_ID_PARAM_REQUEST_READ:
             index = message.param_index if message.param_index >= 0 else INDEX_OF.get(message.param_id, -1)
             if 0 <= index < len(TABLE):
-                return [self._value(index)]
+                return reply(partner, self._value(index))
         elif kind == common.MAVLINK_MSG_ID_PARAM_SET and message.param_id in INDEX_OF:
             return self._set(INDEX_OF[message.param_id], message)
         return ()
 
-    def on_timer(self, now_us: int) -> Sequence[Message]:
-        """Send the next batch of a list."""
+    def on_timer(self, now_us: int) -> Sequence[Addressed]:
+        """Send the next batch of each list."""
         if now_us < self._list_due_us:
             return ()
-        until = min(self._next_index + LIST_BATCH, len(TABLE))
-        messages = [self._value(index) for index in range(self._next_index, until)]
-        self._next_index = until
-        self._list_due_us = now_us + LIST_PERIOD_US if until < len(TABLE) else NEVER_US
+        messages: list[Addressed] = []
+        for partner, begin in list(self._next_index.items()):
+            until = min(begin + LIST_BATCH, len(TABLE))
+            messages += reply(partner, *(self._value(index) for index in range(begin, until)))
+            self._next_index[partner] = until
+            if until == len(TABLE):
+                del self._next_index[partner]
+        self._list_due_us = now_us + LIST_PERIOD_US if self._next_index else NEVER_US
         return messages
 
     def next_deadline_us(self) -> int:
         """When the next batch is due."""
         return self._list_due_us
 
-    def _set(self, index: int, message: Message) -> Sequence[Message]:
+    def _set(self, index: int, message: Message) -> Sequence[Addressed]:
         parameter = TABLE[index]
         try:
             if message.param_type != _wire_type(index):
                 raise ParameterError(f"{parameter.name}: wrong type")  # noqa: TRY301  # one place that answers a refusal
             self._put(parameter.name, _from_wire(index, message.param_value))
         except ParameterError as error:
-            return [self._value(index), status_text(common.MAV_SEVERITY_WARNING, str(error))]
-        return [self._value(index)]
+            return reply(ALL, self._value(index), status_text(common.MAV_SEVERITY_WARNING, str(error)))
+        return reply(ALL, self._value(index))
 
     def _value(self, index: int) -> Message:
         name = TABLE[index].name

@@ -1,29 +1,83 @@
-"""The shape that every MAVLink service has, and the addressing that comes before all of them."""
+"""The shape that every MAVLink service has, whom messages are from and for, and who is meant by them."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from autopilot.mavlink.codec import Message
 
 AUTOPILOT_COMPONENT = 1
+APPLICATION_COMPONENT = 191
+"""MAV_COMP_ID_ONBOARD_COMPUTER"""
+GROUND_STATION, COMPANION, APPLICATION = 0, 1, 2
+"""Numbers of the links: two to the outside, and the application in this process."""
+EVERYBODY = -1
+"""In place of a partner's number: all on the link; in place of a link's: all links."""
 NEVER_US = 1 << 62
 """A deadline that does not come."""
 
 
-class Service(Protocol):
-    """A state machine that is fed messages and time and returns the messages to send."""
+class Partner(NamedTuple):
+    """Whoever speaks on a link, by the number that the link's edge gave to an address.
 
-    def on_message(self, message: Message, now_us: int) -> Sequence[Message]:
-        """Take a message that is addressed to this vehicle; one of no concern gives nothing."""
+    MAVLink's system and component numbers do not tell partners apart: two programs may have the same.
+    """
+
+    link: int
+    number: int = EVERYBODY
+
+
+ALL = Partner(EVERYBODY)
+"""Everybody on every link."""
+APPLICATION_PARTNER = Partner(APPLICATION, 0)
+
+
+class Addressed(NamedTuple):
+    """A message and whom it is from, or for."""
+
+    partner: Partner
+    message: Message
+
+
+class Service(Protocol):
+    """A state machine that is fed messages and time and returns the messages to send.
+
+    There is one of each in a vehicle, whatever the number of links; what it keeps of a conversation it keeps
+    by partner.
+    """
+
+    @property
+    def takes(self) -> frozenset[int]:
+        """Ids of the messages that it is given."""
         ...
 
-    def on_timer(self, now_us: int) -> Sequence[Message]:
+    def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
+        """Take a message of `takes` that is addressed to this vehicle's autopilot."""
+        ...
+
+    def on_timer(self, now_us: int) -> Sequence[Addressed]:
         """Do what is due."""
         ...
 
     def next_deadline_us(self) -> int:
         """When `on_timer` next has something to do; NEVER_US if it has not."""
         ...
+
+
+class Listener:
+    """A service that acts on messages only: nothing of it is ever due."""
+
+    def on_timer(self, now_us: int) -> Sequence[Addressed]:  # noqa: ARG002  # part of the shape
+        """Nothing is ever due."""
+        return ()
+
+    def next_deadline_us(self) -> int:
+        """Never."""
+        return NEVER_US
+
+
+def reply(partner: Partner, *messages: Message) -> list[Addressed]:
+    """Messages for one partner, or for all that a partner with EVERYBODY for a number stands for."""
+    return [Addressed(partner, message) for message in messages]
 
 
 def is_addressed_to(message: Message, *, system: int, component: int) -> bool:

@@ -123,10 +123,6 @@ class Streams:
             self._active = active
             self._deadline_us = 0
 
-    def on_message(self, message: Message, now_us: int) -> Sequence[Message]:  # noqa: ARG002
-        """Rates are set by commands: see `CommandService`."""
-        return ()
-
     def on_timer(self, now_us: int) -> Sequence[Message]:
         """Messages that are due."""
         if now_us < self._deadline_us:

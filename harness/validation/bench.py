@@ -26,12 +26,14 @@ from autopilot.control.disturbance import DisturbanceObserver
 from autopilot.control.flight import FlightController
 from autopilot.control.inner_loop import InnerLoop
 from autopilot.control.position import PositionController
-from autopilot.mavlink.codec import Encoder, Message
+from autopilot.mavlink.codec import Encoder
 from autopilot.mavlink.hil import HilActuatorControls, HilEncoder, HilParser, HilSensor
 from autopilot.monitor import Monitor
 from autopilot.onboard.app import OnboardApp
 from autopilot.pilot import Pilot
-from autopilot.protocol.link import Link
+from autopilot.protocol.service import Addressed
+from autopilot.protocol.services import Services
+from autopilot.protocol.streams import Streams
 from autopilot.sensors import SensorInput
 from autopilot.vehicle import Vehicle, is_clock
 from harness.validation.solo import STEP_S, Solo
@@ -51,7 +53,8 @@ _PARTS: tuple[tuple[str, type, tuple[str, ...]], ...] = (
     ("control: disturbance observer", DisturbanceObserver, ("update",)),
     ("control: position", PositionController, ("update",)),
     ("control: attitude, rates, allocation", InnerLoop, ("update",)),
-    ("links and streams", Link, ("on_timer", "on_message")),
+    ("services", Services, ("on_timer", "on_message")),
+    ("streams", Streams, ("on_timer",)),
 )
 """Part, class and methods; what is called within another part is taken off that one."""
 DECODE, REST, ENCODE = "decode", "the step around them", "encode"
@@ -144,7 +147,7 @@ class _Process:
             raise RuntimeError("a step's bytes do not end in a HIL_SENSOR")
         return messages
 
-    def encode(self, links: list[tuple[int, Message]], simulator: list[Any]) -> bytes:
+    def encode(self, links: list[Addressed], simulator: list[Any]) -> bytes:
         for _, message in links:
             self._link_encoder.encode(message)
         return b"".join(self._encoder.encode(message) for message in simulator)
@@ -153,7 +156,7 @@ class _Process:
         output = self.vehicle.step(sim_messages=self.decode(data), link_active=self._active)
         return self.encode(output.links, [*output.simulator, output.actuators])
 
-    def step_without_codec(self, messages: list[Any]) -> tuple[list[tuple[int, Message]], list[Any]]:
+    def step_without_codec(self, messages: list[Any]) -> tuple[list[Addressed], list[Any]]:
         output = self.vehicle.step(sim_messages=messages, link_active=self._active)
         return output.links, [*output.simulator, output.actuators]
 

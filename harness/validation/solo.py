@@ -16,8 +16,9 @@ from autopilot.config import AutopilotConfig, Devices, OnboardConfig, Vector, Ve
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.hil import HilActuatorControls, HilEncoder, HilParser, HilSensor
 from autopilot.mavlink.modes import FlightMode, mode_from_custom
+from autopilot.protocol.service import GROUND_STATION, Partner, reply
 from autopilot.types import Array, TrajectorySetpoint
-from autopilot.vehicle import GROUND_STATION, StepOutput, Vehicle
+from autopilot.vehicle import StepOutput, Vehicle
 from harness import esc
 from harness.hil import SensorEncoder, is_armed
 from harness.physics.model import IRIS, VehicleModel
@@ -204,7 +205,7 @@ class Solo:
         sent, self._to_send = self._to_send, []
         output = self.vehicle.step(
             sim_messages=messages,
-            link_messages=[(GROUND_STATION, message) for message in sent],
+            link_messages=reply(Partner(GROUND_STATION, 0), *sent),
             link_active=(streams, streams),
         )
         self._listen(output)
@@ -349,8 +350,8 @@ class Solo:
     def _listen(self, output: StepOutput) -> None:
         self.heard += [
             (self.now_us, message)
-            for link, message in output.links
-            if link == GROUND_STATION and message.get_type() != "HEARTBEAT"
+            for partner, message in output.links
+            if partner.link == GROUND_STATION and message.get_type() != "HEARTBEAT"
         ]
         for message in output.simulator:
             if message.get_type() == "HEARTBEAT" and message.autopilot == common.MAV_AUTOPILOT_PX4:

@@ -8,8 +8,10 @@ from autopilot.commander.conditions import Condition
 from autopilot.commander.params import CommanderParams
 from autopilot.mavlink.modes import FlightMode
 from autopilot.protocol.manual_control import ManualControlService
+from autopilot.protocol.service import Partner
 
 ALL = sum(Condition)
+ASKER = Partner(0, 3)
 
 
 def sticks(*, x=0, y=0, z=500, r=0):
@@ -28,7 +30,7 @@ def flying(mode, **params):
 def test_axes_have_mavlinks_meaning_and_their_time():
     _, service = flying(FlightMode.POSITION)
     assert service.sticks is None
-    service.on_message(sticks(x=-500, y=250, z=1000, r=1000), 7_000)
+    service.on_message(sticks(x=-500, y=250, z=1000, r=1000), 7_000, ASKER)
     got = service.sticks
     assert (got.time_us, got.pitch, got.roll, got.throttle, got.yaw) == (7_000, -0.5, 0.25, 1.0, 1.0)
     assert service.is_fresh(507_000, 500_000)
@@ -37,10 +39,10 @@ def test_axes_have_mavlinks_meaning_and_their_time():
 
 def test_axes_that_are_missing_or_wild_are_harmless():
     _, service = flying(FlightMode.POSITION)
-    service.on_message(sticks(x=32_767, y=-30_000, z=-1000, r=32_767), 0)
+    service.on_message(sticks(x=32_767, y=-30_000, z=-1000, r=32_767), 0, ASKER)
     got = service.sticks
     assert (got.pitch, got.roll, got.throttle, got.yaw) == (0.0, -1.0, 0.0, 0.0)
-    service.on_message(sticks(z=32_767), 0)
+    service.on_message(sticks(z=32_767), 0, ASKER)
     assert service.sticks.throttle == 0.5  # neither up nor down
 
 
@@ -57,9 +59,9 @@ def test_axes_that_are_missing_or_wild_are_harmless():
 )
 def test_moved_sticks_take_over_where_the_parameter_says_so(mode, bits, taken):
     commander, service = flying(mode, stick_takeover=bits)
-    assert service.on_message(sticks(y=290), 0) == ()  # COM_RC_STICK_OV is 30 %
+    assert service.on_message(sticks(y=290), 0, ASKER) == ()  # COM_RC_STICK_OV is 30 %
     assert commander.mode is mode
-    texts = [message.text for message in service.on_message(sticks(y=-310), 4_000)]
+    texts = [message.text for _, message in service.on_message(sticks(y=-310), 4_000, ASKER)]
     assert commander.mode is (FlightMode.POSITION if taken else mode)
     assert texts == (["Pilot took over using sticks"] if taken else [])
 
@@ -68,5 +70,5 @@ def test_sticks_do_nothing_to_a_vehicle_on_the_ground():
     commander = Commander(CommanderParams())
     service = ManualControlService(commander)
     commander.update(0, conditions=ALL, landed=True)
-    service.on_message(sticks(x=1000), 0)
+    service.on_message(sticks(x=1000), 0, ASKER)
     assert commander.mode is FlightMode.HOLD

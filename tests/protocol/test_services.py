@@ -18,13 +18,14 @@ from autopilot.protocol.command import CommandService, TakeoffAltitude
 from autopilot.protocol.flight_data import FlightData
 from autopilot.protocol.offboard import OffboardService
 from autopilot.protocol.parameter import LIST_PERIOD_US, ParameterService
-from autopilot.protocol.service import is_addressed_to
+from autopilot.protocol.service import Partner, is_addressed_to
 from autopilot.protocol.streams import COMPANION_HZ, GROUND_STATION_HZ, ON_NEW_DATA, Streams
 from autopilot.protocol.telemetry import Telemetry
 
 NAN = math.nan
 ALL = sum(Condition)
 STEP = 4_000
+ASKER = Partner(0, 3)
 
 
 def make_flight():
@@ -132,7 +133,7 @@ class Commanded:
         self.altitude = TakeoffAltitude()
         rates = {common.MAVLINK_MSG_ID_HEARTBEAT: 1.0}
         self.streams = Streams(Telemetry(self.flight, system=1).builders, rates)
-        self.service = CommandService(self.commander, self.altitude, self.streams)
+        self.service = CommandService(self.commander, self.altitude, {0: self.streams})
         self.hold(ALL)
 
     def hold(self, conditions, *, landed=True):
@@ -140,7 +141,9 @@ class Commanded:
 
     def long(self, command, *params):
         message = common.MAVLink_command_long_message(1, 1, command, 0, *params, *[0.0] * (7 - len(params)))
-        ack, *others = self.service.on_message(stamp(message, system=255, component=190), 0)
+        answers = self.service.on_message(stamp(message, system=255, component=190), 0, ASKER)
+        (ack, *others) = [message for _, message in answers]
+        assert answers[0].partner == ASKER
         assert ack.get_type() == "COMMAND_ACK"
         assert (ack.command, ack.target_system, ack.target_component) == (command, 255, 190)
         return ack.result, others
@@ -197,10 +200,10 @@ def test_take_off_takes_an_altitude_or_leaves_it_to_the_parameter(param7, altitu
 def test_command_int_and_set_mode_do_the_same():
     vehicle = Commanded()
     message = common.MAVLink_command_int_message(1, 1, 0, 22, 0, 0, 0.0, 0.0, 0.0, NAN, 0, 0, 500.0)
-    (ack,) = vehicle.service.on_message(message, 0)
+    ((_, ack),) = vehicle.service.on_message(message, 0, ASKER)
     assert (ack.result, vehicle.altitude.amsl_m) == (common.MAV_RESULT_ACCEPTED, 500.0)
     set_mode = common.MAVLink_set_mode_message(1, 1, FlightMode.LAND.custom_mode)
-    assert not vehicle.service.on_message(set_mode, 0)
+    assert not vehicle.service.on_message(set_mode, 0, ASKER)
     assert vehicle.commander.mode is FlightMode.LAND
 
 
@@ -235,14 +238,14 @@ VELOCITY_ONLY = 0b1101_1100_0111
 
 def test_masks_choose_groups_axes_and_yaw():
     service = OffboardService(make_flight())
-    service.on_message(setpoint(POSITION_ONLY, x=1.0, y=2.0, z=-3.0), 7)
+    service.on_message(setpoint(POSITION_ONLY, x=1.0, y=2.0, z=-3.0), 7, ASKER)
     assert service.received_us == 7
     assert service.setpoint.pos_ned_m.tolist() == [1.0, 2.0, -3.0]
     assert (service.setpoint.vel_ned_m_s, service.setpoint.acc_ned_m_s2, service.setpoint.yaw_rad) == (
         None,
     ) * 3
     # position of north and east, speed of down, with a yaw
-    service.on_message(setpoint(0b1001_1101_1100, x=1.0, y=2.0, vz=0.5, yaw=0.1), 8)
+    service.on_message(setpoint(0b1001_1101_1100, x=1.0, y=2.0, vz=0.5, yaw=0.1), 8, ASKER)
     assert service.setpoint.pos_axes == (True, True, False)
     assert service.setpoint.vel_axes == (False, False, True)
     assert service.setpoint.vel_ned_m_s[2] == 0.5
@@ -254,7 +257,7 @@ def test_body_frame_velocities_turn_with_the_heading():
     flight.state.q_ned_frd[:] = (math.cos(math.pi / 4), 0.0, 0.0, math.sin(math.pi / 4))  # heading east
     service = OffboardService(flight)
     message = setpoint(VELOCITY_ONLY, frame=common.MAV_FRAME_BODY_NED, vx=2.0, vy=1.0, vz=0.5)
-    service.on_message(message, 0)
+    service.on_message(message, 0, ASKER)
     assert np.allclose(service.setpoint.vel_ned_m_s, (-1.0, 2.0, 0.5))
 
 
@@ -271,14 +274,14 @@ def test_body_frame_velocities_turn_with_the_heading():
 )
 def test_a_setpoint_without_sense_keeps_nothing_alive(message):
     service = OffboardService(make_flight())
-    assert service.on_message(message, 5) == ()
+    assert service.on_message(message, 5, ASKER) == ()
     assert (service.setpoint, service.rejected) == (None, 1)
     assert not service.is_fresh(5, 1_000_000)
 
 
 def test_freshness_ends_with_the_timeout():
     service = OffboardService(make_flight())
-    service.on_message(setpoint(POSITION_ONLY, x=0.0, y=0.0, z=0.0), 1_000)
+    service.on_message(setpoint(POSITION_ONLY, x=0.0, y=0.0, z=0.0), 1_000, ASKER)
     assert service.is_fresh(501_000, 500_000)
     assert not service.is_fresh(501_001, 500_000)
 
@@ -297,17 +300,17 @@ def lossy_list(seed, loss):
         return [m for m in messages if rng.uniform() >= loss]
 
     def hear(messages):
-        got.update({m.param_index: m.param_value for m in through(messages)})
+        got.update({m.param_index: m.param_value for m in through([m for _, m in messages])})
 
     for request in through([common.MAVLink_param_request_list_message(1, 1)]):
-        service.on_message(request, now_us)
+        service.on_message(request, now_us, ASKER)
     while len(got) < len(TABLE) and now_us < 100_000_000:
         now_us += LIST_PERIOD_US
         hear(service.on_timer(now_us))
         if now_us > 1_000_000:
             missing = min(set(range(len(TABLE))) - set(got))
             for request in through([common.MAVLink_param_request_read_message(1, 1, b"", missing)]):
-                hear(service.on_message(request, now_us))
+                hear(service.on_message(request, now_us, ASKER))
     return parameters, got
 
 
@@ -323,10 +326,10 @@ def test_all_parameters_arrive_over_a_lossy_link(seed):
 def test_a_list_without_loss_takes_its_pace_and_then_ends():
     parameters = ParameterSet(Settings())
     service = ParameterService(parameters.get, parameters.set)
-    service.on_message(common.MAVLink_param_request_list_message(1, 1), 0)
+    service.on_message(common.MAVLink_param_request_list_message(1, 1), 0, ASKER)
     indices = []
     while service.next_deadline_us() < 10_000_000:
-        indices += [m.param_index for m in service.on_timer(service.next_deadline_us())]
+        indices += [m.param_index for _, m in service.on_timer(service.next_deadline_us())]
     assert indices == list(range(len(TABLE)))
 
 
@@ -336,7 +339,8 @@ def over_the_wire(message):
 
 
 def put(service, name, value, kind=common.MAV_PARAM_TYPE_REAL32):
-    return service.on_message(over_the_wire(common.MAVLink_param_set_message(1, 1, name, value, kind)), 0)
+    message = over_the_wire(common.MAVLink_param_set_message(1, 1, name, value, kind))
+    return [answer for _, answer in service.on_message(message, 0, ASKER)]
 
 
 def test_a_set_value_is_echoed_and_a_refused_one_is_not():
@@ -350,7 +354,7 @@ def test_a_set_value_is_echoed_and_a_refused_one_is_not():
     assert text.text == "parameter MPC_XY_P = 7 is outside 0 .. 2 1/s"
     echo, _ = put(service, b"MPC_XY_P", NAN)
     assert echo.param_value == 1.2
-    assert put(service, b"NO_SUCH", 1.0) == ()
+    assert put(service, b"NO_SUCH", 1.0) == []
 
 
 def test_whole_numbers_travel_as_their_bytes():

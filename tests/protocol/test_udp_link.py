@@ -8,7 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Encoder, Parser
-from autopilot.mavlink.links import MAX_DATAGRAM_BYTES, MAX_PARTNERS, UdpLink
+from autopilot.mavlink.links import EVERYBODY, MAX_DATAGRAM_BYTES, MAX_PARTNERS, UdpLink
 
 DEADLINE_S = 5.0
 
@@ -47,7 +47,7 @@ def test_the_default_partner_is_spoken_to_first_and_counts_as_listening(sockets)
     ground = partner(sockets)
     link = link_to(sockets, ground.getsockname()[1])
     assert not link.active
-    link.send([heartbeat()])
+    link.send([(EVERYBODY, heartbeat())])
     assert link.active
     data, address = ground.recvfrom(2048)
     assert address == ("127.0.0.1", link.local_port)
@@ -60,40 +60,41 @@ def test_nobody_at_the_default_port_is_no_error_and_is_noticed(sockets):
     ground.close()
     link = link_to(sockets, port)
     for _ in range(5):
-        link.send([heartbeat()])
+        link.send([(EVERYBODY, heartbeat())])
         assert link.receive() == []
         assert not link.active
     late = sockets.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
     late.settimeout(DEADLINE_S)
     late.bind(("127.0.0.1", port))
-    link.send([heartbeat()])
+    link.send([(EVERYBODY, heartbeat())])
     assert link.active
     assert late.recvfrom(2048)
 
 
 def test_whoever_speaks_is_answered_until_it_closes(sockets):
     link = link_to(sockets, 0)
-    link.send([heartbeat()])
+    link.send([(EVERYBODY, heartbeat())])
     assert not link.active
     first, second = partner(sockets), partner(sockets)
-    (message,) = greet(first, link)
+    ((number, message),) = greet(first, link)
+    assert number == 0
     assert message.get_srcSystem() == 255
     greet(second, link)
-    link.send([heartbeat()])
+    link.send([(EVERYBODY, heartbeat())])
     assert first.recvfrom(2048)[0] == second.recvfrom(2048)[0]
     first.close()
-    link.send([heartbeat()])  # refused by the one, and not lost for the other
+    link.send([(EVERYBODY, heartbeat())])  # refused by the one, and not lost for the other
     assert second.recvfrom(2048)
     second.close()
-    link.send([heartbeat()])
-    link.send([heartbeat()])
+    link.send([(EVERYBODY, heartbeat())])
+    link.send([(EVERYBODY, heartbeat())])
     assert not link.active
 
 
 def test_a_step_goes_out_in_few_datagrams(sockets):
     ground = partner(sockets)
     link = link_to(sockets, ground.getsockname()[1])
-    link.send([heartbeat() for _ in range(200)])
+    link.send([(EVERYBODY, heartbeat()) for _ in range(200)])
     sizes, heard = [], 0
     while heard < 200:
         data = ground.recvfrom(4096)[0]
@@ -114,7 +115,7 @@ def test_partners_are_bounded_and_garbage_makes_none(sockets):
     partners = [partner(sockets) for _ in range(MAX_PARTNERS + 1)]
     for sock in partners:
         greet(sock, link)
-    link.send([heartbeat()])
+    link.send([(EVERYBODY, heartbeat())])
     for sock in partners[1:]:
         assert sock.recvfrom(2048)
     assert not select.select([partners[0]], [], [], 0.0)[0]
@@ -129,3 +130,16 @@ def test_a_port_in_use_is_an_error(sockets):
             remote_port=0,
             encoder=Encoder(system=1, component=1),
         )
+
+
+def test_what_is_for_one_partner_reaches_it_alone(sockets):
+    """Two programs with the same MAVLink numbers are told apart by their addresses."""
+    link = link_to(sockets, 0)
+    first, second = partner(sockets), partner(sockets)
+    numbers = [number for sock in (first, second) for number, _ in greet(sock, link)]
+    assert numbers == [0, 1]
+    for_second = common.MAVLink_command_ack_message(400, 0)
+    link.send([(1, for_second), (EVERYBODY, heartbeat()), (7, for_second)])
+    kinds = [[m.get_type() for m in Parser().push_datagram(sock.recv(2048))] for sock in (first, second)]
+    assert kinds == [["HEARTBEAT"], ["COMMAND_ACK", "HEARTBEAT"]]
+    assert [number for number, _ in greet(first, link)] == [0]

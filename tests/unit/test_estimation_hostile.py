@@ -19,8 +19,9 @@ from autopilot.estimation.params import EstimatorParams
 from autopilot.estimation.yaw_gsf import YawBank, level_start, update_model
 from autopilot.mavlink.codec import Encoder
 from autopilot.mavlink.hil import HilSensor
+from autopilot.protocol.service import GROUND_STATION, Addressed, Partner
 from autopilot.types import ImuSample
-from autopilot.vehicle import GROUND_STATION, Vehicle
+from autopilot.vehicle import Vehicle
 
 ALL_FIELDS = 0x1FFF
 I16, U16, I32 = (-(2**15), 2**15 - 1), (0, 2**16 - 1), (-(2**31), 2**31 - 1)
@@ -54,7 +55,7 @@ class Bench:
         if fix is not None:
             messages.append(common.MAVLink_hil_gps_message(self.now_us, **(FIX | fix)))
         messages.append(HilSensor(time_usec=self.now_us, fields_updated=fields_updated, **(QUIET | changes)))
-        commands = [] if command is None else [(GROUND_STATION, command)]
+        commands = [] if command is None else [Addressed(Partner(GROUND_STATION, 0), command)]
         output = self.vehicle.step(sim_messages=messages, link_messages=commands)
         for message in (*output.simulator, *(message for _, message in output.links)):
             self.encoder.encode(message)

@@ -12,7 +12,7 @@ from vehicle_world import vehicle_config
 from autopilot.__main__ import _yield_to_the_simulator
 from autopilot.host import Host
 from autopilot.mavlink.codec import Encoder, Parser
-from autopilot.vehicle import GROUND_STATION
+from autopilot.protocol.service import GROUND_STATION, Addressed, Partner
 
 SIMULATOR = Encoder(system=0, component=1)
 
@@ -68,7 +68,8 @@ def test_a_time_that_is_repeated_or_goes_back_takes_nothing_that_the_next_step_i
     for time_us in (4_000, 8_000):
         assert step(host, sensor(time_us))[0] == [time_us]
     asking = common.MAVLink_param_request_read_message(1, 1, b"MPC_XY_CRUISE", -1)
-    answered, links = step(host, gps(again_us) + sensor(again_us), (GROUND_STATION, asking))
+    asked = Addressed(Partner(GROUND_STATION, 0), asking)
+    answered, links = step(host, gps(again_us) + sensor(again_us), asked)
     assert answered == [again_us]
     assert links == []
     assert host.vehicle.flight.gps is None

@@ -14,6 +14,7 @@ from autopilot.onboard.flight import OFFBOARD_MAIN_MODE, Flight, Situation
 from autopilot.onboard.formation import COAST_S
 from autopilot.onboard.own_state import OwnState
 from autopilot.protocol.parameter import ParameterService
+from autopilot.protocol.service import APPLICATION_PARTNER
 from netsim.wire.messages import Broadcast, Delivery, FtmRequest
 
 PAIR = ((-3.0, 0.0, -8.0), (3.0, 0.0, -8.0))
@@ -284,7 +285,7 @@ def test_the_position_loops_gain_is_asked_for_and_heeded():
 
     avoidance.velocity_change_ne_m_s = spy
     for gain_1_s in (0.95, 1.5):
-        for answer in service.on_message(messages.gain_request(1), w.now_us):
+        for _, answer in service.on_message(messages.gain_request(1), w.now_us, APPLICATION_PARTNER):
             app.on_mavlink(answer, w.now_us)
         w.run(0.5)
         wanted, way = np.array(found).transpose(1, 0, 2)

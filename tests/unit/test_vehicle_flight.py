@@ -11,8 +11,9 @@ from autopilot.config import OnboardConfig, VehicleConfig
 from autopilot.mavlink.codec import Encoder, Parser
 from autopilot.mavlink.modes import FlightMode
 from autopilot.params import ParameterError
+from autopilot.protocol.service import COMPANION, GROUND_STATION, Addressed, Partner
 from autopilot.recording import VEHICLE_RECORD, record
-from autopilot.vehicle import COMPANION, GROUND_STATION, Vehicle, is_clock
+from autopilot.vehicle import Vehicle, is_clock
 
 NAN = math.nan
 ACCEPTED = common.MAV_RESULT_ACCEPTED
@@ -196,7 +197,7 @@ def test_all_telemetry_in_flight_can_be_packed_and_has_its_rate(flight):
     take_off(flight)
     encoder, parser, counts = Encoder(system=1, component=1), Parser(), {GROUND_STATION: {}, COMPANION: {}}
     for _ in range(500):
-        for link, message in flight.step(streams=True).links:
+        for (link, _), message in flight.step(streams=True).links:
             (decoded,) = parser.push(encoder.encode(message))
             counts[link][decoded.get_type()] = counts[link].get(decoded.get_type(), 0) + 1
     ground, companion = counts[GROUND_STATION], counts[COMPANION]
@@ -245,7 +246,8 @@ def test_messages_with_random_contents_neither_raise_nor_start_anything():
             if hasattr(message, "target_system"):
                 message.target_system, message.target_component = 1, int(rng.integers(0, 2)) * 191
         output = vehicle.step(
-            sim_messages=[sensor(4_000 * step)], link_messages=[(step % 2, m) for m in messages]
+            sim_messages=[sensor(4_000 * step)],
+            link_messages=[Addressed(Partner(step % 2, 0), m) for m in messages],
         )
         assert output.actuators.controls == [0.0] * 16
     assert parser.bad_bytes == 0
