@@ -3,12 +3,14 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.set-up
+CLIENTS := $(VENV)/.set-up-clients
 ARGS ?=
 
-.PHONY: help setup swarm test validate validate-radio validate-antenna codesign campaign article antenna bench-radio lint format clean
+.PHONY: help setup swarm test test-clients validate validate-radio validate-antenna codesign campaign article antenna bench-radio lint format clean
 help:
 	@echo "make swarm [ARGS='--duration 20 --seed 3']   fly scenarios/article.toml"
 	@echo "make test  [ARGS='-k radio']                 run the tests"
+	@echo "make test-clients                            MAVSDK and MAVProxy fly swarms at the clock's pace (docs/ground-control.md)"
 	@echo "make validate [ARGS='--quick | --out docs']   measure how well one vehicle flies (docs/validation.md)"
 	@echo "make validate-radio [ARGS='--quick | --out docs']   compare the radio with ns-3 (docs/radio-validation.md)"
 	@echo "make validate-antenna [ARGS='--quick | --out docs']   hold the antenna's solvers against each other (docs/antenna-validation.md)"
@@ -32,6 +34,14 @@ swarm: $(STAMP)
 
 test: $(STAMP)
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder $(ARGS)
+
+$(CLIENTS): requirements-clients.lock $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --requirement requirements-clients.lock
+	@touch $@
+
+# one after the other: each keeps pace with the wall clock
+test-clients: $(CLIENTS)
+	COFLIGHT_CLIENTS=required $(BIN)/python -m pytest -m clients tests/clients $(ARGS)
 
 validate: $(STAMP)
 	$(BIN)/python scripts/validate_vehicle.py $(ARGS)

@@ -1,33 +1,41 @@
 """``python -m autopilot --instance 3``: one UAV's process, and the only part of it that touches sockets.
 
 It connects to the simulator as PX4 does (TCP, retrying until it is there), to the run's radio, and opens its
-MAVLink links; then each HIL_SENSOR makes one step of the vehicle and one answer. It ends when the simulator
-hangs up.
+MAVLink links; then each HIL_SENSOR makes one step of the vehicle and one answer. While the simulator is
+silent, for simulated time stands or is slow, the links are answered all the same and heartbeats go on by wall
+clock. It ends when the simulator hangs up.
 """
 
 import argparse
 import contextlib
 import gc
 import os
+import selectors
 import socket
+import struct
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
+from pymavlink.dialects.v20 import common
 
 from antenna import kernel_folder
 
 if "--supervised" not in sys.argv:  # else the launcher has
     os.environ.update(kernel_folder.environment())  # read when numba is imported, which is next
 
-from autopilot import parameter_file
+from autopilot import parameter_file, plan_file
 from autopilot.config import AutopilotConfig, VehicleConfig, VehiclePorts
 from autopilot.host import Host, Links, warnings
+from autopilot.mavlink import signing
 from autopilot.mavlink.codec import Encoder, Message
 from autopilot.mavlink.links import UdpLink
+from autopilot.mavlink.signing import SigningKeyError
 from autopilot.parameter_file import ParameterFileError
 from autopilot.params import ParameterError
+from autopilot.plan_file import PlanFileError
 from autopilot.protocol.service import COMPANION, GROUND_STATION, Addressed, Partner
 from autopilot.site_plan import PlanError
 from netsim.child import Finished, Influenced, Ready, Warned, emit, end_with_parent
@@ -36,7 +44,15 @@ from netsim.radio import RadioClient
 RETRY_S = 0.1
 LINK_PERIOD_US = 20_000
 """How often the links are looked at: two system calls that mostly find nothing."""
+WALL_LINK_PERIOD_S = 0.1
+"""The same by wall clock, for simulated time may be slow."""
+SILENCE_S = 0.5
+"""Wall time after which a simulator that says nothing is taken to stand still."""
+HEARTBEAT_S = 1.0
+"""Wall time after which a heartbeat goes out whatever simulated time does: ground stations wait for three."""
+_SILENCE_TIMEVAL = struct.pack("ll", 0, round(SILENCE_S * 1e6))
 _RECEIVE_BYTES = 4096
+_LINK_NAMES = {GROUND_STATION: "ground_station", COMPANION: "companion"}
 
 
 class SimulatorUnreachable(ConnectionError):
@@ -65,23 +81,8 @@ class Process:
     """A vehicle and its edges."""
 
     def __init__(self, config: VehicleConfig, stack: contextlib.ExitStack) -> None:
-        system, ports = config.instance + 1, config.ports
-        self._links = [
-            stack.enter_context(
-                contextlib.closing(
-                    UdpLink(
-                        host=ports.host,
-                        local_port=local,
-                        remote_port=remote,
-                        encoder=Encoder(system=system, component=1),
-                    )
-                )
-            )
-            for local, remote in (
-                (ports.gcs_local_udp, ports.gcs_remote_udp),
-                (ports.companion_local_udp, ports.companion_remote_udp),
-            )
-        ]
+        ports = config.ports
+        self._links = [stack.enter_context(contextlib.closing(link)) for link in _open_links(config)]
         self._radio: RadioClient | None = None
         if ports.radio_endpoint is not None:
             self._radio = RadioClient(
@@ -91,9 +92,16 @@ class Process:
         self._host = stack.enter_context(contextlib.closing(Host(config, self._radio)))
         self._link_messages = 0
         self._poll_us = 0
+        self._wall_poll_s = self._wall_heartbeat_s = time.monotonic()
         self._simulator = stack.enter_context(
             connect_simulator(ports.host, ports.simulator_tcp, config.connect_timeout_s)
         )
+        # the kernel's time limit, for Python's own costs a system call more each time
+        self._simulator.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _SILENCE_TIMEVAL)
+        self._waiting = stack.enter_context(contextlib.closing(selectors.DefaultSelector()))
+        self._waiting.register(self._simulator, selectors.EVENT_READ)
+        for link in self._links:
+            self._waiting.register(link, selectors.EVENT_READ)
 
     def run(self) -> None:
         """Fly until the simulator hangs up."""
@@ -111,7 +119,7 @@ class Process:
         gc.collect()
         gc.freeze()
         with contextlib.suppress(ConnectionResetError, BrokenPipeError):  # a simulator that died hangs up too
-            while data := self._simulator.recv(_RECEIVE_BYTES):
+            while data := self._hear():
                 for messages in self._host.push(data):
                     self._simulator.sendall(self._step(messages))
         emit(
@@ -120,26 +128,72 @@ class Process:
                 details={
                     "ground_messages": self._link_messages,
                     "malformed_bytes": self._host.bad_bytes + sum(link.bad_bytes for link in self._links),
+                    "links": self._link_counts(),
                     "malformed_deliveries": 0 if self._radio is None else self._radio.malformed,
                     **self._host.vehicle.troubles(),
                 },
             )
         )
 
+    def _link_counts(self) -> dict[str, dict[str, int]]:
+        """What each link did not take or send, by cause."""
+        vehicle = self._host.vehicle
+        for number, link in enumerate(self._links):
+            link.counters.not_addressed = vehicle.messaging.not_addressed[number]
+            link.counters.rate_limited = vehicle.messaging.shapers.limited(number)
+        return {name: self._links[number].counters.told() for number, name in _LINK_NAMES.items()}
+
+    def _hear(self) -> bytes:
+        """What the simulator says next, nothing if it hung up; meanwhile the links are attended to."""
+        while True:
+            try:
+                return self._simulator.recv(_RECEIVE_BYTES)
+            except BlockingIOError:
+                self._wait()
+
+    def _wait(self) -> None:
+        """Attend to the links until the simulator says something: time stands, so answers are of its last."""
+        while not any(key.fileobj is self._simulator for key, _ in self._waiting.select(WALL_LINK_PERIOD_S)):
+            incoming = self._receive(time.monotonic())
+            if incoming:
+                self._send(self._host.attend(incoming))
+            self._keep_beating()
+
+    def _receive(self, wall_s: float) -> Links:
+        """What has come on the links, which ends the run's determinism."""
+        self._wall_poll_s = wall_s
+        incoming = [
+            Addressed(Partner(i, number), message)
+            for i, link in enumerate(self._links)
+            for number, message in link.receive()
+        ]
+        if incoming and not self._link_messages:
+            emit(Influenced(name=self._host.name, by="a ground station or companion"))
+        self._link_messages += len(incoming)
+        return incoming
+
+    def _send(self, outgoing: Links) -> None:
+        """Put messages on their links."""
+        if any(to.link == GROUND_STATION and _is_heartbeat(message) for to, message in outgoing):
+            self._wall_heartbeat_s = time.monotonic()
+        for i, link in enumerate(self._links):
+            link.send([(to.number, message) for to, message in outgoing if to.link == i])
+
+    def _keep_beating(self) -> None:
+        """Send a heartbeat if simulated time has been too slow for one."""
+        if self._host.vehicle.has_begun and time.monotonic() - self._wall_heartbeat_s >= HEARTBEAT_S:
+            beat = self._host.vehicle.heartbeat()
+            self._send([Addressed(Partner(link), beat) for link in range(len(self._links))])
+
     def _step(self, simulator_messages: list[Message]) -> bytes:
         """One step for a HIL_SENSOR and what came before it; returns what goes back to the simulator."""
         now_us: int = simulator_messages[-1].time_usec
         incoming: Links = []
-        if now_us >= self._poll_us:
+        wall_s = time.monotonic()
+        if now_us >= self._poll_us or wall_s - self._wall_poll_s >= WALL_LINK_PERIOD_S:
             self._poll_us = now_us + LINK_PERIOD_US
-            incoming = [
-                Addressed(Partner(i, number), message)
-                for i, link in enumerate(self._links)
-                for number, message in link.receive()
-            ]
-            if incoming and not self._link_messages:
-                emit(Influenced(name=self._host.name, by="a ground station or companion"))
-            self._link_messages += len(incoming)
+            incoming = self._receive(wall_s)
+            self._keep_beating()
         answer, outgoing = self._host.step(
             simulator_messages,
             link_messages=incoming,
@@ -149,9 +203,37 @@ class Process:
             # so that whoever looks on without a ground station sees what it is warned of
             for text in warnings(outgoing):
                 emit(Warned(name=self._host.name, time_us=now_us, text=text))
-            for i, link in enumerate(self._links):
-                link.send([(to.number, message) for to, message in outgoing if to.link == i])
+            self._send(outgoing)
         return answer
+
+
+def _open_links(config: VehicleConfig) -> Iterator[UdpLink]:
+    """Open the links in the order of their numbers. Raises OSError and SigningKeyError."""
+    links, ports = config.links, config.ports
+    key = None
+    if links.signing_key_file is not None:
+        key = signing.key_of(Path(links.signing_key_file).read_bytes())
+    remotes = (
+        (ports.gcs_local_udp, links.ground_station_host, ports.gcs_remote_udp),
+        (ports.companion_local_udp, links.companion_host, ports.companion_remote_udp),
+    )
+    for number, (local, remote_host, remote) in enumerate(remotes):
+        yield UdpLink(
+            host=links.host,
+            local_port=local,
+            remote_host=remote_host,
+            remote_port=remote,
+            encoder=Encoder(system=config.instance + 1, component=1),
+            signer=None if key is None else signing.Signer(key, link_id=number),
+        )
+
+
+def _is_heartbeat(message: Message) -> bool:
+    """Whether it is the autopilot's."""
+    return bool(
+        message.get_msgId() == common.MAVLINK_MSG_ID_HEARTBEAT
+        and message.autopilot == common.MAV_AUTOPILOT_PX4
+    )
 
 
 def main() -> int:
@@ -164,19 +246,30 @@ def main() -> int:
     add("--config", type=Path, help="JSON file with everything; without it a lone vehicle on PX4's ports")
     add("--connect-timeout-s", type=float, default=30.0, help="how long to look for the simulator")
     add("--params", type=Path, help="parameter file to start with, and to save to, of a lone vehicle")
+    add("--plan", type=Path, help="QGroundControl's .plan to start with, of a lone vehicle")
     add("--supervised", action="store_true", help="end when stdin does")
     arguments = parser.parse_args()
     try:
         if arguments.config is not None:
             config = msgspec.json.decode(arguments.config.read_bytes(), type=VehicleConfig)
         else:
-            config = lone_vehicle(arguments.instance, arguments.connect_timeout_s, arguments.params)
+            config = lone_vehicle(
+                arguments.instance, arguments.connect_timeout_s, arguments.params, arguments.plan
+            )
         if arguments.supervised:
             end_with_parent()
             _yield_to_the_simulator()
         with contextlib.ExitStack() as stack:
             Process(config, stack).run()
-    except (OSError, msgspec.DecodeError, ParameterError, ParameterFileError, PlanError) as error:
+    except (
+        OSError,
+        msgspec.DecodeError,
+        ParameterError,
+        ParameterFileError,
+        PlanFileError,
+        PlanError,
+        SigningKeyError,
+    ) as error:
         # unreachable simulators and radios are among the first
         print(f"uav: {error}", file=sys.stderr)
         return 2
@@ -196,12 +289,15 @@ def _yield_to_the_simulator() -> None:
             os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
-def lone_vehicle(instance: int, connect_timeout_s: float, params: Path | None = None) -> VehicleConfig:
+def lone_vehicle(
+    instance: int, connect_timeout_s: float, params: Path | None = None, plan: Path | None = None
+) -> VehicleConfig:
     """A vehicle that was started by hand: PX4's ports, no radio, and nobody aboard but the ground station.
 
-    Raises ParameterFileError for a parameter file that is there and wrong.
+    Raises ParameterFileError for a parameter file that is there and wrong, PlanFileError for a plan file.
     """
     values = parameter_file.load(params) if params is not None and params.exists() else {}
+    plan_text = plan_file.load(plan) if plan is not None else None
     base = VehiclePorts()
     return msgspec.convert(
         {
@@ -214,7 +310,7 @@ def lone_vehicle(instance: int, connect_timeout_s: float, params: Path | None = 
                 "companion_local_udp": base.companion_local_udp + instance,
                 "companion_remote_udp": base.companion_remote_udp + instance,
             },
-            "autopilot": msgspec.to_builtins(AutopilotConfig(params=values)),
+            "autopilot": msgspec.to_builtins(AutopilotConfig(params=values, plan=plan_text)),
             "params_path": None if params is None else str(params),
             "onboard": {"enabled": False},
             "places_ned_m": [[0.0, 0.0, 0.0]] * (instance + 1),

@@ -3,9 +3,10 @@
 What the launcher hands to ``python -m autopilot``, and what scenarios may say of it.
 """
 
+from ipaddress import IPv4Address
 from typing import Annotated, Literal
 
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, field
 from msgspec.structs import replace
 
 REMEMBERED_S = 2.0
@@ -78,6 +79,16 @@ class MissionItemConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields
     jump_count: Annotated[int, Meta(ge=-1)] = 1
 
 
+class RallyPointConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A place to return to where it is nearer than home."""
+
+    north_m: Position
+    """From the site's origin."""
+    east_m: Position
+    height_m: Annotated[float, Meta(ge=-10_000.0, le=10_000.0)] = 0.0
+    """Above home: what the return's heights count from; it lands on the ground."""
+
+
 class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The scenario's ``[autopilot]`` table."""
 
@@ -89,11 +100,70 @@ class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     """Parameters of single vehicles by their number, which go before all others."""
     fence: tuple[CircleConfig | PolygonConfig, ...] = ()
     mission: tuple[MissionItemConfig, ...] = ()
+    rally: Annotated[tuple[RallyPointConfig, ...], Meta(max_length=80)] = ()
+    plan_file: str | None = None
+    """Mission, geofence and rally points as QGroundControl saves them (.plan), beside the scenario."""
+    plan: str | None = None
+    """The contents of such a file."""
+    kind: Literal["own", "px4"] = "own"
+    """px4: processes of a PX4 SITL build fly, each with coflight's on-board application beside it."""
+    px4_vehicles: tuple[Annotated[int, Meta(ge=0, le=253)], ...] | None = None
+    """Numbers of the vehicles that a PX4 flies, if not all: the others are coflight's own."""
+    px4_build: str | None = None
+    """Folder of the build, with bin/px4 and etc/."""
+    px4_command: Annotated[tuple[str, ...], Meta(min_length=1)] = (
+        "{build}/bin/px4", "-i", "{i}", "-d", "{build}/etc", "-w", "{work}",
+    )  # fmt: skip
+    """What starts one; see `harness.px4_seat` for what stands in braces."""
+    px4_env: dict[str, str] = field(default_factory=lambda: {"PX4_SIM_MODEL": "none_iris"})
+    """Its environment besides what the launcher has; the same may stand in braces."""
+    px4_rc: bool = False
+    """Tell each PX4 of a radio control whose sticks are centred."""
+
+    def is_px4(self, instance: int) -> bool:
+        """Whether a PX4 flies that vehicle."""
+        return self.kind == "px4" and (self.px4_vehicles is None or instance in self.px4_vehicles)
 
     def for_uav(self, instance: int) -> "AutopilotConfig":
         """Settings of one vehicle: all its parameters in ``params``."""
         params = {**self.params, **self.per_uav.get(str(instance), {})}
-        return replace(self, params=params, params_file=None, per_uav={})
+        return replace(self, params=params, params_file=None, per_uav={}, plan_file=None)
+
+
+class LinksConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The scenario's ``[links]`` table: the vehicles' MAVLink to ground stations and companions.
+
+    Nothing but this table lets other machines speak to a vehicle, or makes it speak to them.
+    """
+
+    host: str = "127.0.0.1"
+    """Address of this machine that the links are bound to; 0.0.0.0 is all that it has. All are IPv4."""
+    ground_station_host: str = "127.0.0.1"
+    """Where ``ports.gcs_remote_udp`` is called before anybody has spoken."""
+    companion_host: str = "127.0.0.1"
+    """Where ``ports.companion_remote_udp`` is called."""
+    bandwidth_bytes_s: Annotated[int, Meta(ge=0, le=1_000_000_000)] = 0
+    """Of MAVLink, in a second of simulated time, to whoever hears all that a link says; 0: no limit."""
+    signing_key_file: str | None = None
+    """File with a passphrase or a key, beside the scenario. With it the links act only on what it has signed,
+    and sign what they send."""
+
+    def __post_init__(self) -> None:
+        """Check the addresses; names are none, for looking one up may take long."""
+        here = _ipv4("host", self.host)
+        for name in ("ground_station_host", "companion_host"):
+            if here.is_loopback and not _ipv4(name, getattr(self, name)).is_loopback:
+                raise ValueError(
+                    f"{name}: other machines cannot be reached from {self.host}; "
+                    "expected host to be 0.0.0.0 or an address of this machine's network"
+                )
+
+
+def _ipv4(field: str, text: str) -> IPv4Address:
+    try:
+        return IPv4Address(text)
+    except ValueError:
+        raise ValueError(f"{field}: {text!r} is no IPv4 address, such as 127.0.0.1 or 0.0.0.0") from None
 
 
 class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -101,6 +171,8 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     enabled: bool = True
     """False leaves the autopilots to the ground station."""
+    hold: bool = False
+    """Beacons and ranging alone, no take-off, until a ground station sends component 191 MAV_CMD_USER_1."""
     localisation: Literal["gps", "ftm", "truth"] = "ftm"
     """Correct the own position by everyone's GPS and the FTM distances, trust the own GPS alone, or be told
     by the simulator: the last two are what the first is measured against."""
@@ -183,12 +255,13 @@ class Devices(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class VehiclePorts(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where one vehicle listens and speaks, all on ``host``.
+    """Where one vehicle listens and speaks.
 
     Port 0: any free one (local) or none (remote).
     """
 
     host: str = "127.0.0.1"
+    """The simulator's; that of the links is `LinksConfig`'s."""
     simulator_tcp: Port = 4560
     gcs_local_udp: Port = 18570
     gcs_remote_udp: Port = 14550
@@ -206,9 +279,12 @@ class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """MAVLink system id is this plus one; radio station number is this."""
     seed: Annotated[int, Meta(ge=0)]
     step_us: Annotated[int, Meta(ge=1_000, le=20_000)] = 4_000
+    epoch_unix_us: Annotated[int, Meta(ge=0)] = 0
+    """The date of simulated time 0, as SYSTEM_TIME tells it."""
     site: Site = Site()
     ports: VehiclePorts = VehiclePorts()
     autopilot: AutopilotConfig = AutopilotConfig()
+    links: LinksConfig = LinksConfig()
     onboard: OnboardConfig = OnboardConfig()
     devices: Devices = Devices()
     places_ned_m: tuple[tuple[Position, Position, Position], ...]

@@ -13,9 +13,11 @@ from pymavlink.dialects.v20 import common
 
 from autopilot import parameter_file
 from autopilot.config import VehicleConfig
+from autopilot.flight_log import FlightLog
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.hil import HilEncoder, HilParser, HilSensor
 from autopilot.protocol.service import GROUND_STATION, Addressed
+from autopilot.protocol.status import TEXT_BYTES
 from autopilot.recording import VEHICLE_RECORD, record
 from autopilot.vehicle import Vehicle, is_clock
 from netsim.radio import BATCH_HANDED_OVER
@@ -24,6 +26,10 @@ from netsim.wire.messages import RxItem, TxItem
 
 Links = list[Addressed]
 """Messages of the links to the outside, each with its partner."""
+
+
+MOST_WAITING = 256
+"""Messages of the links that are kept for the first step; the newest count."""
 
 
 class Radio(Protocol):
@@ -52,6 +58,8 @@ class Host:
         self._waiting: list[Message] = []
         self._links_waiting: Links = []
         self._log = None if config.log_path is None else RecordLog(config.log_path, VEHICLE_RECORD)
+        self._flight_log: FlightLog | None = None
+        self._may_log = config.params_path is not None
 
     def push(self, data: bytes) -> Iterator[list[Message]]:
         """The steps that the next bytes from the simulator complete: a HIL_SENSOR and what came before it."""
@@ -87,6 +95,10 @@ class Host:
             radio_items=self._radio.receive(now_us) if self._radio is not None else (),
             link_active=link_active,
         )
+        if link_messages and self._may_log:
+            self._begin_flight_log(now_us)
+        if self._flight_log is not None:
+            self._flight_log.on_step(output, link_active)
         actuators = output.actuators
         if output.save_parameters:
             self._save_parameters()
@@ -98,6 +110,16 @@ class Host:
         answer = b"".join(self._encoder.encode(message) for message in (*output.simulator, actuators))
         return answer, output.links
 
+    def attend(self, link_messages: Links) -> Links:
+        """What goes out on the links in answer to messages that come while the simulator is silent.
+
+        Before the first step there is no vehicle yet that could answer: then they are kept for that step.
+        """
+        if not self.vehicle.has_begun:
+            self._links_waiting = (self._links_waiting + link_messages)[-MOST_WAITING:]
+            return []
+        return self.vehicle.attend(link_messages)
+
     @property
     def bad_bytes(self) -> int:
         """Bytes from the simulator that belonged to no message."""
@@ -105,8 +127,19 @@ class Host:
 
     def close(self) -> None:
         """Write the rest of the log; harmless when repeated."""
+        if self._flight_log is not None:
+            self._flight_log.close()
         if self._log is not None:
             self._log.close()
+
+    def _begin_flight_log(self, now_us: int) -> None:
+        """Begin the stations' log, once, beside the parameter file."""
+        self._may_log = False
+        path = Path(f"{self._config.params_path}").with_suffix(".ulg")
+        try:
+            self._flight_log = FlightLog(path, self.vehicle, now_us)
+        except OSError as error:
+            sys.stderr.write(f"{self.name}: no log: {error}\n")
 
     def _save_parameters(self) -> None:
         """Write the parameter file; a disk that will not have it is no reason to fall out of the sky."""
@@ -121,13 +154,19 @@ class Host:
 
 def warnings(links: Links) -> Iterator[str]:
     """What the ground station is warned of, for whoever looks on without one."""
+    begun = ""
     for partner, message in links:
         if (
             partner.link == GROUND_STATION
             and message.get_msgId() == common.MAVLINK_MSG_ID_STATUSTEXT
             and message.severity <= common.MAV_SEVERITY_WARNING
         ):
-            yield _text(message)
+            piece = _text(message)
+            if message.id and len(piece) == TEXT_BYTES:  # the next one goes on with it: see `Chunks`
+                begun += piece
+            else:
+                yield begun + piece
+                begun = ""
 
 
 def _text(message: Message) -> str:

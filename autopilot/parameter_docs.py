@@ -12,7 +12,8 @@ from operator import attrgetter
 
 from msgspec import Struct
 
-from autopilot.params import TABLE, Parameter, ParameterSet, Settings
+from autopilot.params import TABLE, ParameterSet, Row, Settings
+from autopilot.stated_params import STATED, Stated
 
 PREFIXES = {
     "BAT": "Battery", "BAT1": "Battery", "CBRK": "Circuit breakers", "CF": "Of this project alone",
@@ -21,14 +22,27 @@ PREFIXES = {
     "MC": "Attitude and rate control", "MIS": "Missions", "MPC": "Position control and modes",
     "NAV": "Navigation", "RTL": "Return", "SIM": "Simulated battery", "THR": "Motors",
 }  # fmt: skip
+_MORE_PREFIXES = {
+    "CA": "Geometry", "CAL": "Calibration", "CP": "Obstacles", "MAN": "Manual control", "MAV": "MAVLink",
+    "MNT": "Gimbal", "RC": "Remote control", "SDLOG": "Log", "SENS": "Sensors", "SYS": "System",
+    "TRIG": "Camera", "UAVCAN": "CAN bus",
+}  # fmt: skip
+"""Of the parameters without effect alone."""
+
+
+def group(row: Row) -> str:
+    """What a parameter belongs to, by the beginning of its name."""
+    return (PREFIXES | _MORE_PREFIXES)[row.name.partition("_")[0]]
 
 
 _UNIT = r"(1|s|m|rad|s\^2)(/\w+(\^\d)?)?"
 _SUFFIX = re.compile(r"(_(rad|m|s|us|hz|a|v|1|s2|s3|gauss|ohm|mah))+$")
 
 
-def meaning(parameter: Parameter) -> str:
+def meaning(parameter: Row) -> str:
     """What the docstring of the parameter's setting says beyond the name; if nothing, the setting's name."""
+    if isinstance(parameter, Stated):
+        return parameter.meaning
     *parents, field = parameter.path.split(".")
     owner = attrgetter(".".join(parents))(Settings())
     text = _docstrings(type(owner)).get(field, "")
@@ -39,9 +53,23 @@ def meaning(parameter: Parameter) -> str:
     return text[:1].upper() + text[1:]
 
 
+_DOCSTRINGS: dict[type[Struct], dict[str, str]] = {}
+"""What has been read already: it does not change."""
+
+
 def _docstrings(kind: type[Struct]) -> dict[str, str]:
-    """Docstrings of the fields of a settings struct."""
-    (definition,) = ast.parse(inspect.getsource(kind)).body
+    """Docstrings of the fields of a settings struct; none where the program came without its source."""
+    if kind not in _DOCSTRINGS:
+        try:
+            source = inspect.getsource(kind)
+        except OSError:
+            source = "class Unknown:\n    pass"
+        _DOCSTRINGS[kind] = _read_docstrings(source)
+    return _DOCSTRINGS[kind]
+
+
+def _read_docstrings(source: str) -> dict[str, str]:
+    (definition,) = ast.parse(source).body
     assert isinstance(definition, ast.ClassDef)  # noqa: S101  what else would its source be
     texts = {}
     for before, after in zip(definition.body, definition.body[1:], strict=False):
@@ -61,9 +89,10 @@ def markdown() -> str:
         f"The autopilot's {len(TABLE)} parameters, by PX4's names and in its units. Set them in a scenario",
         "(`[autopilot.params]`, `[autopilot.per_uav.3]` for one vehicle, `params_file`), with",
         "`--set autopilot.params.NAME=VALUE`, or from a ground station, also in flight: all act at once but",
-        "EKF2_GPS_DELAY. This page is made by `scripts/list_parameters.py`.",
+        f"EKF2_GPS_DELAY. {len(STATED)} more of PX4's stand at the end: ground stations' pages expect them,",
+        "and nothing here depends on them. This page is made by `scripts/list_parameters.py`.",
     ]
-    for title, group in groupby(TABLE, key=lambda parameter: PREFIXES[parameter.name.partition("_")[0]]):
+    for title, rows in groupby(TABLE, key=lambda parameter: PREFIXES[parameter.name.partition("_")[0]]):
         lines += [
             "",
             f"## {title}",
@@ -71,10 +100,24 @@ def markdown() -> str:
             "| name | default | unit | range | meaning |",
             "|---|---|---|---|---|",
         ]
-        for parameter in group:
+        for parameter in rows:
             default = f"{parameters.get(parameter.name):.6g}"
             limits = f"{parameter.minimum:g} .. {parameter.maximum:g}"
             lines.append(
                 f"| {parameter.name} | {default} | {parameter.unit} | {limits} | {meaning(parameter)} |"
             )
+    lines += [
+        "",
+        "## Without effect",
+        "",
+        "Kept, listed, saved and loaded like the others, but nothing here depends on them. The names are",
+        "PX4's, and so are the defaults, of its simulated Iris. Those without a range say what the vehicle",
+        "is and are read only.",
+        "",
+        "| name | default | unit | range | meaning in PX4 |",
+        "|---|---|---|---|---|",
+    ]
+    for row in STATED:
+        limits = "" if row.read_only else f"{row.minimum:.9g} .. {row.maximum:.9g}"
+        lines.append(f"| {row.name} | {row.default:.9g} | {row.unit} | {limits} | {row.meaning} |")
     return "\n".join(lines) + "\n"

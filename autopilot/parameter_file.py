@@ -6,6 +6,7 @@
 Fields are separated by tabs (blanks are read, too), type 6 is INT32 and 9 is REAL32, and ``#`` begins a
 comment line. A number comes back as the double that was written; one that a ground station printed from its
 float32, with 18 decimals, comes back as the shortest decimal of that float32, as values over MAVLink do.
+What a vehicle is and cannot change (MAV_SYS_ID and the like) is neither written nor taken from a file.
 `parse` and `dumps` are pure; `load`, `load_known` and `save` touch files.
 """
 
@@ -19,7 +20,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from autopilot.params import INDEX_OF, TABLE, Parameter, ParameterError, ParameterSet, Settings, check_range
+from autopilot.params import (
+    ROW_INDEX_OF,
+    ROWS,
+    TABLE,
+    Parameter,
+    ParameterError,
+    ParameterSet,
+    Row,
+    Settings,
+    check_range,
+)
+from autopilot.stated_params import STATED
 
 INT32, REAL32 = "6", "9"
 AUTOPILOT_COMPONENT = 1
@@ -51,8 +63,10 @@ def parse(text: str, name: str) -> ParsedParameters:
             continue
         try:
             component, parameter_name = _heading(fields)
-            if component != AUTOPILOT_COMPONENT or parameter_name not in INDEX_OF:
+            if component != AUTOPILOT_COMPONENT or parameter_name not in ROW_INDEX_OF:
                 unknown.setdefault(parameter_name, number)
+                continue
+            if parameter_name in _READ_ONLY:
                 continue
             if parameter_name in line_of:
                 raise ParameterError(f"{parameter_name} was set already in line {line_of[parameter_name]}")  # noqa: TRY301  # one place that adds file and line
@@ -92,7 +106,11 @@ def values_of(parameters: ParameterSet, *, only_changed: bool) -> dict[str, floa
         setting = _setting(parameter, parameters.settings)
         if not only_changed or setting != _setting(parameter, defaults):
             values[parameter.name] = _value_of(parameter, setting)
-    return values
+    for row in STATED:
+        value = parameters.stated[row.name]
+        if not row.read_only and (not only_changed or value != row.default):
+            values[row.name] = value
+    return dict(sorted(values.items()))
 
 
 def dumps(values: Mapping[str, float], *, system_id: int = 1) -> str:
@@ -102,7 +120,7 @@ def dumps(values: Mapping[str, float], *, system_id: int = 1) -> str:
     """
     lines = [f"# Onboard parameters for Vehicle {system_id}", "#", HEADER]
     for name, value in values.items():
-        kind, text = _text(TABLE[INDEX_OF[name]], value)
+        kind, text = _text(ROWS[ROW_INDEX_OF[name]], value)
         lines.append("\t".join((str(system_id), str(AUTOPILOT_COMPONENT), name, text, kind)))
     return "\n".join(lines) + "\n"
 
@@ -140,6 +158,7 @@ def _value(name: str, text: str, kind: str) -> float:
     return value
 
 
+_READ_ONLY = frozenset(row.name for row in STATED if row.read_only)
 _WHOLE = re.compile(r"[+-]?[0-9]{1,10}")
 _REAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 
@@ -153,7 +172,7 @@ def _real(text: str) -> float:
     return float(str(single)) if f"{float(single):.18f}" == text else value
 
 
-def _text(parameter: Parameter, value: float) -> tuple[str, str]:
+def _text(parameter: Row, value: float) -> tuple[str, str]:
     """Type and decimal of a value that `_real` reads as the same double."""
     if parameter.is_integer:
         return INT32, str(round(value))

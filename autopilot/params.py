@@ -2,11 +2,12 @@
 
 The settings structs of estimation, control, navigation and commander hold the values in SI; this table is
 the one place that knows PX4's names and units. Defaults are those of the structs, so that nothing is
-written down twice.
+written down twice. Beside it stand the parameters without effect of `autopilot.stated_params`.
 """
 
 import math
 from collections.abc import Mapping
+from enum import IntEnum
 from operator import attrgetter
 from typing import NamedTuple, TypeVar
 
@@ -20,10 +21,25 @@ from autopilot.commander.params import CommanderParams
 from autopilot.control.params import ControlParams
 from autopilot.estimation.params import EstimatorParams
 from autopilot.navigation.params import NavigationParams
+from autopilot.stated_params import STATED, STATED_OF, Stated
+
+
+class Problem(IntEnum):
+    """What is wrong with a parameter: MAV_PARAM_ERROR numbers."""
+
+    UNKNOWN = 1
+    VALUE = 2
+    """Out of its range, or in contradiction to another parameter."""
+    READ_ONLY = 5
+    TYPE = 7
 
 
 class ParameterError(ValueError):
-    """A parameter that does not exist, is out of its range or contradicts another; the text is one line."""
+    """A parameter that cannot be read or set; the text is one line."""
+
+    def __init__(self, text: str, problem: Problem = Problem.VALUE) -> None:
+        super().__init__(text)
+        self.problem = problem
 
 
 class Settings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -224,9 +240,20 @@ TABLE = (
     Parameter("SIM_BAT_MIN_PCT", "battery_sim.minimum", "%", 0.0, 100.0, 0.01),
     Parameter("THR_MDL_FAC", "control.allocation.thrust_model_factor", "", 0.0, 1.0),
 )
-"""In order of the names, which is that of the indices that ground stations see. CF_* are coflight's own."""
+"""In order of the names. CF_* are coflight's own."""
 
 INDEX_OF = {parameter.name: index for index, parameter in enumerate(TABLE)}
+
+Row = Parameter | Stated
+
+
+def _name(row: Row) -> str:
+    return row.name
+
+
+ROWS: tuple[Row, ...] = tuple(sorted((*TABLE, *STATED), key=_name))
+"""With and without effect, in order of the names, which is that of the indices that ground stations see."""
+ROW_INDEX_OF = {row.name: index for index, row in enumerate(ROWS)}
 
 NOT_OVER = (
     ("BAT_CRIT_THR", "BAT_LOW_THR"),
@@ -241,43 +268,75 @@ UNDER = (("BAT1_V_EMPTY", "BAT1_V_CHARGED"),)
 class ParameterSet:
     """The parameters' present values and the settings that they make."""
 
-    def __init__(self, settings: Settings, overrides: Mapping[str, float] | None = None) -> None:
+    def __init__(
+        self, settings: Settings, overrides: Mapping[str, float] | None = None, *, system: int = 1
+    ) -> None:
         """Start from ``settings`` and change what ``overrides`` names. Raises ParameterError.
 
         Pairs that must be in order are looked at when all are changed: the order of ``overrides`` is free.
+        ``system`` is the vehicle's number in MAVLink.
         """
         self.settings = settings
+        self.stated = {row.name: row.default for row in STATED} | {"MAV_SYS_ID": float(system)}
+        """Values of the parameters without effect."""
+        self.version = 0
+        """Rises with every change."""
         for name, value in (overrides or {}).items():
-            self.settings = _changed(self.settings, name, value)
+            self._change(name, value)
         _check_order(self.settings)
 
     def get(self, name: str) -> float:
         """Value in PX4's unit. Raises ParameterError for a name that does not exist."""
+        if name in self.stated:
+            return self.stated[name]
         parameter = _find(name)
         return _setting(self.settings, parameter) / parameter.setting_per_unit
 
     def set(self, name: str, value: float) -> None:
         """Change a value, given in PX4's unit. Raises ParameterError, and then nothing has changed."""
-        settings = _changed(self.settings, name, value)
-        _check_order(settings, name)
-        self.settings = settings
+        before = self.settings
+        self._change(name, value)
+        if self.settings is not before:
+            try:
+                _check_order(self.settings, name)
+            except ParameterError:
+                self.settings = before
+                raise
+        self.version += 1
+
+    def _change(self, name: str, value: float) -> None:
+        """Take one value without a look at the others. Raises ParameterError."""
+        check_range(name, value)
+        if name not in self.stated:
+            self.settings = _changed(self.settings, name, value)
+        elif STATED_OF[name].read_only:
+            raise ParameterError(f"parameter {name} is read only", Problem.READ_ONLY)
+        else:
+            self.stated[name] = value
 
 
 def check_range(name: str, value: float) -> None:
     """Raise ParameterError unless the parameter exists and takes the value, whatever the others are."""
-    parameter = _find(name)
-    if not parameter.minimum <= value <= parameter.maximum:  # also refuses NaN
-        limits = f"{parameter.minimum:g} .. {parameter.maximum:g} {parameter.unit}".rstrip()
+    index = ROW_INDEX_OF.get(name)
+    if index is None:
+        raise _unknown(name)
+    row = ROWS[index]
+    if not row.minimum <= value <= row.maximum:  # also refuses NaN
+        limits = f"{row.minimum:g} .. {row.maximum:g} {row.unit}".rstrip()
         raise ParameterError(f"parameter {name} = {value:g} is outside {limits}")
-    if parameter.is_integer and value != round(value):
+    if row.is_integer and value != round(value):
         raise ParameterError(f"parameter {name} = {value:g} is not a whole number")
 
 
 def _find(name: str) -> Parameter:
     index = INDEX_OF.get(name)
     if index is None:
-        raise ParameterError(f"there is no parameter {name!r}")
+        raise _unknown(name)
     return TABLE[index]
+
+
+def _unknown(name: str) -> ParameterError:
+    return ParameterError(f"there is no parameter {name!r}", Problem.UNKNOWN)
 
 
 def _setting(settings: Settings, parameter: Parameter) -> float:
@@ -286,8 +345,7 @@ def _setting(settings: Settings, parameter: Parameter) -> float:
 
 
 def _changed(settings: Settings, name: str, value: float) -> Settings:
-    """Settings with one value, in PX4's unit, changed. Raises ParameterError."""
-    check_range(name, value)
+    """Settings with one value, in PX4's unit and within its range, changed."""
     parameter = _find(name)
     setting = value * parameter.setting_per_unit
     kind = type(_setting(settings, parameter))

@@ -1,19 +1,31 @@
 """From the mode to the motors: navigation, control, contact with the ground, and the place to return to."""
 
+import math
+from collections.abc import Collection
+from dataclasses import replace
+
+import numpy as np
+
+from autopilot.commander.conditions import Reason
 from autopilot.commander.land_detector import LandDetector, Stage
 from autopilot.control import FlightController
 from autopilot.mavlink.modes import FlightMode
-from autopilot.navigation.geodesy import ned_to_geodetic
+from autopilot.navigation import plan_items
+from autopilot.navigation.geodesy import geodetic_to_ned, ned_to_geodetic
 from autopilot.navigation.mission import Mission, distance_trouble
-from autopilot.navigation.setpoints import IDLE, Navigator, down_demand_m_s
+from autopilot.navigation.orbit import Circle, YawBehaviour
+from autopilot.navigation.plan_store import PlanStore, PlanType
+from autopilot.navigation.setpoints import IDLE, ON_GROUND_M, Navigator, down_demand_m_s
 from autopilot.params import Settings
 from autopilot.protocol.command import TakeoffAltitude
 from autopilot.protocol.flight_data import FlightData, Home
 from autopilot.protocol.manual_control import ManualControlService
 from autopilot.protocol.offboard import OffboardService
-from autopilot.types import AttitudeSetpoint, TrajectorySetpoint
+from autopilot.types import Array, Setpoint, TrajectorySetpoint
 
 _NO_CONTROLS = [0.0] * 16
+_HEIGHT_MAX_M = 1e5
+"""Of altitudes, whether above or below the sea: what is beyond was not meant."""
 
 
 class Pilot:
@@ -35,14 +47,18 @@ class Pilot:
         self.navigator = Navigator(settings.navigation, control.trajectory, control.position)
         self.mission_valid = False
         """There is a mission that may be begun from home."""
+        self.mission_trouble: str | None = None
+        """Why the mission that there is may not be begun from home."""
         self._settings = settings
         self._flight = flight
         self._offboard = offboard
         self._manual = manual
         self._land_detector = LandDetector(settings.land_detector)
-        self._setpoint: TrajectorySetpoint | AttitudeSetpoint = IDLE
+        self._setpoint: Setpoint = IDLE
         self._active: tuple[FlightMode, bool, int, float | None] | None = None
         """Mode, arming, estimator resets and take-off altitude that navigator and controller work with."""
+        self._home_is_manual = False
+        """Somebody said where home is: arming elsewhere does not change it."""
 
     def set_params(self, settings: Settings) -> None:
         """Change what differs, at once and in flight; what was learned and flown stays."""
@@ -59,6 +75,118 @@ class Pilot:
         """Take another mission, or none; in mission mode it begins at once."""
         self.navigator.mission.load(mission)
         self._check_mission()
+
+    # ---- what is asked for in flight; a refusal gives its reason
+
+    def reposition(
+        self,
+        lat_deg: float | None,
+        lon_deg: float | None,
+        alt_amsl_m: float | None,
+        yaw_rad: float | None,
+        speed_m_s: float | None,
+    ) -> Reason | None:
+        """Hold at another place, as MAV_CMD_DO_REPOSITION with the flag that changes the mode.
+
+        Without latitude and longitude the place stays, without an altitude the height; without any of them it
+        stops here. Without a heading the nose points as on any leg. On the ground it is refused.
+        """
+        if (lat_deg is None) is not (lon_deg is None) or not _are_usable(lat_deg, lon_deg, alt_amsl_m):
+            return Reason.BAD_ARGUMENT
+        refusal = self._enter_in_flight(FlightMode.HOLD)
+        if refusal is not None:
+            return refusal
+        if speed_m_s is not None and speed_m_s > 0.0:
+            self.change_speed(speed_m_s)
+        if lat_deg is None and alt_amsl_m is None:
+            self.navigator.stop(self._flight.state)
+        else:
+            place_ned_m = self._place_ned_m(self.navigator.place_ned_m, lat_deg, lon_deg, alt_amsl_m)
+            self.navigator.hold_at(place_ned_m, yaw_rad=_number(yaw_rad))
+        return None
+
+    def orbit(
+        self,
+        radius_m: float | None,
+        speed_m_s: float | None,
+        yaw_behaviour: float | None,
+        lat_deg: float | None,
+        lon_deg: float | None,
+        alt_amsl_m: float | None,
+    ) -> Reason | None:
+        """Circle about a place, as MAV_CMD_DO_ORBIT; what is None stays as it was, or is here.
+
+        A positive radius is flown clockwise, and a negative speed turns that round. The bounds are PX4's
+        (`autopilot.navigation.orbit`). On the ground it is refused.
+        """
+        if (lat_deg is None) is not (lon_deg is None) or not _are_usable(lat_deg, lon_deg, alt_amsl_m):
+            return Reason.BAD_ARGUMENT
+        radius_m, speed_m_s, yaw_behaviour = map(_number, (radius_m, speed_m_s, yaw_behaviour))
+        if yaw_behaviour is not None and yaw_behaviour not in set(YawBehaviour):
+            return Reason.BAD_ARGUMENT
+        orbit, state = self.navigator.orbit, self._flight.state
+        goes_on = self._flight.commander.mode is FlightMode.ORBIT
+        refusal = self._enter_in_flight(FlightMode.ORBIT)
+        if refusal is not None:
+            return refusal
+        before = orbit.circle
+        if before is None:
+            return Reason.MODE_UNAVAILABLE  # cannot be: the mode was entered with one
+        here_ned_m = np.array((before.north_m, before.east_m, before.down_m)) if goes_on else state.pos_ned_m
+        north_m, east_m, down_m = self._place_ned_m(here_ned_m, lat_deg, lon_deg, alt_amsl_m).tolist()
+        yaw = before.yaw if yaw_behaviour is None else YawBehaviour(int(yaw_behaviour))
+        clockwise = before.speed_m_s if radius_m is None else radius_m
+        orbit.start(
+            state,
+            Circle(
+                north_m=north_m,
+                east_m=east_m,
+                down_m=down_m,
+                radius_m=before.radius_m if radius_m is None else abs(radius_m),
+                speed_m_s=math.copysign(1.0, clockwise)
+                * (abs(before.speed_m_s) if speed_m_s is None else speed_m_s),
+                yaw=before.yaw if yaw is YawBehaviour.UNCHANGED else yaw,
+            ),
+        )
+        return None
+
+    def change_speed(self, speed_m_s: float | None) -> None:
+        """Fly legs at this speed over ground until the mode ends, None: as the parameters say."""
+        usable = speed_m_s is not None and 0.0 < speed_m_s < math.inf
+        self.navigator.change_speed(speed_m_s if usable else None)
+
+    def set_home(self, lat_deg: float, lon_deg: float, alt_m: float) -> Reason | None:
+        """Have home at a place, its altitude above the sea, whatever happens afterwards."""
+        state = self._flight.state
+        if not _are_usable(lat_deg, lon_deg, alt_m):
+            return Reason.BAD_ARGUMENT
+        if not state.position_valid:
+            return Reason.NO_POSITION
+        north_m, east_m, down_m = self._place_ned_m(state.pos_ned_m, lat_deg, lon_deg, alt_m).tolist()
+        self._flight.home = replace(
+            self._here(), lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m, pos_ned_m=(north_m, east_m, down_m)
+        )
+        self._home_is_manual = True
+        self._check_mission()
+        return None
+
+    def set_home_here(self) -> Reason | None:
+        """Have home where the vehicle is, and again where it is armed."""
+        if not self._flight.state.position_valid:
+            return Reason.NO_POSITION
+        self._home_is_manual = False
+        self._set_home()
+        return None
+
+    def load_plans(self, plans: PlanStore, kinds: Collection[PlanType]) -> None:
+        """Fly by what the store has of these types now; a mission begins with the item that is marked."""
+        if PlanType.MISSION in kinds:
+            plan = plans[PlanType.MISSION]
+            start = plan.start if plan.start < len(plan.items) else 0
+            self.navigator.mission.load(plan_items.mission(plan.items), start=start)
+            self._check_mission()
+        if PlanType.RALLY in kinds:
+            self.navigator.set_rally_points(plan_items.rally_points(plans[PlanType.RALLY].items))
 
     @property
     def landed(self) -> bool:
@@ -98,14 +226,11 @@ class Pilot:
     def fly(self, dt_s: float) -> None:
         """Set the mode's setpoint and the controls that follow it."""
         flight, commander, state = self._flight, self._flight.commander, self._flight.state
-        active = (commander.mode, commander.armed, state.reset_counter, self.takeoff_altitude.amsl_m)
-        if active != self._active:
-            self._change(was_armed=self._active is not None and self._active[1])
-            self._active = active
+        self._keep_up()
         if not commander.armed:
             return
         landed = self._land_detector.landed
-        setpoint: TrajectorySetpoint | AttitudeSetpoint
+        setpoint: Setpoint
         if landed and not commander.spooled_up(flight.now_us):
             setpoint = IDLE
         elif commander.mode is FlightMode.OFFBOARD and self._offboard.setpoint is not None:
@@ -127,6 +252,19 @@ class Pilot:
         flight.attitude_setpoint = self.controller.attitude_setpoint
         self.controls = flight.motors.tolist() + _NO_CONTROLS[4:]
 
+    def _keep_up(self) -> None:
+        """Have navigator and controller in the commander's mode."""
+        commander = self._flight.commander
+        active = (
+            commander.mode,
+            commander.armed,
+            self._flight.state.reset_counter,
+            self.takeoff_altitude.amsl_m,
+        )
+        if active != self._active:
+            self._change(was_armed=self._active is not None and self._active[1])
+            self._active = active
+
     def _change(self, *, was_armed: bool) -> None:
         """Begin what follows from a new mode, from arming, or from an estimate that jumped."""
         flight = self._flight
@@ -136,7 +274,7 @@ class Pilot:
             flight.setpoint = flight.attitude_setpoint = None
             self.controls = _NO_CONTROLS
             return
-        if not was_armed and flight.state.position_valid:
+        if not was_armed and flight.state.position_valid and not self._home_is_manual:
             self._set_home()
         self.navigator.enter(
             flight.commander.mode,
@@ -149,11 +287,44 @@ class Pilot:
     # ---- pieces
 
     def _takeoff_down_m(self) -> float:
+        """Where a take-off ends: MIS_TAKEOFF_ALT above home, or at an altitude that is off the ground."""
+        home_down_m = self._flight.home.pos_ned_m[2] if self._flight.home is not None else 0.0
         amsl_m = self.takeoff_altitude.amsl_m
         if amsl_m is not None:
-            return self._flight.state.origin_alt_m - amsl_m
-        home_down_m = self._flight.home.pos_ned_m[2] if self._flight.home is not None else 0.0
+            down_m = self._flight.state.origin_alt_m - amsl_m
+            if down_m < home_down_m - ON_GROUND_M:
+                return down_m
         return home_down_m - self._settings.navigation.takeoff_height_m
+
+    def _enter_in_flight(self, mode: FlightMode) -> Reason | None:
+        """Enter a mode for what only a flying vehicle can do."""
+        commander = self._flight.commander
+        if not commander.armed or self.landed:
+            return Reason.ON_GROUND
+        refusal = commander.set_mode(mode)
+        if refusal is None:
+            self.takeoff_altitude.amsl_m = None
+            self._keep_up()
+        return refusal
+
+    def _place_ned_m(
+        self, here_ned_m: Array, lat_deg: float | None, lon_deg: float | None, alt_amsl_m: float | None
+    ) -> Array:
+        """(3,) place from the estimator's origin; ``here_ned_m`` (3,) stands in for what is None."""
+        state = self._flight.state
+        place_ned_m = here_ned_m.copy()
+        if lat_deg is not None and lon_deg is not None:
+            place_ned_m[:2] = geodetic_to_ned(
+                lat_deg,
+                lon_deg,
+                state.origin_alt_m,
+                origin_lat_deg=state.origin_lat_deg,
+                origin_lon_deg=state.origin_lon_deg,
+                origin_alt_m=state.origin_alt_m,
+            )[:2]
+        if alt_amsl_m is not None:
+            place_ned_m[2] = state.origin_alt_m - alt_amsl_m
+        return place_ned_m
 
     def _set_home(self) -> None:
         """Make the present place the one to return to."""
@@ -163,16 +334,15 @@ class Pilot:
     def _check_mission(self) -> None:
         """Find out whether there is a mission that may be begun from home."""
         mission, home = self.navigator.mission.runner.mission, self._flight.home
-        self.mission_valid = mission is not None and (
-            home is None
-            or distance_trouble(
+        self.mission_trouble = None
+        if mission is not None and home is not None:
+            self.mission_trouble = distance_trouble(
                 mission,
                 home_lat_deg=home.lat_deg,
                 home_lon_deg=home.lon_deg,
                 max_m=self._settings.navigation.first_place_max_m,
             )
-            is None
-        )
+        self.mission_valid = mission is not None and self.mission_trouble is None
 
     def _here(self) -> Home:
         state = self._flight.state
@@ -191,3 +361,17 @@ class Pilot:
             pos_ned_m=(north_m, east_m, down_m),
             q_ned_frd=(w, x, y, z),
         )
+
+
+def _number(value: float | None) -> float | None:
+    """Give a value that is none for what is no number, as MAVLink means it."""
+    return value if value is not None and math.isfinite(value) else None
+
+
+def _are_usable(lat_deg: float | None, lon_deg: float | None, alt_m: float | None) -> bool:
+    """Whether a place is on the globe, or is left to be what it was; False for NaN."""
+    return (
+        (lat_deg is None or abs(lat_deg) <= 90.0)
+        and (lon_deg is None or abs(lon_deg) <= 180.0)
+        and (alt_m is None or abs(alt_m) <= _HEIGHT_MAX_M)
+    )

@@ -16,7 +16,7 @@ from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.navigation.manual import ManualInput
 from autopilot.navigation.setpoints import Navigator
 from autopilot.onboard.phases import Phase
-from autopilot.types import Array
+from autopilot.types import Array, RateSetpoint
 from autopilot.vehicle import Vehicle
 from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult, RxItem, TxItem
 
@@ -71,6 +71,7 @@ def _rehearse_modes(vehicle: Vehicle) -> None:
     home_ned_m = (0.0, 0.0, 0.0)
     for mode in (
         FlightMode.POSITION, FlightMode.ALTITUDE, FlightMode.STABILIZED, FlightMode.RETURN, FlightMode.LAND,
+        FlightMode.ORBIT,
     ):  # fmt: skip
         navigator.enter(mode, state, landed=False, takeoff_down_m=0.0, home_ned_m=home_ned_m)
         for _ in range(2):
@@ -78,6 +79,8 @@ def _rehearse_modes(vehicle: Vehicle) -> None:
                 state, dt_s=0.004, landed=False, touching=False, home_ned_m=home_ned_m, manual=sticks
             )
         vehicle.pilot.controller.update(state, setpoint, dt_s=0.004, landed=False)
+    rates = RateSetpoint(rate_frd_rad_s=np.zeros(3), thrust=0.5)
+    vehicle.pilot.controller.update(state, rates, dt_s=0.004, landed=False)
 
 
 def _sensors(site: Site, time_us: int, pos_ned_m: Array, climb_m_s: float) -> list[common.MAVLink_message]:

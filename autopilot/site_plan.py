@@ -1,15 +1,63 @@
-"""Geofence and mission of a scenario, stated in metres of the site, as the autopilot takes them."""
+"""Geofence, mission and rally points of a scenario as the autopilot takes them.
 
-from collections.abc import Sequence
+They are stated in metres of the site or in a plan file, of each sort in one of the two.
+"""
 
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from autopilot import plan_file
 from autopilot.commander.geofence import FenceCircle, FencePolygon, FenceShape, Origin
-from autopilot.config import CircleConfig, MissionItemConfig, PolygonConfig, Site
+from autopilot.config import (
+    AutopilotConfig,
+    CircleConfig,
+    MissionItemConfig,
+    PolygonConfig,
+    RallyPointConfig,
+    Site,
+)
+from autopilot.navigation import plan_items
 from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.navigation.mission import Mission, MissionCommand, MissionError, MissionItem, make_mission
+from autopilot.navigation.plan_items import RallyPoint
+from autopilot.navigation.plan_store import PlanType, WireItem
 
 
 class PlanError(ValueError):
     """A fence or a mission that cannot be flown; the text is one line."""
+
+
+class SitePlans(NamedTuple):
+    """What a scenario gives a vehicle: what is flown and kept to, and the same as stations read it."""
+
+    mission: Mission | None
+    fence_shapes: Sequence[FenceShape]
+    rally_points: tuple[RallyPoint, ...]
+    items: Mapping[PlanType, tuple[WireItem, ...]]
+
+
+def plans(config: AutopilotConfig, site: Site) -> SitePlans:
+    """All plans of a scenario. Raises PlanError."""
+    try:
+        file = plan_file.loads(config.plan) if config.plan is not None else plan_file.Plans()
+    except plan_file.PlanFileError as error:
+        raise PlanError(f"plan: {error}") from None
+    for name, in_file, in_scenario in (
+        ("mission", file.mission, config.mission),
+        ("fence", file.fence, config.fence),
+        ("rally", file.rally, config.rally),
+    ):
+        if in_file and in_scenario:
+            raise PlanError(f"{name}: there is one in the plan file, too; expected one of the two")
+    flown = plan_items.mission(file.mission) if file.mission else mission(config.mission, site)
+    shapes = plan_items.fence_shapes(file.fence) if file.fence else fence_shapes(config.fence, site)
+    rally = file.rally or tuple(_rally_item(point, site) for point in config.rally)
+    items = {
+        PlanType.MISSION: file.mission or (plan_items.mission_items(flown) if flown is not None else ()),
+        PlanType.FENCE: file.fence or plan_items.fence_items(shapes),
+        PlanType.RALLY: rally,
+    }
+    return SitePlans(flown, shapes, plan_items.rally_points(rally), items)
 
 
 def fence_shapes(config: Sequence[CircleConfig | PolygonConfig], site: Site) -> list[FenceShape]:
@@ -42,13 +90,7 @@ def mission(config: Sequence[MissionItemConfig], site: Site) -> Mission | None:
 def _item(item: MissionItemConfig, site: Site) -> MissionItem:
     lat_deg = lon_deg = None
     if item.north_m is not None and item.east_m is not None:
-        lat, lon, _ = ned_to_geodetic(
-            [item.north_m, item.east_m, 0.0],
-            origin_lat_deg=site.latitude_deg,
-            origin_lon_deg=site.longitude_deg,
-            origin_alt_m=site.altitude_m,
-        )
-        lat_deg, lon_deg = float(lat), float(lon)
+        lat_deg, lon_deg = _lat_lon_deg(item.north_m, item.east_m, site)
     return MissionItem(
         command=MissionCommand[item.command.upper()],
         lat_deg=lat_deg,
@@ -61,3 +103,18 @@ def _item(item: MissionItemConfig, site: Site) -> MissionItem:
         jump_to=item.jump_to,
         jump_count=item.jump_count,
     )
+
+
+def _rally_item(point: RallyPointConfig, site: Site) -> WireItem:
+    return plan_items.rally_item(*_lat_lon_deg(point.north_m, point.east_m, site), point.height_m)
+
+
+def _lat_lon_deg(north_m: float, east_m: float, site: Site) -> tuple[float, float]:
+    """Latitude and longitude, degrees, of a place in metres from the site's origin."""
+    lat, lon, _ = ned_to_geodetic(
+        [north_m, east_m, 0.0],
+        origin_lat_deg=site.latitude_deg,
+        origin_lon_deg=site.longitude_deg,
+        origin_alt_m=site.altitude_m,
+    )
+    return float(lat), float(lon)

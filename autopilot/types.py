@@ -116,5 +116,19 @@ class AttitudeSetpoint(Struct, frozen=True, kw_only=True):
     q_ned_frd: Array
     """(4,) wxyz"""
     yaw_rate_rad_s: float
+    """About NED down, on top of what turns to the attitude"""
     thrust: float
     """Collective, 0..1 of full, along -z of the body"""
+
+
+class RateSetpoint(Struct, frozen=True, kw_only=True):
+    """What somebody asks of the rate controller, whose limits hold; nobody keeps the attitude."""
+
+    rate_frd_rad_s: Array
+    """(3,)"""
+    thrust: float
+    """As `AttitudeSetpoint`'s"""
+
+
+Setpoint = TrajectorySetpoint | AttitudeSetpoint | RateSetpoint
+"""Whatever the flight controller follows"""

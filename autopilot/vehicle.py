@@ -20,44 +20,30 @@ from autopilot.estimation.estimator import Estimator
 from autopilot.mavlink.codec import Message, stamp
 from autopilot.mavlink.hil import HilActuatorControls
 from autopilot.mavlink.modes import FlightMode
+from autopilot.messaging import Messaging
 from autopilot.monitor import Monitor
 from autopilot.onboard.app import NOTHING, OnboardApp
-from autopilot.params import ParameterError, ParameterSet, Settings
+from autopilot.params import ParameterError, ParameterSet, Problem, Settings
 from autopilot.pilot import Pilot
-from autopilot.protocol.command import CommandService
 from autopilot.protocol.flight_data import FlightData
 from autopilot.protocol.manual_control import ManualControlService
 from autopilot.protocol.offboard import OffboardService
-from autopilot.protocol.parameter import ParameterService
 from autopilot.protocol.service import (
     ALL,
-    APPLICATION,
     APPLICATION_COMPONENT,
     APPLICATION_PARTNER,
     AUTOPILOT_COMPONENT,
-    COMPANION,
-    EVERYBODY,
     GROUND_STATION,
     Addressed,
     Partner,
     is_addressed_to,
     reply,
 )
-from autopilot.protocol.services import Services
 from autopilot.protocol.status import heartbeat, status_text
-from autopilot.protocol.streams import (
-    APPLICATION_HZ,
-    APPLICATION_WITH_ATTITUDE_HZ,
-    COMPANION_HZ,
-    GROUND_STATION_HZ,
-    Streams,
-)
-from autopilot.protocol.telemetry import Telemetry
 from autopilot.recording import SiteFrame
 from autopilot.sensors import SensorInput
 from netsim.wire.messages import RxItem, TxItem
 
-_OUTSIDE = (GROUND_STATION, COMPANION)
 _GROUND = Partner(GROUND_STATION)
 _HEARTBEAT_PERIOD_US = 1_000_000
 _TRUTH_INTERVAL_US = 5_000.0
@@ -65,7 +51,6 @@ _TRUTH_INTERVAL_US = 5_000.0
 _MODE_DISARMED = common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 _MODE_ARMED = _MODE_DISARMED | common.MAV_MODE_FLAG_SAFETY_ARMED
 _LOCKSTEP_FLAG = 1
-_GPS_RAW_INT = common.MAVLINK_MSG_ID_GPS_RAW_INT
 _HIL_STATE_QUATERNION = common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
 _TO_GROUND_TOO = frozenset({common.MAVLINK_MSG_ID_HEARTBEAT, common.MAVLINK_MSG_ID_NAMED_VALUE_INT})
 """What the application tells simulator and ground station of itself."""
@@ -109,47 +94,49 @@ class Vehicle:
             gps_delay_us=round(config.devices.gps_delay_s * US_PER_S),
         )
         defaults = replace(defaults, estimation=estimation)
-        self.parameters = ParameterSet(defaults, config.autopilot.params)
+        self.parameters = ParameterSet(defaults, config.autopilot.params, system=self._system)
         settings = self.parameters.settings
         self.estimator = Estimator(settings.estimation)
         self.commander = Commander(settings.commander)
         self.flight = FlightData(
             estimator=self.estimator, commander=self.commander, state=self.estimator.state
         )
-        self.telemetry = Telemetry(self.flight, system=self._system)
         self.offboard = OffboardService(self.flight)
         self.manual = ManualControlService(self.commander)
         self.site = SiteFrame(config.site)
+        plans = site_plan.plans(config.autopilot, config.site)
         self._sensors = SensorInput(self.estimator)
         self.monitor = Monitor(
             settings,
-            geofence=Geofence(settings.geofence, site_plan.fence_shapes(config.autopilot.fence, config.site)),
+            geofence=Geofence(settings.geofence, plans.fence_shapes),
             sensors=self._sensors,
             offboard=self.offboard,
             manual=self.manual,
         )
         self.flight.battery = self.monitor.battery
         self.pilot = Pilot(settings, self.flight, offboard=self.offboard, manual=self.manual)
-        self.pilot.load_mission(site_plan.mission(config.autopilot.mission, config.site))
-        application_hz = APPLICATION_WITH_ATTITUDE_HZ if config.onboard.wind_feed_forward else APPLICATION_HZ
-        self.streams = {
-            link: Streams(self.telemetry.builders, rates_hz)
-            for link, rates_hz in (
-                (GROUND_STATION, GROUND_STATION_HZ),
-                (COMPANION, COMPANION_HZ),
-                (APPLICATION, application_hz),
-            )
-        }
-        """By the links' numbers."""
-        self._services = self._make_services()
+        self.pilot.load_mission(plans.mission)
+        self.pilot.navigator.set_rally_points(plans.rally_points)
+        self.messaging = Messaging(
+            config,
+            flight=self.flight,
+            parameters=self.parameters,
+            set_parameter=self.set_parameter,
+            pilot=self.pilot,
+            geofence=self.monitor.geofence,
+            offboard=self.offboard,
+            manual=self.manual,
+            plans=plans,
+        )
         self._before_conditions = self.offboard.takes | self.manual.takes
-        """Messages that conditions depend on, so that a mode is asked for in vain no longer than need be."""
+        """Messages that conditions depend on, so that a mode is not asked for in vain."""
         self._told_truth = config.onboard.localisation == "truth"
         self.app = self._make_app()
+        if self.app is not None:
+            self.messaging.tell_application = self.app.on_mavlink
         self._last_us: int | None = None
         self._announced: tuple[FlightMode, bool, bool] | None = None
         self._announce_us = 0
-        self._save_wanted = False
 
     def step(
         self,
@@ -173,44 +160,53 @@ class Vehicle:
         dt_s = (self.config.step_us if self._last_us is None else now_us - self._last_us) / US_PER_S
         self._last_us = now_us
 
+        messaging = self.messaging
         if self._sensors.take(sim_messages, now_us):
-            for streams in self.streams.values():
-                streams.on_new_data(_GPS_RAW_INT)
-        outgoing: list[Addressed] = []
-        to_answer = self._take_in(link_messages, outgoing, now_us)
+            messaging.on_new_fix()
+        to_answer = self._take_in(link_messages, now_us)
         self._sense(now_us)
         simulator = [_greeting()] if first else []
-        for notice in self.commander.update(
-            now_us,
-            conditions=self.flight.conditions,
-            causes=self.flight.causes,
-            landed=self.pilot.landed,
-            next_mode=self.pilot.next_mode,
-        ):
-            self._post(reply(ALL, status_text(notice.severity, notice.text)), outgoing, now_us)
-        for partner, message in to_answer:
-            self._on_link_message(partner, message, outgoing, now_us)
+        self._decide()
+        for received in to_answer:
+            self._on_link_message(received, now_us)
         if self._told_truth:
             self._pass_truth_on(sim_messages, now_us)
-        radio = self._run_app(radio_items, outgoing, simulator, now_us)
+        radio = self._run_app(radio_items, simulator, now_us)
         self.pilot.fly(dt_s)
-        if now_us >= self._services.deadline_us:
-            self._post(self._services.on_timer(now_us), outgoing, now_us)
-        for link in _OUTSIDE:
-            streams = self.streams[link]
-            streams.active = link_active[link]
-            if now_us >= streams.next_deadline_us():
-                outgoing += reply(Partner(link), *streams.on_timer(now_us))
+        links = messaging.on_timer(now_us, link_active)
         self._announce(simulator, now_us)
-        saving, self._save_wanted = self._save_wanted, False
         return StepOutput(
             now_us=now_us,
             actuators=self._actuators(now_us),
             simulator=simulator,
-            links=outgoing,
+            links=links,
             radio=radio,
-            save_parameters=saving,
+            save_parameters=messaging.take_save_wanted(),
         )
+
+    def attend(self, link_messages: Sequence[Addressed]) -> list[Addressed]:
+        """Answer the links while simulated time stands: commands are carried out, the newest setpoints kept.
+
+        Nothing is due in the meantime, for no time passes; so nothing times out either.
+        """
+        if self._last_us is None:
+            return []
+        now_us = self._last_us
+        to_answer = self._take_in(link_messages, now_us)
+        self.monitor.update(self.flight)  # for a mode may be asked for just after what it needs
+        self._decide()
+        for received in to_answer:
+            self._on_link_message(received, now_us)
+        return self.messaging.take_outgoing()
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether a step was made."""
+        return self._last_us is not None
+
+    def heartbeat(self) -> Message:
+        """HEARTBEAT as things stand."""
+        return heartbeat(self.commander, self.flight.conditions)
 
     def has_been_at(self, now_us: int) -> bool:
         """Whether a step was made at that time or later: then it takes nothing in."""
@@ -222,10 +218,13 @@ class Vehicle:
         The GPS delay is the length of the estimator's memory and so is one of the start.
         """
         if name == "EKF2_GPS_DELAY":
-            raise ParameterError(f"{name} can only be set at the start")
+            raise ParameterError(f"{name} can only be set at the start", Problem.READ_ONLY)
         before = self.parameters.settings
         self.parameters.set(name, value)
+        self.messaging.on_parameter(name)
         settings = self.parameters.settings
+        if settings is before:
+            return
         if settings.estimation is not before.estimation:
             self.estimator.set_params(settings.estimation)
         self.commander.params = settings.commander
@@ -253,41 +252,58 @@ class Vehicle:
             flight.origin_known = True
         landed_before = self.pilot.landed
         self.pilot.feel()
-        if self.pilot.landed and not landed_before:
-            self.estimator.on_landed()
+        if self.pilot.landed is not landed_before:
+            if landed_before:
+                flight.took_off_us = now_us
+            else:
+                flight.landed_us = now_us
+                self.estimator.on_landed()
         if self.estimator.numerical_failure and not self.commander.armed:
             self.estimator.restart()
         self.monitor.mission_valid = self.pilot.mission_valid
         self.monitor.update(flight)
 
-    def _take_in(
-        self, link_messages: Sequence[Addressed], outgoing: list[Addressed], now_us: int
-    ) -> list[Addressed]:
+    def _take_in(self, link_messages: Sequence[Addressed], now_us: int) -> list[Addressed]:
         """Take what conditions depend on, wherever it stands among the messages; returns the others."""
         to_answer = []
         for received in link_messages:
-            partner, message = received
-            self.monitor.on_message(message, now_us)
-            if message.get_msgId() in self._before_conditions:
-                self._on_link_message(partner, message, outgoing, now_us)
+            self.monitor.on_message(received.message, now_us)
+            if received.message.get_msgId() in self._before_conditions:
+                self._on_link_message(received, now_us)
             else:
                 to_answer.append(received)
         return to_answer
 
-    def _on_link_message(
-        self, partner: Partner, message: Message, outgoing: list[Addressed], now_us: int
-    ) -> None:
-        if is_addressed_to(message, system=self._system, component=AUTOPILOT_COMPONENT):
-            self._post(self._services.on_message(message, now_us, partner), outgoing, now_us)
+    def _decide(self) -> None:
+        """Have the commander look at conditions and causes, and tell what it does of itself."""
+        for notice in self.commander.update(
+            self.flight.now_us,
+            conditions=self.flight.conditions,
+            causes=self.flight.causes,
+            landed=self.pilot.landed,
+            next_mode=self.pilot.next_mode,
+        ):
+            self.messaging.post(reply(ALL, status_text(notice.severity, notice.text)))
+
+    def _on_link_message(self, received: Addressed, now_us: int) -> None:
+        partner, message = received
+        messaging, system = self.messaging, self._system
+        if is_addressed_to(message, system=system, component=AUTOPILOT_COMPONENT):
+            messaging.on_message(message, now_us, partner)
         elif self.app is not None and is_addressed_to(
-            message, system=self._system, component=APPLICATION_COMPONENT
+            message, system=system, component=APPLICATION_COMPONENT
         ):
             self.app.on_mavlink(message, now_us)
+            answers = self.app.on_request(message)
+            for answer in answers:
+                stamp(answer, system=system, component=APPLICATION_COMPONENT)
+            messaging.post(reply(partner, *answers))
+        else:
+            messaging.not_addressed[partner.link] += 1
 
     def _run_app(
         self,
         radio_items: Sequence[RxItem],
-        outgoing: list[Addressed],
         simulator: list[Message],
         now_us: int,
     ) -> tuple[TxItem, ...]:
@@ -295,10 +311,7 @@ class Vehicle:
         app = self.app
         if app is None:
             return ()
-        streams = self.streams[APPLICATION]
-        if now_us >= streams.next_deadline_us():
-            for message in streams.on_timer(now_us):
-                app.on_mavlink(message, now_us)
+        self.messaging.stream_to_application(now_us)
         for item in radio_items:
             app.on_radio(item, now_us)
         output = app.on_timer(now_us)
@@ -309,24 +322,28 @@ class Vehicle:
             kind = message.get_msgId()
             if kind in _TO_GROUND_TOO:
                 simulator.append(message)
-                outgoing.append(Addressed(_GROUND, message))
+                self.messaging.post(reply(_GROUND, message))
             elif kind == common.MAVLINK_MSG_ID_STATUSTEXT:
-                outgoing.append(Addressed(_GROUND, message))
+                self.messaging.post(reply(_GROUND, message))
             else:
-                answers = self._services.on_message(message, now_us, APPLICATION_PARTNER)
-                self._post(answers, outgoing, now_us)
+                self.messaging.on_message(message, now_us, APPLICATION_PARTNER)
         return output.radio
 
     def _pass_truth_on(self, sim_messages: Sequence[Message], now_us: int) -> None:
         """Tell the application where the vehicle is: what no aircraft knows, and estimates are held to."""
         for message in sim_messages:
-            if message.get_msgId() == _HIL_STATE_QUATERNION and self.app is not None:
-                self.app.on_mavlink(message, now_us)
+            if message.get_msgId() == _HIL_STATE_QUATERNION:
+                self.flight.truth = message
+                if self.app is not None:
+                    self.app.on_mavlink(message, now_us)
 
     def _announce(self, simulator: list[Message], now_us: int) -> None:
         """Heartbeat to simulator and application: each second, and at once when what it says changes."""
         present = (self.commander.mode, self.commander.armed, self.commander.failsafe)
         if present != self._announced or now_us >= self._announce_us:
+            if self.commander.armed and (self._announced is None or not self._announced[1]):
+                self.flight.armed_us = now_us
+                self.flight.flights += 1
             self._announced = present
             self._announce_us = now_us + _HEARTBEAT_PERIOD_US
             message = heartbeat(self.commander, self.flight.conditions)
@@ -339,29 +356,6 @@ class Vehicle:
     def _actuators(self, now_us: int) -> HilActuatorControls:
         mode = _MODE_ARMED if self.commander.armed else _MODE_DISARMED
         return HilActuatorControls(now_us, self.pilot.controls, mode, _LOCKSTEP_FLAG)
-
-    def _post(self, messages: Sequence[Addressed], outgoing: list[Addressed], now_us: int) -> None:
-        """Hand over what goes out, and give the application what is for it."""
-        for addressed in messages:
-            link = addressed.partner.link
-            if link == EVERYBODY:
-                outgoing += [Addressed(Partner(outside), addressed.message) for outside in _OUTSIDE]
-            elif link != APPLICATION:
-                outgoing.append(addressed)
-            if link in {EVERYBODY, APPLICATION} and self.app is not None:
-                self.app.on_mavlink(addressed.message, now_us)
-
-    def _make_services(self) -> Services:
-        commands = CommandService(
-            self.commander, self.pilot.takeoff_altitude, self.streams, save_parameters=self._want_save
-        )
-        parameters = ParameterService(self.parameters.get, self.set_parameter)
-        return Services((self.offboard, self.manual, commands, parameters))
-
-    def _want_save(self) -> bool:
-        """Have the parameters written; tells whether there is a file for them."""
-        self._save_wanted = self.config.params_path is not None
-        return self._save_wanted
 
     def _make_app(self) -> OnboardApp | None:
         config = self.config

@@ -3,6 +3,7 @@
 Exit status: 0 fine, 1 the run failed, 2 bad input, 130 broken off by Ctrl-C. An error is one line on stderr.
 """
 
+import contextlib
 import signal
 import sys
 import traceback
@@ -15,6 +16,8 @@ import msgspec
 import typer
 from rich.console import Console
 
+from harness.faults import MOST_TIME_S
+from harness.keyboard import Keyboard
 from harness.processes import SetupError, SwarmError
 from harness.progress import Display, display_for, summary_table
 from harness.scenario import Scenario, ScenarioError, load
@@ -49,10 +52,21 @@ def _speed(text: str) -> float | Literal["max"]:
 def fly(
     scenario: Annotated[Path, typer.Argument(help="TOML file that says what is flown.", metavar="SCENARIO")],
     speed: Annotated[
-        str,
-        typer.Option(help="Simulated against wall time; 'max' is as fast as it goes.", metavar="max|FACTOR"),
-    ] = "max",
+        str | None,
+        typer.Option(
+            help="Simulated against wall time; 'max', the default, is as fast as it goes.",
+            metavar="max|FACTOR",
+        ),
+    ] = None,
     duration: Annotated[float | None, typer.Option(help="Simulated seconds in formation.")] = None,
+    hold: Annotated[  # noqa: FBT002
+        bool,
+        typer.Option(
+            "--hold",
+            help="Form nothing: everybody waits on the ground for a ground station, until Ctrl-C, or for"
+            " --duration, at speed 1 unless told otherwise.",
+        ),
+    ] = False,
     seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
     agents: Annotated[
         int | None, typer.Option(help="Number of UAVs: the first places of the formation.")
@@ -80,18 +94,27 @@ def fly(
 ) -> None:
     """Fly a swarm, with its radio, and report what came out."""
     messages = Console(stderr=True, highlight=False)
-    named = {"run.duration_s": duration, "run.seed": seed, "agents": agents}
+    named = {
+        "run.duration_s": duration,
+        "run.seed": seed,
+        "agents": agents,
+        "onboard.hold": "true" if hold else None,
+    }
     overrides = [f"{path}={value}" for path, value in named.items() if value is not None]
     display: Display | None = None
     try:
         plan = load(scenario, [*(settings or []), *overrides])
         out = out or _default_folder(plan.name)
-        factor = _speed(speed)
+        waits = _waits(plan, one_process=one_process)
+        factor = _speed(speed or ("1" if waits else "max"))
         display = display_for(messages)
         swarm = _swarm(plan, factor, out, port_offset, display, one_process=one_process)
-        broken_off = _fly(swarm, display)
+        with Keyboard(lambda key: _on_key(key, swarm, display)) as keyboard:
+            if keyboard.listening:
+                display.note("space pauses and goes on; + and - change the speed")
+            broken_off = _fly(swarm, display, until_interrupted=waits and duration is None)
         display.close()
-        _report(swarm, broken_off, messages, as_json=json)
+        _report(swarm, broken_off, messages, as_json=json, interruption_is_fine=waits and duration is None)
     except BaseException as error:  # noqa: BLE001  every end has its status
         if display is not None:
             display.close()
@@ -123,17 +146,39 @@ def _swarm(
     )
 
 
-def _fly(swarm: Swarm, display: Display) -> SwarmError | KeyboardInterrupt | None:
+def _waits(plan: Scenario, *, one_process: bool = False) -> bool:
+    """Whether the UAVs wait for a ground station."""
+    waits = plan.onboard.enabled and plan.onboard.hold
+    if waits and one_process:
+        raise Failure(BAD_INPUT, "--hold waits for a ground station, and none can connect to one process")
+    return waits
+
+
+def _on_key(key: str, swarm: Swarm, display: Display) -> None:
+    """Pause, go on, or change the speed, as the user wants."""
+    with contextlib.suppress(SwarmError):  # it may have just ended
+        if key == " ":
+            (swarm.resume if swarm.stands else swarm.pause)()
+            display.note(f"paused at t = {swarm.simulated_s:.2f} s" if swarm.stands else "going on")
+        elif key in "+-" and swarm.speed != "max":
+            swarm.set_speed(swarm.speed * (2.0 if key == "+" else 0.5))
+            display.note(f"speed {swarm.speed:g}")
+
+
+def _fly(swarm: Swarm, display: Display, *, until_interrupted: bool) -> SwarmError | KeyboardInterrupt | None:
     """Start, form, hold and stop. Returns what broke it off, if there are records all the same."""
     run = swarm.scenario.run
     display.note(f"{swarm.scenario.name}: {swarm.scenario.agents} UAVs, seed {run.seed}, into {swarm.path}")
     swarm.start()
     processes = "one process is" if len(swarm.pids) == 1 else f"{len(swarm.pids)} processes are"
     display.note(f"{processes} ready")
+    waits = _waits(swarm.scenario)
+    for line in swarm.addresses if waits else ():
+        display.note(line)
     try:
-        if swarm.scenario.onboard.enabled:  # else nobody forms anything: the ground station flies
+        if swarm.scenario.onboard.enabled and not waits:  # else the ground station flies
             swarm.run_until_formed(timeout_s=run.reach_timeout_s)
-        swarm.run_for(run.duration_s)
+        swarm.run_for(MOST_TIME_S if until_interrupted else run.duration_s)
     except (SwarmError, KeyboardInterrupt) as error:
         return error
     finally:
@@ -144,9 +189,17 @@ def _fly(swarm: Swarm, display: Display) -> SwarmError | KeyboardInterrupt | Non
 
 
 def _report(
-    swarm: Swarm, broken_off: SwarmError | KeyboardInterrupt | None, messages: Console, *, as_json: bool
+    swarm: Swarm,
+    broken_off: SwarmError | KeyboardInterrupt | None,
+    messages: Console,
+    *,
+    as_json: bool,
+    interruption_is_fine: bool,
 ) -> None:
-    """Turn the records into results and show them; raises ``broken_off`` in the end."""
+    """Turn the records into results and show them; raises ``broken_off`` in the end.
+
+    Ctrl-C is how a run ends that goes on until then.
+    """
     interrupted = isinstance(broken_off, KeyboardInterrupt)
     messages.print("writing down what was flown" if interrupted else "computing patterns and figures")
     try:
@@ -161,7 +214,7 @@ def _report(
         else:
             Console(highlight=False).print(summary_table(summary))
     _list_files(messages, swarm.path)
-    if broken_off is not None:
+    if broken_off is not None and not (interrupted and interruption_is_fine):
         raise broken_off
 
 

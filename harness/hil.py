@@ -7,7 +7,7 @@ HIL_GPS): gauss, hPa, degC; degE7, mm, cm/s; eph and epv in cm. Integers saturat
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from itertools import repeat
 
 from pymavlink.dialects.v20 import common as mavlink
@@ -35,13 +35,31 @@ _NO_AIR = (0.0, 0.0, 0.0, 0.0)
 _SITE = Site()
 TRUTH_PERIOD_US = 20_000
 """Between two HIL_STATE_QUATERNION, where the truth is told."""
+RC_PERIOD_US = 100_000
+"""Between two RC_CHANNELS, where a radio control is asked for."""
+_RC_CENTRE_US = 1_500
+_RC_STICKS = 4
+_RC_CHANNELS = 18
+_RC_UNUSED = 65_535
+_RC_STRENGTH = 254
+_US_PER_MS = 1_000
 
 
 class SensorEncoder:
-    """Bytes that the vehicles get in one step. The same kinds go to all, so their links count alike."""
+    """Bytes that the vehicles get in one step. The same kinds go to all, so their links count alike.
 
-    def __init__(self, site: Site = _SITE) -> None:
+    But ``px4``, the vehicles that a PX4 flies, get no ESC_STATUS, which it does not know, and find it missing
+    in the count if others get it. It takes the time of HIL_GPS for UTC, and ``epoch_us`` is the simulation's
+    beginning. ``px4_rc`` has it told of a radio control.
+    """
+
+    def __init__(
+        self, site: Site = _SITE, *, px4: Collection[int] = (), epoch_us: int = 0, px4_rc: bool = False
+    ) -> None:
         self._site = site
+        self._px4 = frozenset(px4)
+        self._epoch_us = epoch_us
+        self._px4_rc = px4_rc
         self._mav = mavlink.MAVLink(None, srcSystem=SIMULATOR_SYSTEM_ID, srcComponent=SIMULATOR_COMPONENT_ID)
         self._sequence = 0
 
@@ -57,7 +75,9 @@ class SensorEncoder:
         ESC_STATUS when there are readings of motors, HIL_GPS when a fix is due, HIL_STATE_QUATERNION when
         the truth is to be told, then HIL_SENSOR, which is what lets a vehicle's clock go on.
         """
-        fix_sequence = (self._sequence + (escs is not None)) % 256
+        told_rc = self._px4_rc and time_us % RC_PERIOD_US == 0
+        rc_sequence = (self._sequence + (escs is not None)) % 256
+        fix_sequence = (rc_sequence + told_rc) % 256
         state_sequence = (fix_sequence + (frame.gps is not None)) % 256
         sequence = (state_sequence + (truth is not None)) % 256
         motors: Iterable[bytes] = repeat(b"")
@@ -93,8 +113,14 @@ class SensorEncoder:
                 sensor = _state(vehicle, time_us, truth, self._site).pack(self._mav) + sensor
             if frame.gps is not None:
                 self._mav.seq = fix_sequence
-                sensor = _gps(vehicle, time_us, frame.gps).pack(self._mav) + sensor
-            yield motor + sensor
+                utc_us = time_us + self._epoch_us if vehicle in self._px4 else time_us
+                sensor = _gps(vehicle, utc_us, frame.gps).pack(self._mav) + sensor
+            if vehicle not in self._px4:
+                sensor = motor + sensor
+            elif told_rc:
+                self._mav.seq = rc_sequence
+                sensor = _rc(time_us).pack(self._mav) + sensor
+            yield sensor
 
 
 def _baro(baro: BaroSamples) -> list[tuple[float, float, float, float]]:
@@ -104,6 +130,15 @@ def _baro(baro: BaroSamples) -> list[tuple[float, float, float, float]]:
         (pressure_hpa, 0.0, altitude_m(pressure_hpa * 100.0), temperature_degc)
         for pressure_hpa, temperature_degc in zip(pressures_hpa, temperatures_degc, strict=True)
     ]
+
+
+def _rc(time_us: int) -> Message:
+    """RC_CHANNELS of a radio control that nobody touches."""
+    sticks = [_RC_CENTRE_US] * _RC_STICKS
+    others = [_RC_UNUSED] * (_RC_CHANNELS - _RC_STICKS)
+    return mavlink.MAVLink_rc_channels_message(
+        time_us // _US_PER_MS, _RC_STICKS, *sticks, *others, _RC_STRENGTH
+    )
 
 
 def _gps(vehicle: int, time_us: int, fixes: GpsFixes) -> Message:

@@ -1,22 +1,31 @@
 """The step's rendezvous with the vehicles.
 
-Everyone gets the sensors of an instant, everyone's answer is waited for.
+Everyone gets the sensors of an instant, everyone's answer is waited for, as far as its `Manners` let it be.
 
 An edge: owns the TCP connections of PX4's simulator API and the wall-clock patience with a vehicle that
-stays silent. What a silence means is told from outside by `harness.patience`.
+stays silent. What a silence means is told from outside by `harness.patience`, and who may take a seat is
+`harness.reception`'s.
 """
 
-import selectors
+import contextlib
 import socket
 import struct
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.hil import HilActuatorControls, HilParser
-from harness.patience import Patience
+from harness.patience import STARTING_LIMIT_S, Patience
+from harness.reception import Newcomer, Reception
 
 POLL_S = 0.1
+FREE_STEP_S = 0.004
+"""Wall time of a step, at least, while a vehicle that starts has not answered yet: a PX4 takes sensors from
+the first on, but starts up by its own time, and drops some of those that come faster."""
+BREAK_S = 2.0
+"""Wall time between two steps from which the simulation is said to have stood: nobody can answer then."""
 _RECEIVE_BYTES = 4096
 _POLL_TIMEVAL = struct.pack("ll", 0, round(POLL_S * 1e6))
 
@@ -25,15 +34,41 @@ CLOSED = "its connection closed"
 """Reason of the loss of a vehicle that ended."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Manners:
+    """What is to be expected of a sort of vehicle at its simulator's link."""
+
+    introduces_itself: bool = False
+    """It says who it is on connecting, before it gets sensors."""
+    starts_silent: bool = False
+    """It takes sensors for a while before its first answer: until then nobody waits for it."""
+    late_after_s: float | None = None
+    """Wall time after which a step goes on with its controls of before; None: as long as patience lasts."""
+
+
+OWN = Manners()
+"""coflight's own vehicles: one answer to each HIL_SENSOR, from the first on."""
+PX4 = Manners(introduces_itself=True, starts_silent=True, late_after_s=0.3)
+"""A real PX4: silent for its first 13 to 54 steps; under load an answer takes 0.2 s now and then, and after
+one that was lost there are others only if sensors go on."""
+
+
 class Voice:
     """What one vehicle says to the simulator."""
 
-    def __init__(self, instance: int) -> None:
+    def __init__(self, instance: int, manners: Manners = OWN) -> None:
         self.instance = instance
+        self.manners = manners
         self.parser = HilParser(HilActuatorControls)
         self.answer: HilActuatorControls | None = None
-        """HIL_ACTUATOR_CONTROLS of the present step, once it is there."""
+        """HIL_ACTUATOR_CONTROLS of the present step, once it is there, or what stands for it."""
+        self.newest: HilActuatorControls | None = None
+        """Of any step; kept of vehicles that may be late."""
         self.answered_ever = False
+        self.silent_since_s: float | None = None
+        """Wall time since which a vehicle that may be late has not answered, if steps went on without it."""
+        self.on_air = True
+        """Whether its radio is in use."""
 
     def take(self, data: bytes, time_us: int) -> list[Message]:
         """Take in the next bytes: keep the answer to the sensors of ``time_us``, return all but answers."""
@@ -42,22 +77,34 @@ class Voice:
             if not isinstance(message, HilActuatorControls):
                 others.append(message)
             elif message.time_usec == time_us:  # a late answer to an earlier step is none to this
-                self.answer = message
+                self.answer = self.newest = message
                 self.answered_ever = True
+                self.silent_since_s = None
+            elif self.manners.late_after_s is not None and message.time_usec < time_us:
+                self.newest = message
+                self.answered_ever = True
+                self.silent_since_s = None
         return others
 
 
 class Seat(Voice):
     """One vehicle's place at the simulator: its connection and what it last said of itself."""
 
-    def __init__(self, instance: int) -> None:
-        super().__init__(instance)
+    def __init__(self, instance: int, manners: Manners) -> None:
+        super().__init__(instance, manners)
         self.connection: socket.socket | None = None
+        self.late_answers = 0
+        """Steps that went on with its controls of before."""
 
     @property
     def alive(self) -> bool:
         """Whether the vehicle is still in the run."""
         return self.connection is not None
+
+    @property
+    def is_free(self) -> bool:
+        """Whether it starts and has not answered yet, so that nobody waits for it."""
+        return self.manners.starts_silent and not self.answered_ever
 
 
 class ConnectTimeout(TimeoutError):
@@ -69,6 +116,8 @@ class Lockstep:
 
     ``on_message(instance, message)`` is called for everything but the answers; ``on_silent(instance,
     wall_silence_s)`` once per silence; ``on_lost(instance, reason)`` when a vehicle leaves for good.
+    ``manners`` are the vehicles', own ones' if not given; ``applications`` is the patience with the radios of
+    those whose on-board application is a process beside them.
     """
 
     def __init__(
@@ -79,47 +128,75 @@ class Lockstep:
         on_message: Callable[[int, Message], None],
         on_silent: Callable[[int, float], None],
         on_lost: Callable[[int, str], None],
+        manners: Sequence[Manners] = (),
+        applications: Patience | None = None,
     ) -> None:
-        self.seats = [Seat(i) for i in range(len(listeners))]
+        manners = manners or [OWN] * len(listeners)
+        self.seats = [Seat(i, manners[i]) for i in range(len(listeners))]
         self._listeners = list(listeners)
-        self._patience = patience
+        self._patience, self._applications = patience, applications
         self._on_message, self._on_silent, self._on_lost = on_message, on_silent, on_lost
         self._pending: list[Seat] = []
-        """Seats that were sent this step's sensors."""
+        """Seats that were sent this step's sensors and are waited for."""
+        self._free: list[Seat] = []
+        """Those that were sent them and are not."""
+        self._tolerated = [seat for seat in self.seats if seat.manners.late_after_s is not None]
+        self._wall_sent_s = self._wall_before_s = 0.0
+        self._overheard: deque[tuple[int, Message]] = deque()
 
     @property
     def living(self) -> int:
         """How many vehicles are in the run."""
         return sum(seat.connection is not None for seat in self.seats)
 
+    @property
+    def late_answers(self) -> dict[int, int]:
+        """How many steps went on without the answer of whom, of vehicles that may be late."""
+        return {seat.instance: seat.late_answers for seat in self._tolerated}
+
     def connect(self, wall_timeout_s: float, *, keep_waiting: Callable[[], bool]) -> None:
         """Wait until every vehicle has connected. Raises ConnectTimeout.
 
         Returns early if told not to keep waiting; called again it waits for those who are missing.
         """
-        waiting = selectors.DefaultSelector()
-        for instance, listener in enumerate(self._listeners):
-            if not self.seats[instance].alive:
-                waiting.register(listener, selectors.EVENT_READ, instance)
+        missing = [seat for seat in self.seats if not seat.alive]
+        reception = Reception(
+            {seat.instance: self._listeners[seat.instance] for seat in missing},
+            {seat.instance: seat.manners.introduces_itself for seat in missing},
+        )
         wall_deadline_s = time.monotonic() + wall_timeout_s
-        while waiting.get_map() and keep_waiting():
-            for key, _ in waiting.select(POLL_S):
-                connection, _ = self._listeners[key.data].accept()
-                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                # the kernel's time limit, for Python's own costs a system call more each time
-                connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _POLL_TIMEVAL)
-                self.seats[key.data].connection = connection
-                waiting.unregister(key.fileobj)
-            if time.monotonic() > wall_deadline_s:
-                absent = ", ".join(str(seat.instance) for seat in self.seats if not seat.alive)
-                raise ConnectTimeout(f"no connection from uav {absent} within {wall_timeout_s:g} s")
-        waiting.close()
+        with contextlib.closing(reception):
+            while reception.waiting_for and keep_waiting():
+                for newcomer in reception.look(POLL_S):
+                    self._seat(newcomer)
+                if time.monotonic() > wall_deadline_s and reception.waiting_for:
+                    absent = ", ".join(map(str, reception.waiting_for))
+                    raise ConnectTimeout(f"no connection from uav {absent} within {wall_timeout_s:g} s")
+
+    def _seat(self, newcomer: Newcomer) -> None:
+        connection, seat = newcomer.connection, self.seats[newcomer.instance]
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        # the kernel's time limit, for Python's own costs a system call more each time
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _POLL_TIMEVAL)
+        if seat.manners.late_after_s is not None:
+            # steps go on without it, so it may leave megabytes unread, and must not hold up the others then
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _POLL_TIMEVAL)
+        seat.connection, seat.parser = connection, newcomer.parser
+        for message in newcomer.said:
+            self._on_message(seat.instance, message)
+
+    def overhear(self, instance: int, message: Message) -> None:
+        """Take what a vehicle's parts say by another way; from any thread. Passed on with the answers."""
+        self._overheard.append((instance, message))
 
     def send(self, frames: Iterable[bytes | None]) -> None:
         """Send every living vehicle its sensors.
 
         Each frame is asked for when it is that vehicle's turn, so the first computes while others' are made.
         """
+        if self._free:
+            time.sleep(max(0.0, self._wall_sent_s + FREE_STEP_S - time.monotonic()))
+            self._free.clear()
         self._pending.clear()
         for seat, frame in zip(self.seats, frames, strict=True):
             seat.answer = None
@@ -127,28 +204,58 @@ class Lockstep:
                 continue
             try:
                 seat.connection.sendall(frame)
-                self._pending.append(seat)
+                (self._free if seat.is_free else self._pending).append(seat)
+            except BlockingIOError:
+                self.lose(seat.instance, "it takes no sensors any more")
             except OSError:
                 self.lose(seat.instance, "its connection broke")
-        self._patience.begin(time.monotonic())
+        self._wall_sent_s = time.monotonic()
+        if self._tolerated:
+            self._begin_tolerant()
+        else:
+            self._patience.begin(self._wall_sent_s)
+
+    def _begin_tolerant(self) -> None:
+        """Begin the wait where silences may last for several steps."""
+        wall_s, before_s = self._wall_sent_s, self._wall_before_s
+        if wall_s - before_s > BREAK_S:
+            for seat in self._tolerated:
+                seat.silent_since_s = None
+        self._wall_before_s = wall_s
+        since_s = {
+            seat.instance: seat.silent_since_s for seat in self._tolerated if seat.silent_since_s is not None
+        }
+        self._patience.begin(self._wall_sent_s, silent_since_s=since_s)
+        if self._applications is not None:
+            self._applications.begin(self._wall_sent_s)
 
     def answers(self, time_us: int) -> list[HilActuatorControls | None]:
         """Wait until every vehicle has answered the sensors of ``time_us`` that were sent; None: it is gone.
 
         They are waited for one by one, the last first: as they are served in turn, the others' answers are
-        there by then, and this process is woken once instead of for each.
+        there by then, and this process is woken once instead of for each. Who is late answers as before.
         """
         for seat in reversed(self._pending):
             while seat.connection is not None and seat.answer is None:
                 if not self._receive(seat, time_us):
                     self._look_around(time_us)
+        if self._free:
+            self._hear_the_free(time_us)
+        while self._overheard:
+            self._on_message(*self._overheard.popleft())
         return [seat.answer for seat in self.seats]
 
     def judge(self, instances: Iterable[int]) -> None:
-        """Decide on vehicles that have not done their part of the step, be it elsewhere than here."""
-        for instance in instances:
-            if self.seats[instance].alive:
-                self._judge(self.seats[instance])
+        """Decide on vehicles that have not done their part of the step elsewhere than here.
+
+        That is their radio's; an application that is a process of its own may have ended without its vehicle.
+        """
+        for seat in (self.seats[instance] for instance in instances):
+            if seat.alive and seat.manners.late_after_s is None:
+                self._judge(seat)
+            elif seat.alive and self._applications is not None:
+                verdict = self._applications.judge(seat.instance, time.monotonic(), starting=False)
+                seat.on_air &= verdict.give_up is None
 
     def lose(self, instance: int, reason: str) -> None:
         """Take a vehicle out of the run."""
@@ -193,9 +300,27 @@ class Lockstep:
                     self._judge(seat)
                     break
 
+    def _hear_the_free(self, time_us: int) -> None:
+        """Take what those have said that nobody waits for; one that never says anything is given up."""
+        for seat in self._free:
+            while self._receive(seat, time_us, socket.MSG_DONTWAIT):
+                pass
+            seat.answer = seat.newest
+            if seat.is_free:
+                seat.silent_since_s = seat.silent_since_s or self._wall_sent_s
+                if self._wall_sent_s - seat.silent_since_s > STARTING_LIMIT_S:
+                    self.lose(seat.instance, f"it gave no answer in its first {STARTING_LIMIT_S:g} s")
+
     def _judge(self, seat: Seat) -> None:
-        verdict = self._patience.judge(seat.instance, time.monotonic(), starting=not seat.answered_ever)
+        wall_s = time.monotonic()
+        verdict = self._patience.judge(seat.instance, wall_s, starting=not seat.answered_ever)
         if verdict.newly_silent:
             self._on_silent(seat.instance, verdict.wall_silence_s)
         if verdict.give_up is not None:
             self.lose(seat.instance, verdict.give_up)
+            return
+        late_after_s = seat.manners.late_after_s
+        if late_after_s is not None and wall_s - self._wall_sent_s >= late_after_s:
+            seat.answer = seat.newest  # there is one, or nobody would wait
+            seat.late_answers += 1
+            seat.silent_since_s = seat.silent_since_s or self._wall_sent_s

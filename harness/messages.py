@@ -31,6 +31,20 @@ class RunUntil(Command, frozen=True, kw_only=True):
     """Against wall time; 0 runs as fast as it can."""
 
 
+class Pause(Command, frozen=True, kw_only=True):
+    """Let simulated time stand until `Resume`; a `RunUntil` that lasts, or comes, goes on then."""
+
+
+class Resume(Command, frozen=True, kw_only=True):
+    """Let simulated time go on; nothing if it does."""
+
+
+class SetSpeed(Command, frozen=True, kw_only=True):
+    """Another ``speed`` for the `RunUntil` that lasts."""
+
+    speed: float
+
+
 class SetAttenuation(Command, frozen=True, kw_only=True):
     """From the next step on, attenuate every radio link by this; None is the scenario's own value."""
 
@@ -43,6 +57,8 @@ class SetPid(Command, frozen=True, kw_only=True):
     instance: int | None
     """None: the 802.11 emulator, on which vehicles wait."""
     pid: int
+    application: bool = False
+    """Of the vehicle's on-board application, where that is a process beside it."""
 
 
 class InjectFault(Command, frozen=True, kw_only=True):
@@ -51,7 +67,7 @@ class InjectFault(Command, frozen=True, kw_only=True):
     fault: AnyFault
 
 
-AnyCommand = RunUntil | SetAttenuation | SetPid | InjectFault | Stop
+AnyCommand = RunUntil | Pause | Resume | SetSpeed | SetAttenuation | SetPid | InjectFault | Stop
 
 
 class Event(Struct, frozen=True, kw_only=True, tag_field="event", tag=str.lower):
@@ -81,6 +97,10 @@ class Progress(Event, frozen=True, kw_only=True):
     wall_s: float
     channel_busy_fraction: float
     vehicles: tuple[VehicleTruth, ...]
+    lag_s: float = 0.0
+    """Wall time by which the run has fallen behind the speed asked for, in all: it is not caught up with."""
+    paused: bool = False
+    """Simulated time stands, for that was asked for."""
 
 
 class Paused(Event, frozen=True, kw_only=True):
@@ -92,6 +112,8 @@ class Paused(Event, frozen=True, kw_only=True):
     ``formed``, ``no_vehicles``, ``vehicle_lost`` (where the scenario ends runs for it) or ``command``.
     """
     vehicles: tuple[VehicleTruth, ...]
+    wall_paused_s: float = 0.0
+    """Wall time for which the run stood on request."""
 
 
 class Formed(Event, frozen=True, kw_only=True):

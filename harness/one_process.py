@@ -39,7 +39,16 @@ from harness.air import Air
 from harness.local import LocalCarrier, LocalRadio, LocalVehicles
 from harness.messages import AnyCommand
 from harness.physics_server import obey
-from harness.processes import PHYSICS, RADIO, Message, Processes, SwarmError, SwarmTimeoutError, uav
+from harness.processes import (
+    PHYSICS,
+    RADIO,
+    Message,
+    Processes,
+    SetupError,
+    SwarmError,
+    SwarmTimeoutError,
+    uav,
+)
 from harness.run_folder import PhysicsConfig, RunFolder
 from harness.scenario import Scenario
 from harness.simulation import Simulation
@@ -188,6 +197,8 @@ class _Processes(Processes):
 
     def _start(self) -> None:
         scenario = self._scenario
+        if self._px4:
+            raise SetupError("autopilot.kind: a PX4 is a process of its own, so one process cannot hold it")
         use_kernel_cache()
         kernel_cache.prepare(self._note)
         folder = RunFolder.create(self._folder.path)

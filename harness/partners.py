@@ -18,6 +18,10 @@ class Seat(Protocol):
     def alive(self) -> bool:
         """Whether the vehicle is still in the run."""
 
+    @property
+    def on_air(self) -> bool:
+        """Whether its radio is in use: an on-board application may end without its vehicle."""
+
 
 class Vehicles(Protocol):
     """The step's rendezvous with the vehicles: see `harness.lockstep.Lockstep`."""

@@ -6,6 +6,7 @@ without a processor its silence does not count; sleeping or computing it does. A
 802.11 emulator owes it an answer, so sleep does not count while that one is held up.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import psutil
@@ -23,6 +24,7 @@ LEAST_LOOK_S = 0.05
 """Shares of a processor over less than this say nothing."""
 _HELD = {psutil.STATUS_STOPPED, psutil.STATUS_TRACING_STOP}
 _GONE = _HELD | {psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD}
+_NOBODY: Mapping[int, float] = {}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,6 +59,7 @@ class Patience:
         self._limit_s = limit_s
         self._processes: dict[int | None, psutil.Process] = {}
         self._wall_begin_s = 0.0
+        self._since_s: Mapping[int, float] = _NOBODY
         self._looked: dict[int, _Looked] = {}
         self._emulator_looked: _Looked | None = None
         self._emulator_held_up = False
@@ -68,16 +71,20 @@ class Patience:
         except psutil.NoSuchProcess:
             self._processes.pop(instance, None)
 
-    def begin(self, wall_s: float) -> None:
-        """Start of a wait for all vehicles."""
+    def begin(self, wall_s: float, *, silent_since_s: Mapping[int, float] = _NOBODY) -> None:
+        """Start of a wait for all vehicles; ``silent_since_s`` is of those whose silence goes on in it."""
         self._wall_begin_s = wall_s
-        self._looked.clear()
+        self._since_s = silent_since_s
+        if silent_since_s:
+            self._looked = {i: looked for i, looked in self._looked.items() if i in silent_since_s}
+        else:
+            self._looked.clear()
         self._emulator_looked = None
         self._emulator_held_up = False
 
     def judge(self, instance: int, wall_s: float, *, starting: bool) -> Verdict:
         """Decide on a vehicle that has not answered since `begin`; called a few times per second."""
-        silence_s = wall_s - self._wall_begin_s
+        silence_s = wall_s - self._since_s.get(instance, self._wall_begin_s)
         if silence_s < LOOK_AFTER_S:
             return Verdict(wall_silence_s=silence_s, newly_silent=False, give_up=None)
         status, cpu_s = self._look(instance)

@@ -10,30 +10,118 @@ import queue
 import socket
 import sys
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
+from autopilot.companion_radio import said_key
+from autopilot.mavlink.codec import Parser
 from harness.air import Air, RadioSilent
-from harness.lockstep import ConnectTimeout, Lockstep
+from harness.lockstep import OWN, PX4, ConnectTimeout, Lockstep
 from harness.messages import (
     AnyCommand,
     AnyEvent,
     InjectFault,
+    Pause,
     Paused,
     Progress,
+    Resume,
     RunUntil,
     SetAttenuation,
     SetPid,
+    SetSpeed,
 )
 from harness.patience import Patience
 from harness.run_folder import PhysicsConfig
 from harness.simulation import Simulation, run
 from netsim.child import Finished, Ready, Stop, commands, emit
-from netsim.transport import Transport, TransportError
+from netsim.transport import Question, Transport, TransportError
 
 PROGRESS_PERIOD_S = 0.2
+MOST_LAG_S = 0.1
+"""A run that is later than this is not hurried to catch up: who watches or flies would see it leap."""
+
+
+class Pacer:
+    """Keeps simulated time to wall time: every step has its absolute time, so errors of sleeps do not add up.
+
+    Attributes:
+        lag_s: wall time lost in all by steps that took longer than they may.
+
+    """
+
+    def __init__(self) -> None:
+        self.lag_s = 0.0
+        self._speed = 0.0
+        self._anchor: tuple[int, float] | None = None
+        """A simulated time and the wall time that belongs to it."""
+
+    def begin(self, speed: float, time_us: int, wall_s: float) -> None:
+        """Go on at a speed, 0 being as fast as it goes; time since the last step is nobody's lag."""
+        late_s = -self.ahead_s(time_us, wall_s, note=False)
+        if speed != self._speed or late_s > MOST_LAG_S:
+            self._anchor = None
+        self._speed = speed
+
+    def stand(self) -> None:
+        """Have simulated time stand: what passes until the next step is nobody's lag either."""
+        self._anchor = None
+
+    def ahead_s(self, time_us: int, wall_s: float, *, note: bool = True) -> float:
+        """Wall time by which a step that ends at ``time_us`` is too early; negative: too late."""
+        if self._speed <= 0.0:
+            return 0.0
+        if self._anchor is None:
+            self._anchor = (time_us, wall_s)
+            return 0.0
+        anchor_us, wall_anchor_s = self._anchor
+        ahead_s = (time_us - anchor_us) * 1e-6 / self._speed - (wall_s - wall_anchor_s)
+        if note and ahead_s < -MOST_LAG_S:
+            self.lag_s -= ahead_s
+            self._anchor = (time_us, wall_s)
+        return ahead_s
+
+
+class _Commands:
+    """Commands in their order, but those about the pace of a run act while it lasts."""
+
+    def __init__(self, inbox: "queue.SimpleQueue[AnyCommand]") -> None:
+        self._inbox = inbox
+        self._later: deque[AnyCommand] = deque()
+        self.paused = False
+        self.speed: float | None = None
+        """As it was changed since it was last looked at."""
+
+    def get(self) -> AnyCommand:
+        """Take the next command that is none about the pace, waiting for it."""
+        while not self._later:
+            self._sort(self._inbox.get())
+        return self._later.popleft()
+
+    def empty(self) -> bool:
+        """Whether there is none that `get` would return at once."""
+        while not self._inbox.empty():
+            self._sort(self._inbox.get())
+        return not self._later
+
+    def wait(self, wall_timeout_s: float) -> None:
+        """Let at most this pass until another command."""
+        with contextlib.suppress(queue.Empty):
+            self._sort(self._inbox.get(timeout=wall_timeout_s))
+
+    def _sort(self, command: AnyCommand) -> None:
+        match command:
+            case Pause():
+                self.paused = True
+            case Resume():
+                self.paused = False
+            case SetSpeed(speed=speed):
+                self.speed = speed
+            case _:
+                self._later.append(command)
 
 
 def obey(
@@ -43,20 +131,21 @@ def obey(
     connect_timeout_s: float,
     emit: Callable[[AnyEvent], None],
     set_pid: Callable[[int | None, int], None] = lambda _instance, _pid: None,
+    set_application_pid: Callable[[int | None, int], None] = lambda _instance, _pid: None,
 ) -> None:
-    """Do as commanded until Stop; ``set_pid`` is told which processes are whose.
+    """Do as commanded until Stop; ``set_pid`` and the other are told which processes are whose.
 
     Raises what the simulation's vehicles and its air raise.
     """
-    connected = False
+    connected, line, pacer = False, _Commands(inbox), Pacer()
     while True:
-        match inbox.get():
+        match line.get():
             case RunUntil() as command:
                 if not connected:
-                    simulation.lockstep.connect(connect_timeout_s, keep_waiting=inbox.empty)
+                    simulation.lockstep.connect(connect_timeout_s, keep_waiting=line.empty)
                     connected = simulation.lockstep.living == len(simulation.lockstep.seats)
                 if connected:
-                    emit(_run(simulation, command, inbox, emit))
+                    emit(_run(simulation, command, line, pacer, emit))
                 else:  # another command cut the rendezvous short; the next run goes on with it
                     paused = Paused(
                         time_us=simulation.time_us, reason="command", vehicles=simulation.vehicles()
@@ -66,8 +155,8 @@ def obey(
                 simulation.set_extra_attenuation_db(attenuation_db)
             case InjectFault(fault=fault):
                 simulation.inject(fault)
-            case SetPid(instance=instance, pid=pid):
-                set_pid(instance, pid)
+            case SetPid(instance=instance, pid=pid, application=application):
+                (set_application_pid if application else set_pid)(instance, pid)
             case Stop():
                 return
 
@@ -75,57 +164,100 @@ def obey(
 def _run(
     simulation: Simulation,
     command: RunUntil,
-    inbox: "queue.SimpleQueue[AnyCommand]",
+    line: _Commands,
+    pacer: Pacer,
     emit: Callable[[AnyEvent], None],
 ) -> Paused:
     """Step until the command is done, or until another command comes in (which is left for the caller)."""
-    wall_start_s, start_us = time.monotonic(), simulation.time_us
-    wall_progress_s = wall_start_s
+    wall_progress_s = time.monotonic()
+    wall_paused_s = 0.0
+    line.speed = None
+    pacer.begin(command.speed, simulation.time_us, wall_progress_s)
+
+    def tell(wall_s: float) -> None:
+        nonlocal wall_progress_s
+        wall_progress_s = wall_s
+        emit(
+            Progress(
+                time_us=simulation.time_us,
+                wall_s=wall_s,
+                channel_busy_fraction=simulation.busy_fraction,
+                vehicles=simulation.vehicles(),
+                lag_s=pacer.lag_s,
+                paused=line.paused,
+            )
+        )
+
+    def stand() -> None:
+        nonlocal wall_paused_s
+        simulation.settle()
+        wall_begin_s = time.monotonic()
+        while line.paused and line.empty():
+            tell(time.monotonic())
+            line.wait(PROGRESS_PERIOD_S)
+        pacer.stand()
+        wall_s = time.monotonic()
+        wall_paused_s += wall_s - wall_begin_s
+        tell(wall_s)
+
+    def interrupted() -> bool:
+        idle = line.empty()
+        if line.paused and idle:
+            stand()
+            idle = line.empty()
+        if line.speed is not None:
+            pacer.begin(line.speed, simulation.time_us, time.monotonic())
+            line.speed = None
+        return not idle
 
     def keep_pace() -> None:
-        nonlocal wall_progress_s
         wall_s = time.monotonic()
-        if command.speed > 0.0:
-            ahead_s = (simulation.time_us - start_us) * 1e-6 / command.speed - (wall_s - wall_start_s)
-            if ahead_s > 0.0:
-                time.sleep(ahead_s)
+        ahead_s = pacer.ahead_s(simulation.time_us, wall_s)
+        if ahead_s > 0.0:
+            time.sleep(ahead_s)
         if wall_s - wall_progress_s >= PROGRESS_PERIOD_S:
-            wall_progress_s = wall_s
-            emit(
-                Progress(
-                    time_us=simulation.time_us,
-                    wall_s=wall_s,
-                    channel_busy_fraction=simulation.busy_fraction,
-                    vehicles=simulation.vehicles(),
-                )
-            )
+            tell(wall_s)
 
-    return run(simulation, command, interrupted=lambda: not inbox.empty(), on_step=keep_pace)
+    paused = run(simulation, command, interrupted=interrupted, on_step=keep_pace)
+    return msgspec.structs.replace(paused, wall_paused_s=wall_paused_s)
 
 
 def serve(config: PhysicsConfig, listeners: list[socket.socket], radio_endpoint: str | None) -> None:
     """Do as commanded until Stop. Raises ConnectTimeout, RadioSilent or TransportError."""
     inbox: queue.SimpleQueue[AnyCommand] = queue.SimpleQueue()
     commands(AnyCommand, inbox)  # type: ignore[arg-type]  # a union is a type to msgspec
-    patience = Patience(config.scenario.run.silence_limit_s)
+    scenario = config.scenario
+    patience = Patience(scenario.run.silence_limit_s)
+    applications = Patience(scenario.run.silence_limit_s)
+    manners = [PX4 if scenario.autopilot.is_px4(i) else OWN for i in range(scenario.agents)]
+    has_px4 = PX4 in manners
+
+    met: list[Lockstep] = []
 
     def meet(simulation: Simulation) -> Lockstep:
-        return Lockstep(
+        lockstep = Lockstep(
             listeners,
             patience=patience,
             on_message=simulation.on_message,
             on_silent=simulation.on_silent,
             on_lost=simulation.on_lost,
+            manners=manners,
+            applications=applications,
         )
+        met.append(lockstep)
+        return lockstep
 
     with contextlib.ExitStack() as stack:
         air = None
         if radio_endpoint is not None:
             transport = stack.enter_context(contextlib.closing(Transport.connect(radio_endpoint)))
-            air = Air(transport, config.run_id, guests=bool(config.scenario.radio.guests))
+            # applications beside PX4s are in no lockstep, so their radios are as unforeseeable as guests'
+            air = Air(transport, config.run_id, guests=bool(scenario.radio.guests) or has_px4)
         simulation = stack.enter_context(
             contextlib.closing(Simulation(config, meet=meet, air=air, emit=emit))
         )
+        if air is not None and has_px4:
+            transport.serve(said_key(config.run_id), lambda question: _overhear(question, met[0]))
         emit(Ready(name="physics", pid=os.getpid()))
         obey(
             simulation,
@@ -133,8 +265,21 @@ def serve(config: PhysicsConfig, listeners: list[socket.socket], radio_endpoint:
             connect_timeout_s=config.connect_timeout_s,
             emit=emit,
             set_pid=patience.set_pid,
+            set_application_pid=applications.set_pid,
         )
-    emit(Finished(name="physics", details={"time_us": simulation.time_us, "formed": simulation.formed}))
+    details: dict[str, Any] = {"time_us": simulation.time_us, "formed": simulation.formed}
+    if has_px4:
+        details["late_answers"] = {f"uav {i}": count for i, count in met[0].late_answers.items()}
+    emit(Finished(name="physics", details=details))
+
+
+def _overhear(question: Question, lockstep: Lockstep) -> None:
+    """Take what an application tells of itself and its PX4; in a thread of Zenoh's."""
+    for message in Parser().push_datagram(question.payload):
+        instance = message.get_srcSystem() - 1
+        if 0 <= instance < len(lockstep.seats):
+            lockstep.overhear(instance, message)
+    question.answer(b"")
 
 
 def main() -> int:

@@ -13,11 +13,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import psutil
 from msgspec import Struct
 
-from harness import kernel_cache
+from harness import kernel_cache, px4_seat
 from harness.messages import AnyCommand, AnyEvent, Formed, Paused, Progress, SetPid
+from harness.px4_seat import Px4Error
 from harness.run_folder import RunFolder
 from harness.scenario import Scenario
 from harness.supervisor import (
@@ -71,6 +73,11 @@ def uav(instance: int) -> str:
     return f"uav {instance}"
 
 
+def application(instance: int) -> str:
+    """Name of the process of an on-board application beside a PX4."""
+    return f"application {instance}"
+
+
 def python_module(module: str, config: Path) -> list[str]:
     """Command that runs one of coflight's processes."""
     # -P: nothing in the working folder may stand in for a module
@@ -104,7 +111,10 @@ class Processes:
             supervisor = Supervisor(folder.logs, environment=environment)
         self._supervisor = supervisor
         self._ports: set[int] = set()
+        self._px4 = px4_seat.instances(scenario)
         self._running = False
+        self._met = False
+        """Whether every vehicle has connected to the physics server."""
         self.ready: dict[str, Ready] = {}
         self.finished: dict[str, dict[str, Any]] = {}
         """What each process said in its last event."""
@@ -126,6 +136,11 @@ class Processes:
         return self._supervisor.pids
 
     @property
+    def nondeterminism(self) -> list[str]:
+        """What makes this run depend on more than scenario and seed by what it is made of."""
+        return [f"{uav(i)} is flown by a PX4, and its application keeps its time" for i in self._px4]
+
+    @property
     def running(self) -> bool:
         """Started, and not stopped."""
         return self._running
@@ -139,7 +154,7 @@ class Processes:
         try:
             self._running = True
             self._start()
-        except (PortError, OSError) as error:
+        except (PortError, Px4Error, OSError) as error:
             raise SetupError(str(error)) from None
         except (SupervisorError, kernel_cache.CompileError) as error:
             raise SwarmError(str(error)) from None
@@ -176,20 +191,37 @@ class Processes:
             config = self._folder.write_vehicle_config(
                 scenario, i, run_id=run_id, simulator_port=simulator_ports[i], radio_endpoint=endpoint
             )
-            self._supervisor.start(uav(i), python_module("autopilot", config))
-        self._await_ready([PHYSICS, *map(uav, vehicles)])
+            if i in self._px4:
+                self._start_px4(i, simulator_ports[i])
+                self._supervisor.start(application(i), python_module("autopilot.companion", config))
+            else:
+                self._supervisor.start(uav(i), python_module("autopilot", config))
+        self._await_ready([PHYSICS, *map(uav, vehicles), *map(application, self._px4)])
         self.send(SetPid(instance=None, pid=self.pids[RADIO]))
+        for i in self._px4:
+            self.send(SetPid(instance=i, pid=self.pids[application(i)], application=True))
         for i in vehicles:
             details = self.ready[uav(i)].details
             self._ports |= {details["gcs_local_udp"], details["companion_local_udp"]}
-            self.send(SetPid(instance=i, pid=self.pids[uav(i)]))
+            self.send(SetPid(instance=i, pid=self.ready[uav(i)].pid))
+
+    def _start_px4(self, instance: int, simulator_port: int) -> None:
+        seat = px4_seat.seat(
+            self._scenario, instance, run_folder=self._folder.path, simulator_port=simulator_port
+        )
+        config = self._folder.config / f"px4-{instance}.json"
+        config.write_bytes(msgspec.json.format(msgspec.json.encode(seat), indent=2))
+        self._supervisor.start(uav(instance), python_module("harness.keeper", config))
 
     def _check_ports(self) -> None:
         """Find a port in use before anything starts; a process that loses one afterwards says so itself."""
         ports = self._scenario.ports
+        px4_seat.check_start(self._scenario)
+        for port in px4_seat.application_ports(self._scenario):
+            bind(socket.SOCK_DGRAM, ports.host, port).close()
         for base in (ports.gcs_local_udp, ports.companion_local_udp):
             for i in range(self._scenario.agents if base else 0):
-                bind(socket.SOCK_DGRAM, ports.host, base + i).close()
+                bind(socket.SOCK_DGRAM, self._scenario.links.host, base + i).close()
         if ports.radio_tcp:
             bind(socket.SOCK_STREAM, ports.host, ports.radio_tcp).close()
 
@@ -212,14 +244,16 @@ class Processes:
             self._running = False
             forced: list[str] = []
             # a vehicle ends when its simulator hangs up, and the radio outlives those who use it
-            for names in ([PHYSICS], [*map(uav, range(self._scenario.agents))], [RADIO]):
+            vehicles = [*map(uav, range(self._scenario.agents)), *map(application, self._px4)]
+            for names in ([PHYSICS], vehicles, [RADIO]):
                 forced += self._supervisor.end(names, grace_s=STOP_LIMIT_S)
             self.forced = (*forced, *self._supervisor.stop())
             self.drain()
 
     def kill(self, instance: int) -> None:
-        """SIGKILL a vehicle's process; returns when it is gone."""
-        self._supervisor.kill(uav(instance))
+        """SIGKILL a vehicle's process, or processes; returns when they are gone."""
+        for name in (uav(instance), application(instance)) if instance in self._px4 else (uav(instance),):
+            self._supervisor.kill(name)
         self.drain()
 
     def send(self, command: AnyCommand) -> None:
@@ -280,6 +314,7 @@ class Processes:
             case Influenced():
                 self.influences.append(message)
             case Progress() | Paused():
+                self._met = True
                 self.simulated_us = message.time_us
             case _:
                 self.happenings.append(message)
@@ -287,11 +322,15 @@ class Processes:
             self.formed_us = message.time_us
         elif isinstance(message, Exited):
             self.exited[name] = message
-            if name in (PHYSICS, RADIO) and self._running and self.failure is None:
+            if self._is_needed(name) and self._running and self.failure is None:
                 self.failure = self._obituary(message)
         if self._on_message is not None:
             self._on_message(message)
         return message
+
+    def _is_needed(self, name: str) -> bool:
+        """Whether no run goes on without that process: without a PX4 none begins."""
+        return name in (PHYSICS, RADIO) or (not self._met and name in map(uav, self._px4))
 
     def _obituary(self, exited: Exited) -> str:
         last_words = exited.log_tail.rpartition("\n")[2]

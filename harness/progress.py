@@ -147,10 +147,12 @@ class LiveDisplay:
 
 
 def headline(progress: Progress, factor: float | None) -> str:
-    """Where the run is, how fast, and how full its channel."""
+    """Where the run is, how fast, how far behind the speed asked for, and how full its channel."""
     speed = "-" if factor is None else f"{factor:.1f}"
+    pace = "paused" if progress.paused else f"{speed} x real time"
+    lag = f" ({progress.lag_s:.1f} s behind)" if progress.lag_s > 0.0 else ""
     busy = f"{progress.channel_busy_fraction:.1%}"
-    return f"{_at(progress.time_us)}, {speed} x real time, channel {busy} busy"
+    return f"{_at(progress.time_us)}, {pace}{lag}, channel {busy} busy"
 
 
 def fleet(vehicles: Sequence[VehicleTruth]) -> str:

@@ -8,6 +8,8 @@ JSON into the run folder, is what every process of the run reads.
 import math
 import tomllib
 from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from ipaddress import IPv4Address
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -24,6 +26,7 @@ from autopilot.config import (
     SESSION_S,
     AutopilotConfig,
     Devices,
+    LinksConfig,
     OnboardConfig,
     Port,
     Site,
@@ -32,6 +35,7 @@ from autopilot.config import (
 )
 from autopilot.formation_plan import FormationPlan
 from autopilot.parameter_file import ParameterFileError
+from autopilot.plan_file import PlanFileError
 from harness import autopilot_settings, element_file, formation_shape
 from harness.element_file import ElementFileError
 from harness.faults import EXPECTED, MOST_TIME_S, AnyFault, check
@@ -44,6 +48,7 @@ from netsim import settings as radio_settings
 from netsim.config import RadioConfig
 from netsim.ftm.stamps import distance_m, round_trip_std_ps
 
+_UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 ARRAYS_OF_TABLES = ("faults", "wind.gusts")
 _EXPECTED = {**EXPECTED, r"formation\.motion\.kind": "one of track, racetrack"}
 
@@ -67,21 +72,57 @@ class RunConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Wall time after which a vehicle that lives but does not answer is given up."""
     record_rate_hz: Annotated[float, Meta(ge=0.001, le=250.0)] = 50.0
     """Rows per simulated second and vehicle in the flight log."""
+    epoch_utc: Annotated[datetime, Meta(tz=True)] = datetime(2026, 1, 1, tzinfo=UTC)
+    """The date of simulated time 0, which clocks tell; nothing that flies depends on it."""
+
+    def __post_init__(self) -> None:
+        if self.epoch_utc < _UNIX_EPOCH:
+            raise ValueError("epoch_utc is before 1970, which MAVLink's clocks cannot tell")
+
+    @property
+    def epoch_unix_us(self) -> int:
+        """The same as UNIX time."""
+        return (self.epoch_utc - _UNIX_EPOCH) // timedelta(microseconds=1)
 
 
 class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The ``[ports]`` table: vehicle i uses each base plus i; PX4's numbers."""
 
     host: str = "127.0.0.1"
+    """Of simulator and radio; the addresses of the vehicles' links are in ``[links]``."""
     simulator_tcp: Port = 4560
     gcs_local_udp: Port = 18570
     gcs_remote_udp: Port = 14550
     """The ground station's; all vehicles share it. 0: nobody is called, who calls is answered."""
     companion_local_udp: Port = 14580
     companion_remote_udp: Port = 14540
-    """As with PX4, vehicles from the tenth on share the tenth's, for the ground station's comes next."""
+    """Vehicle i calls this plus i, whatever i is, unless that is the ground station's port, or one that a
+    vehicle of the swarm itself is bound to: with PX4's numbers 14550 of vehicle 10, and 14580 of vehicle 40
+    and so on. Their companions are not called, and are answered as ever when they call."""
     radio_tcp: Port = 7447
     """The 802.11 emulator's Zenoh router."""
+
+    def check(self, agents: int) -> None:
+        """Raise ValueError with the field's path for ports that are none, or that two cannot have at once."""
+        for field in ("simulator_tcp", "gcs_local_udp", "companion_local_udp", "companion_remote_udp"):
+            base = getattr(self, field)
+            if base and base + agents - 1 > 65_535:
+                raise ValueError(f"ports.{field}: {base} + {agents - 1} vehicles is over 65535")
+        for first, others in (
+            ("gcs_local_udp", (("companion_local_udp", agents), ("gcs_remote_udp", 1))),
+            ("companion_local_udp", (("gcs_remote_udp", 1),)),
+            ("simulator_tcp", (("radio_tcp", 1),)),
+        ):
+            begin = getattr(self, first)
+            for second, count in others:
+                other = getattr(self, second)
+                port = max(begin, other)
+                if begin and other and port < min(begin + agents, other + count):
+                    whose = f" of UAV {port - other}" if count > 1 else ""
+                    raise ValueError(
+                        f"ports.{first} of UAV {port - begin} and ports.{second}{whose} are both {port}; "
+                        f"expected the ports of {agents} vehicles to be apart from others"
+                    )
 
 
 class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -97,6 +138,7 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     faults: tuple[AnyFault, ...] = ()
     sensors: SensorsConfig = SensorsConfig()
     autopilot: AutopilotConfig = AutopilotConfig()
+    links: LinksConfig = LinksConfig()
     onboard: OnboardConfig = OnboardConfig()
     radio: RadioConfig = RadioConfig()
     antenna: AntennaConfig = AntennaConfig()
@@ -131,11 +173,7 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
                 formation_plan.check(places_ned_m, self.formation.motion)
             except ValueError as error:
                 raise ValueError(f"formation.motion.{error}") from None
-        last = self.agents - 1
-        for field in ("simulator_tcp", "gcs_local_udp", "companion_local_udp", "companion_remote_udp"):
-            base = getattr(self.ports, field)
-            if base and base + last > 65_535:
-                raise ValueError(f"ports.{field}: {base} + {last} vehicles is over 65535")
+        self.ports.check(self.agents)
 
     def _check_wind(self) -> None:
         """Refuse that two of a vehicle's parts lean against the same wind."""
@@ -150,6 +188,16 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
         """(agents, 3) places of the formation, before it moves, in the site's NED frame."""
         return formation_shape.places_ned_m(self.formation, self.agents, self.antenna.wavelength_m)
 
+    def companion_port(self, instance: int) -> int:
+        """Port that a vehicle calls its companion at; 0: none, for somebody else would hear it there."""
+        p, links = self.ports, self.links
+        port = p.companion_remote_udp + instance if p.companion_remote_udp else 0
+        if port == p.gcs_remote_udp and links.companion_host == links.ground_station_host:
+            return 0
+        own = (p.gcs_local_udp, p.companion_local_udp)
+        is_own = any(base and base <= port < base + self.agents for base in own)
+        return 0 if is_own and IPv4Address(links.companion_host).is_loopback else port
+
     def plan(self) -> FormationPlan:
         """Where the places are once the formation moves."""
         return FormationPlan(self.places_ned_m(), self.formation.heading_deg, self.formation.motion)
@@ -159,12 +207,12 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     ) -> VehicleConfig:
         """What vehicle ``instance`` is told."""
         p = self.ports
-        companion_remote_udp = p.companion_remote_udp + min(instance, 9) if p.companion_remote_udp else 0
         return VehicleConfig(
             run_id=run_id,
             instance=instance,
             seed=self.run.seed,
             step_us=self.run.step_us,
+            epoch_unix_us=self.run.epoch_unix_us,
             site=self.site,
             ports=VehiclePorts(
                 host=p.host,
@@ -172,10 +220,11 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
                 gcs_local_udp=p.gcs_local_udp + instance if p.gcs_local_udp else 0,
                 gcs_remote_udp=p.gcs_remote_udp,
                 companion_local_udp=p.companion_local_udp + instance if p.companion_local_udp else 0,
-                companion_remote_udp=companion_remote_udp,
+                companion_remote_udp=self.companion_port(instance),
                 radio_endpoint=radio_endpoint,
             ),
             autopilot=self.autopilot.for_uav(instance),
+            links=self.links,
             onboard=self.onboard,
             devices=Devices(
                 gps_delay_s=self.sensors.gps_model().delay_s,
@@ -227,15 +276,25 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
             table["antenna"] = element_file.with_deck(antenna, path.parent)
         scenario = msgspec.convert(table, Scenario)
         autopilot = autopilot_settings.with_parameter_file(scenario.autopilot, path.parent)
+        autopilot = autopilot_settings.with_plan_file(autopilot, path.parent)
     except msgspec.ValidationError as error:
         raise ScenarioError(f"{path}: {explain(error, _EXPECTED)}") from None
     except FormationFileError as error:
         raise ScenarioError(f"{path}: formation.file: {error}") from None
     except ElementFileError as error:
         raise ScenarioError(f"{path}: antenna.element_file: {error}") from None
+    except PlanFileError as error:
+        raise ScenarioError(f"{path}: autopilot.plan_file: {error}") from None
     except ParameterFileError as error:
         raise ScenarioError(f"{path}: autopilot.params_file: {error}") from None
-    return msgspec.structs.replace(scenario, autopilot=autopilot)
+    try:
+        links = autopilot_settings.with_signing_key(scenario.links, path.parent)
+    except ValueError as error:
+        raise ScenarioError(f"{path}: links.signing_key_file: {error}") from None
+    try:
+        return msgspec.structs.replace(scenario, autopilot=autopilot, links=links)
+    except ValueError as error:  # what the files brought does not go with the rest
+        raise ScenarioError(f"{path}: {error}") from None
 
 
 def _override(table: dict[str, Any], override: str) -> None:

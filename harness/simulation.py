@@ -92,7 +92,11 @@ class Simulation:
             temperature_offset_k=scenario.environment.temperature_offset_k,
         )
         self._faults = Faults(scenario.faults, n, np.random.default_rng(streams[2]))
-        self._encoder = SensorEncoder(scenario.site)
+        px4 = frozenset(filter(scenario.autopilot.is_px4, range(n)))
+        self._encoder = SensorEncoder(
+            scenario.site, px4=px4, epoch_us=scenario.run.epoch_unix_us, px4_rc=scenario.autopilot.px4_rc
+        )
+        self._has_escs = len(px4) < n
         self._tells_truth = scenario.onboard.enabled and scenario.onboard.localisation == "truth"
         self.time_us = self._step_us  # PX4 takes 0 for a clock that is not set
         self.formed = False
@@ -219,7 +223,7 @@ class Simulation:
 
     def _escs(self, truth: Truth) -> esc.EscReadings | None:
         """What the motors' controllers report, when it is time."""
-        if self.time_us % esc.PERIOD_US >= self._step_us:
+        if self.time_us % esc.PERIOD_US >= self._step_us or not self._has_escs:
             return None
         return esc.readings(
             truth.rotor_speed_rad_s, self._faults.rotor_effectiveness, self._world.density_ratio
@@ -234,7 +238,8 @@ class Simulation:
                 waited_for = self._air.wait_on(self._gone())
 
     def _gone(self) -> tuple[int, ...]:
-        return tuple(seat.instance for seat in self.lockstep.seats if not seat.alive)
+        """Stations whose radios are silent for good."""
+        return tuple(seat.instance for seat in self.lockstep.seats if not (seat.alive and seat.on_air))
 
     def _obey(self, answers: list[HilActuatorControls | None]) -> None:
         """Set motors as the vehicles say; the world limits what is out of range."""

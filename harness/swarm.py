@@ -12,7 +12,6 @@ at a time, which need not be the main one; any number of swarms may fly at once.
 """
 
 import contextlib
-import os
 import shutil
 import sys
 import tempfile
@@ -26,8 +25,18 @@ from typing import Any, ClassVar, Literal, Self
 
 import msgspec
 
+from harness import ground_links
 from harness.faults import MOST_ATTENUATION_DB, AnyFault, validated
-from harness.messages import InjectFault, Paused, RunUntil, SetAttenuation, VehicleLost
+from harness.messages import (
+    InjectFault,
+    Pause,
+    Paused,
+    Resume,
+    RunUntil,
+    SetAttenuation,
+    SetSpeed,
+    VehicleLost,
+)
 from harness.processes import (
     Happening,
     Message,
@@ -91,10 +100,8 @@ class Swarm:
             named = {"agents": agents, "run.seed": seed}
             settings = [f"{path}={value}" for path, value in named.items() if value is not None]
             scenario = load(scenario, [*overrides, *settings])
-        if speed != "max" and not speed > 0.0:
-            raise ValueError(f"speed {speed}: expected a factor above 0, or 'max'")
         self.scenario = _with_ports(scenario, ports, port_offset)
-        self._speed = 0.0 if speed == "max" else float(speed)
+        self._speed = _factor(speed)
         if out is None:
             self.path = Path(tempfile.mkdtemp(prefix="coflight-"))
             weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
@@ -108,6 +115,7 @@ class Swarm:
         self._links = contextlib.ExitStack()
         self._interventions: list[str] = []
         self._killed: set[int] = set()
+        self._stands = False
         self._started_utc = ""
         self._wall_running_s = 0.0
         self._not_formed: str | None = None
@@ -203,6 +211,40 @@ class Swarm:
             truth = self._run(RunUntil(time_us=min(next_us, deadline_us), speed=self._speed))
         return truth
 
+    def pause(self) -> None:
+        """Let simulated time stand, from any thread: in the run that lasts, or in the next.
+
+        Ground stations go on hearing heartbeats, and their commands are answered at the time that stands. The
+        logs come out as if there had been no pause. Raises SwarmError if the swarm is not running.
+        """
+        self._processes.send(Pause())
+        self._stands = True
+
+    def resume(self) -> None:
+        """Let simulated time go on after `pause`, from any thread. Raises SwarmError."""
+        self._processes.send(Resume())
+        self._stands = False
+
+    @property
+    def stands(self) -> bool:
+        """Whether it was paused, and not resumed."""
+        return self._stands
+
+    @property
+    def simulated_s(self) -> float:
+        """Simulated time as it was last heard of, also while it passes."""
+        return self._processes.simulated_us * 1e-6
+
+    @property
+    def speed(self) -> Speed:
+        """Simulated against wall time, as asked for."""
+        return self._speed or "max"
+
+    def set_speed(self, speed: Speed) -> None:
+        """Fly at another speed from now on, from any thread. Raises SwarmError."""
+        self._speed = _factor(speed)
+        self._processes.send(SetSpeed(speed=self._speed))
+
     def _after_us(self, duration_s: float) -> int:
         return self.truth.time_us + round(duration_s * 1e6)
 
@@ -212,16 +254,17 @@ class Swarm:
         if processes.failure is not None:
             raise SwarmError(processes.failure)
         processes.send(command)
-        wall_begin_s = time.monotonic()
+        wall_begin_s, wall_paused_s = time.monotonic(), 0.0
         try:
             paused = self._await_paused()
+            wall_paused_s = paused.wall_paused_s
         except BaseException as error:
             # where simulated time stands is the machine's doing: nothing can be flown on from here
             self._broken_off = f"a run was broken off: {str(error) or type(error).__name__}"
             processes.note_failure(self._broken_off)
             raise
         finally:
-            self._wall_running_s += time.monotonic() - wall_begin_s
+            self._wall_running_s += time.monotonic() - wall_begin_s - wall_paused_s
         self._truth = Truth(time_us=paused.time_us, vehicles=paused.vehicles)
         if paused.reason == "no_vehicles":
             left = f"no vehicle is left at {self._truth.t_s:.3f} s"
@@ -281,23 +324,13 @@ class Swarm:
     def mavlink(self, instance: int) -> Any:  # noqa: ANN401  pymavlink has no types
         """Open a pymavlink connection (`mavutil`) to a vehicle, as a ground station; closed with the swarm.
 
-        The vehicle answers whoever has spoken to it, so a first heartbeat is sent along. It hears and answers
-        while simulated time passes. Such a run depends on more than scenario and seed; its manifest says so.
+        The vehicle answers whoever has spoken to it, so a first heartbeat is sent along; it does so whether
+        simulated time passes or not, but streams go on with time. Such a run depends on more than scenario
+        and seed; its manifest says so.
         """
-        os.environ.setdefault("MAVLINK20", "1")  # read when pymavlink is imported: it would send MAVLink 1
-        from pymavlink import mavutil  # noqa: PLC0415, TID251  an edge; few programs need it
-
         port = self._processes.ready[uav(instance)].details["gcs_local_udp"]
-        address = f"udpout:{self.scenario.ports.host}:{port}"
-        link = mavutil.mavlink_connection(address, source_system=255, source_component=190, dialect="common")
+        link = ground_links.connect(self.scenario.links.host, port)
         self._links.callback(link.close)
-        link.mav.heartbeat_send(
-            mavutil.mavlink.MAV_TYPE_GCS,
-            mavutil.mavlink.MAV_AUTOPILOT_INVALID,
-            0,
-            0,
-            mavutil.mavlink.MAV_STATE_ACTIVE,
-        )
         return link
 
     # --- what happened
@@ -306,6 +339,18 @@ class Swarm:
     def pids(self) -> dict[str, int]:
         """Process ids by name: ``physics``, ``radio``, ``uav 0`` ..."""
         return self._processes.pids
+
+    @property
+    def addresses(self) -> tuple[str, ...]:
+        """A line for each vehicle: where it speaks MAVLink, once the swarm is started."""
+        return tuple(
+            ground_links.link_line(
+                i,
+                self._processes.ready[uav(i)].details,
+                self.scenario.vehicle(i, run_id="", radio_endpoint=None, log_path=None).ports,
+            )
+            for i in range(self.scenario.agents)
+        )
 
     @property
     def events(self) -> tuple[Happening, ...]:
@@ -357,6 +402,7 @@ class Swarm:
         elif self._broken_off is not None:
             nondeterminism.append(self._broken_off)
         nondeterminism += [f"{event.name} was spoken to by {event.by}" for event in processes.influences]
+        nondeterminism += processes.nondeterminism
         outcome = report.Outcome(
             status=status,
             reason=processes.failure or self._not_formed,
@@ -380,6 +426,15 @@ class Swarm:
             nondeterminism=tuple(nondeterminism),
         )
         return report.finish(self._folder, self.scenario, outcome, draw=draw)
+
+
+def _factor(speed: Speed) -> float:
+    """Speed as the physics server takes it, 0 being as fast as it goes. Raises ValueError."""
+    if speed == "max":
+        return 0.0
+    if not 0.0 < speed < float("inf"):
+        raise ValueError(f"speed {speed}: expected a factor above 0, or 'max'")
+    return float(speed)
 
 
 def _with_ports(scenario: Scenario, ports: Ports, offset: int) -> Scenario:

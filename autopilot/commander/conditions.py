@@ -58,6 +58,7 @@ class Reason(Enum):
     TIPPED_OVER = ("not upright", common.MAV_RESULT_TEMPORARILY_REJECTED)
     IN_AIR = ("not landed", common.MAV_RESULT_TEMPORARILY_REJECTED)
     TERMINATED = ("flight was terminated", common.MAV_RESULT_DENIED)
+    ON_GROUND = ("on the ground", common.MAV_RESULT_TEMPORARILY_REJECTED)
     MODE_CANNOT_ARM = ("this mode does not take off", common.MAV_RESULT_TEMPORARILY_REJECTED)
     MODE_UNAVAILABLE = ("this mode is not available", common.MAV_RESULT_DENIED)
     BAD_ARGUMENT = ("wrong parameter", common.MAV_RESULT_DENIED)
@@ -75,6 +76,7 @@ MODE_NEEDS: dict[FlightMode, Condition] = {
     FlightMode.MISSION: _FLIES_TO_A_PLACE | Condition.HOME | Condition.MISSION,
     FlightMode.RETURN: _FLIES_TO_A_PLACE | Condition.HOME,
     FlightMode.LAND: _FLIES_TO_A_PLACE,
+    FlightMode.ORBIT: _FLIES_TO_A_PLACE,
     FlightMode.OFFBOARD: _FLIES_TO_A_PLACE | Condition.SETPOINTS,
     FlightMode.POSITION: _FLIES_TO_A_PLACE | Condition.MANUAL,
     FlightMode.ALTITUDE: Condition.ATTITUDE | Condition.HEIGHT | Condition.MANUAL,
@@ -101,6 +103,7 @@ AFTER_DISARMING: dict[FlightMode, FlightMode] = {
     FlightMode.MISSION: FlightMode.HOLD,
     FlightMode.RETURN: FlightMode.HOLD,
     FlightMode.LAND: FlightMode.HOLD,
+    FlightMode.ORBIT: FlightMode.HOLD,
     FlightMode.DESCEND: FlightMode.HOLD,
 }
 """A flight's last mode must not be the next one's first."""

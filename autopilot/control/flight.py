@@ -14,7 +14,14 @@ from autopilot.control.position import PositionController, PositionOutput
 from autopilot.control.rates import RateController
 from autopilot.control.takeoff import Phase, TakeoffRamp, wants_climb
 from autopilot.estimation.rotation import quat_from_euler, quat_to_euler
-from autopilot.types import Array, AttitudeSetpoint, EstimatorState, TrajectorySetpoint
+from autopilot.types import (
+    Array,
+    AttitudeSetpoint,
+    EstimatorState,
+    RateSetpoint,
+    Setpoint,
+    TrajectorySetpoint,
+)
 
 _HOVER_LEARN_UP = 0.5
 """Least cosine of the tilt at which the hover thrust is learned"""
@@ -28,7 +35,7 @@ class FlightController:
     def __init__(self, params: ControlParams) -> None:
         self.params = params
         self.attitude_setpoint: AttitudeSetpoint | None = None
-        """What the attitude controller follows; None while the motors idle"""
+        """What the attitude controller follows; None while the motors idle or rates are flown"""
         self._position = PositionController(params.position, integral_share=_integral_share(params))
         self._disturbance = DisturbanceObserver(params.disturbance)
         self._hover = HoverThrustEstimator(params.hover_thrust, start=params.position.thr_hover)
@@ -116,7 +123,7 @@ class FlightController:
     def update(
         self,
         state: EstimatorState,
-        setpoint: TrajectorySetpoint | AttitudeSetpoint,
+        setpoint: Setpoint,
         *,
         dt_s: float,
         landed: bool,
@@ -137,19 +144,25 @@ class FlightController:
             state.acc_ned_m_s2, state.q_ned_frd, thrust=self._allocator.thrust,
             hover_thrust=self.hover_thrust, dt_s=dt_s, observe=not landed and state.velocity_valid,
         )  # fmt: skip
+        # at the least thrust it may be touching down: torque against the ground must not lift it again
+        airmode_above = math.inf if landed else self.params.position.thr_min * _ABOVE_LEAST
         if isinstance(setpoint, TrajectorySetpoint):
             attitude = self._follow(state, setpoint, dt_s=dt_s, phase=phase)
         else:
             self._leave_position()
             self._yaw_rad = None
+            if isinstance(setpoint, RateSetpoint):
+                self.attitude_setpoint = None
+                return self._inner.follow_rates(
+                    state.omega_frd_rad_s, setpoint, dt_s=dt_s, integrate=not landed,
+                    airmode_above=airmode_above,
+                )  # fmt: skip
             attitude = setpoint
         self.attitude_setpoint = attitude
-
         return self._inner.update(
             state.q_ned_frd, state.omega_frd_rad_s, attitude, dt_s=dt_s,
             by_tilt=isinstance(setpoint, TrajectorySetpoint), integrate=not landed,
-            # at the least thrust it may be touching down: torque against the ground must not lift it again
-            airmode_above=math.inf if landed else self.params.position.thr_min * _ABOVE_LEAST,
+            airmode_above=airmode_above,
         )  # fmt: skip
 
     def _follow(

@@ -10,7 +10,7 @@ from numba import njit
 from autopilot.control.allocation import Allocator, allocate
 from autopilot.control.attitude import AttitudeController, rate_setpoint
 from autopilot.control.rates import RateController, rate_torque
-from autopilot.types import Array, AttitudeSetpoint
+from autopilot.types import Array, AttitudeSetpoint, RateSetpoint
 
 
 @njit(cache=True)
@@ -39,6 +39,27 @@ def _step(
         thrust *= max(cosine, 0.0)
     collective = allocate(thrust, torque, mix, yaw_margin, highest, thrust_factor, controls, unallocated)
     return collective, cosine
+
+
+@njit(cache=True)
+def _rate_step(
+    omega_frd_rad_s: Array, wanted_frd_rad_s: Array, rate_max_rad_s: Array, thrust: float,
+    dt_s: float, integrate: bool, airmode_above: float,  # noqa: FBT001 - kernels take positions
+    rate_gains: Array, integral_max: float, cutoff_hz: float, rate_state: Array,
+    mix: Array, yaw_margin: float, thrust_factor: float, unallocated: Array,
+    stages: Array, controls: Array,
+) -> float:  # fmt: skip
+    """Do as `_step`, with rates that were asked for in place of those towards an attitude."""
+    rate = np.empty(3)
+    for i in range(3):
+        rate[i] = min(max(wanted_frd_rad_s[i], -rate_max_rad_s[i]), rate_max_rad_s[i])
+    torque = rate_torque(
+        omega_frd_rad_s, rate, unallocated, dt_s, rate_gains, integral_max, cutoff_hz, rate_state, integrate
+    )
+    stages[0] = rate
+    stages[1] = torque
+    highest = 1.0 if thrust > airmode_above else 0.0
+    return allocate(thrust, torque, mix, yaw_margin, highest, thrust_factor, controls, unallocated)
 
 
 class InnerLoop:
@@ -83,6 +104,27 @@ class InnerLoop:
             q_ned_frd, omega_frd_rad_s, setpoint.q_ned_frd, setpoint.yaw_rate_rad_s, setpoint.thrust,
             dt_s, by_tilt, integrate, airmode_above,
             attitude.gain, attitude.yaw_weight, attitude.rate_max_rad_s,
+            rates.gains, rates.integral_max, rates.cutoff_hz, rates.state,
+            allocator.mix, allocator.params.yaw_thrust_margin, allocator.params.thrust_model_factor,
+            allocator.unallocated, self._stages, controls,
+        )  # fmt: skip
+        return controls
+
+    def follow_rates(
+        self, omega_frd_rad_s: Array, setpoint: RateSetpoint, *, dt_s: float, integrate: bool,
+        airmode_above: float,
+    ) -> Array:  # fmt: skip
+        """(4,) motor controls 0..1 for body rates, within the attitude controller's limits, and thrust.
+
+        The arguments are those of `update`.
+        """
+        attitude, rates, allocator = self._attitude, self._rates, self._allocator
+        rates.start(omega_frd_rad_s)
+        controls = np.empty(4)
+        attitude.tilt_cosine = 1.0  # there is no tilt to miss
+        allocator.thrust = _rate_step(
+            omega_frd_rad_s, setpoint.rate_frd_rad_s, attitude.rate_max_rad_s, setpoint.thrust,
+            dt_s, integrate, airmode_above,
             rates.gains, rates.integral_max, rates.cutoff_hz, rates.state,
             allocator.mix, allocator.params.yaw_thrust_margin, allocator.params.thrust_model_factor,
             allocator.unallocated, self._stages, controls,

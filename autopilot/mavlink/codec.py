@@ -6,75 +6,129 @@ nothing raises.
 """
 
 import re
+from struct import Struct
 from typing import TypeAlias
 
+from fastcrc import crc16
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink import dialect  # noqa: F401  # completes the dialect: without it nobody should parse
+from autopilot.mavlink.counters import Counters
+from autopilot.mavlink.signing import INCOMPAT_SIGNED, SIGNATURE_BYTES, Signer, Verdict
 
 Message: TypeAlias = common.MAVLink_message
 
 _MAGIC = re.compile(rb"[\xfd\xfe]")
 _MAGIC_V1 = 0xFE
 _HEADER_BYTES = {0xFE: 6, 0xFD: 10}
-_CHECKSUM_BYTES = 2
-_SIGNATURE_BYTES = 13
-_INCOMPAT_SIGNED = 0x01
+_CHECKSUM = Struct("<H")
+_FIRST_CHECKED = 1
+_FLAGS, _SEQUENCE, _COMPONENT = 2, 4, 6
+"""Where they stand in a frame of MAVLink 2."""
+_KIND = {0xFE: slice(5, 6), 0xFD: slice(7, 10)}
+_SIZING = common.MAVLink(None)
+_CRC_EXTRA = {kind: bytes([made.crc_extra]) for kind, made in common.mavlink_map.items()}
 
 
 class Parser:
     """Takes bytes as they come and returns the messages in them.
 
     After bytes that are no message it searches on from the next, so a broken frame never hides a whole one.
+    With a signer only what is signed by its key comes out.
     """
 
-    def __init__(self) -> None:
-        self.bad_bytes = 0
-        """Bytes that belonged to no message of the dialect with a right checksum."""
+    def __init__(self, signer: Signer | None = None) -> None:
+        self.counters = Counters()
+        self._signer = signer
         self._buffer = bytearray()
         self._mavlink = common.MAVLink(None)
+
+    @property
+    def bad_bytes(self) -> int:
+        """Bytes that belonged to no message of the dialect with a right checksum."""
+        return self.counters.bytes_bad
 
     def push(self, data: bytes) -> list[Message]:
         """Messages that are complete after the next ``data`` of a byte stream."""
         self._buffer += data
-        return self._parse(ended=False)
+        return self._parse(ended=False, now=0)
 
-    def push_datagram(self, data: bytes) -> list[Message]:
-        """Messages in a datagram; a frame that does not end in it is bad."""
+    def push_datagram(self, data: bytes, now: int = 0) -> list[Message]:
+        """Messages in a datagram; a frame that does not end in it is bad.
+
+        ``now`` is the wall clock in the units of signatures, for the signer.
+        """
         self._buffer[:] = data
-        return self._parse(ended=True)
+        return self._parse(ended=True, now=now)
 
-    def _parse(self, *, ended: bool) -> list[Message]:
+    def _parse(self, *, ended: bool, now: int) -> list[Message]:
         buffer = self._buffer
+        counters = self.counters
         messages: list[Message] = []
         at = 0
         while (magic := _MAGIC.search(buffer, at)) is not None:
-            self.bad_bytes += magic.start() - at
+            counters.bytes_bad += magic.start() - at
             at = magic.start()
             length = _frame_bytes(buffer, at)
             if length is None or len(buffer) - at < length:
                 if not ended:
                     break
-            elif (message := self._decode(buffer[at : at + length])) is not None:
-                messages.append(message)
-                at += length
-                continue
-            self.bad_bytes += 1
+            elif self._is_right(frame := buffer[at : at + length]):
+                message = self._decode(frame)
+                if message is not None:
+                    if self._is_trusted(frame, now):
+                        messages.append(message)
+                    at += length
+                    continue
+            counters.bytes_bad += 1
             at += 1
         else:
-            self.bad_bytes += len(buffer) - at
+            counters.bytes_bad += len(buffer) - at
             at = len(buffer)
         del buffer[:at]
         return messages
 
+    def _is_right(self, frame: bytearray) -> bool:
+        """Whether a frame of full length is one of the dialect, by its checksum, and may be read."""
+        magic = frame[0]
+        signed = False
+        if magic != _MAGIC_V1:
+            if frame[_FLAGS] & ~INCOMPAT_SIGNED:
+                # the sender says that whoever does not know the flag must not read on
+                self.counters.frames_incompatible += 1
+                return False
+            signed = bool(frame[_FLAGS] & INCOMPAT_SIGNED)
+        crc_extra = _CRC_EXTRA.get(int.from_bytes(frame[_KIND[magic]], "little"))
+        if crc_extra is None:
+            self.counters.frames_unknown += 1
+            return False
+        end = len(frame) - _CHECKSUM.size - (SIGNATURE_BYTES if signed else 0)
+        checksum = crc16.mcrf4xx(bytes(frame[_FIRST_CHECKED:end]) + crc_extra)
+        if (checksum,) != _CHECKSUM.unpack_from(frame, end):
+            self.counters.frames_bad_checksum += 1
+            return False
+        return True
+
     def _decode(self, frame: bytearray) -> Message | None:
-        if frame[0] != _MAGIC_V1 and frame[2] & ~_INCOMPAT_SIGNED:
-            return None  # the sender says that whoever does not know the flag must not read on
         try:
-            message = self._mavlink.decode(frame)
+            return self._mavlink.decode(frame)
         except common.MAVError:
             return None
-        return None if isinstance(message, common.MAVLink_unknown) else message
+
+    def _is_trusted(self, frame: bytearray, now: int) -> bool:
+        if self._signer is None:
+            return True
+        verdict = self._signer.judge(frame, now)
+        if verdict is Verdict.GOOD:
+            return True
+        counters = self.counters
+        if verdict is Verdict.UNSIGNED:
+            counters.unsigned += 1
+        elif verdict is Verdict.BAD:
+            counters.signature_bad += 1
+        else:
+            counters.replayed += 1
+        return False
 
 
 class Encoder:
@@ -93,6 +147,43 @@ class Encoder:
         link.seq = (link.seq + 1) % 256
         return frame
 
+    def encode_for(self, message: Message, sequences: "Sequences") -> bytes:
+        """Pack a message for a partner, whose next number it takes."""
+        header, link = message.get_header(), self._mavlink
+        own_system, own_component = self._own
+        link.srcSystem = header.srcSystem or own_system
+        link.srcComponent = component = header.srcComponent if header.srcSystem else own_component
+        link.seq = sequences.take(component)
+        frame: bytes = message.pack(link)
+        return frame
+
+
+class Sequences:
+    """The sequence numbers of what one partner is sent.
+
+    Each source counts its own, as receivers do, and counts only what this partner hears: a gap is a loss.
+    """
+
+    def __init__(self) -> None:
+        self._next: dict[int, int] = {}
+        """By component; everything is of one system."""
+
+    def take(self, component: int) -> int:
+        """Number of a component's next frame, which is about to be sent."""
+        sequence = self._next.get(component, 0)
+        self._next[component] = (sequence + 1) & 0xFF
+        return sequence
+
+    def renumber(self, frame: bytes, kind: int) -> bytes:
+        """Give a frame of MAVLink 2 that was packed for another partner the number that is next here."""
+        sequence = self.take(frame[_COMPONENT])
+        return frame if frame[_SEQUENCE] == sequence else _resealed(frame, kind, 0, sequence)
+
+
+def signed(frame: bytes, kind: int, signer: Signer, now: int) -> bytes:
+    """Sign an unsigned frame of MAVLink 2, at that wall clock; see `signing`."""
+    return signer.sign(_resealed(frame, kind, INCOMPAT_SIGNED, frame[_SEQUENCE]), now)
+
 
 def stamp(message: Message, *, system: int, component: int) -> Message:
     """Write the source into a message that is handed over without being packed, and return it."""
@@ -101,11 +192,32 @@ def stamp(message: Message, *, system: int, component: int) -> Message:
     return message
 
 
+def frame_bytes(message: Message) -> int:
+    """Length of the unsigned frame of MAVLink 2 that a message becomes."""
+    header = message.get_header()
+    _SIZING.srcSystem, _SIZING.srcComponent = (
+        header.srcSystem,
+        header.srcComponent,
+    )  # packing writes them there
+    frame: bytes = message.pack(_SIZING)
+    return len(frame)
+
+
+def _resealed(frame: bytes, kind: int, flags: int, sequence: int) -> bytes:
+    """Frame with other flags and sequence number, and the checksum that belongs to them."""
+    changed = bytearray(frame)
+    changed[_FLAGS], changed[_SEQUENCE] = flags, sequence
+    end = len(changed) - _CHECKSUM.size
+    checksum = crc16.mcrf4xx(bytes(changed[_FIRST_CHECKED:end]) + _CRC_EXTRA[kind])
+    _CHECKSUM.pack_into(changed, end, checksum)
+    return bytes(changed)
+
+
 def _frame_bytes(buffer: bytearray, at: int) -> int | None:
     """Length of the frame that begins at ``at``, or None while its header is not there."""
     magic = buffer[at]
     header_bytes = _HEADER_BYTES[magic]
     if len(buffer) - at < header_bytes:
         return None
-    signed = magic != _MAGIC_V1 and buffer[at + 2] & _INCOMPAT_SIGNED
-    return header_bytes + buffer[at + 1] + _CHECKSUM_BYTES + (_SIGNATURE_BYTES if signed else 0)
+    signed = magic != _MAGIC_V1 and buffer[at + 2] & INCOMPAT_SIGNED
+    return header_bytes + buffer[at + 1] + _CHECKSUM.size + (SIGNATURE_BYTES if signed else 0)

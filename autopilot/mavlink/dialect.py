@@ -158,3 +158,15 @@ MissionCurrent = declare(
     Field("mission_mode", "uint8_t"), Field("mission_id", "uint32_t"), Field("fence_id", "uint32_t"),
     Field("rally_points_id", "uint32_t"),
 )  # fmt: skip
+
+SetAttitudeTarget = declare(
+    "SET_ATTITUDE_TARGET", common.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET, 49,
+    Field("time_boot_ms", "uint32_t"), Field("q", "float", 4), Field("body_roll_rate", "float"),
+    Field("body_pitch_rate", "float"), Field("body_yaw_rate", "float"), Field("thrust", "float"), *_TARGET,
+    Field("type_mask", "uint8_t"), Field("thrust_body", "float", 3),
+    order=(
+        "time_boot_ms", "target_system", "target_component", "type_mask", "q", "body_roll_rate",
+        "body_pitch_rate", "body_yaw_rate", "thrust", "thrust_body",
+    ),
+)  # fmt: skip
+"""With the extension that carries a thrust vector."""

@@ -28,6 +28,7 @@ class FlightMode(Enum):
     MANUAL = ("Manual", 1, 0)
     ALTITUDE = ("Altitude", 2, 0)
     POSITION = ("Position", 3, 0)
+    ORBIT = ("Orbit", 3, 1)
     READY = ("Ready", 4, 1)
     TAKEOFF = ("Takeoff", 4, 2)
     HOLD = ("Hold", 4, 3)

@@ -1,7 +1,7 @@
 """What a mission is: its items, and what makes one wrong. Data; `mission_runner` goes through it.
 
-An item maps one to one to MAVLink's MISSION_ITEM_INT: the command's number, latitude, longitude and altitude
-as x, y and z, the rest as its parameters (None where MAVLink has not-a-number or does not care).
+An item stands for one of MAVLink's MISSION_ITEM_INT and has its number in the list; `plan_items` makes one of
+the other (None stands where MAVLink has not-a-number or does not care).
 """
 
 import math
@@ -19,17 +19,23 @@ class MissionError(ValueError):
 
 
 class MissionCommand(IntEnum):
-    """What an item asks for: MAV_CMD numbers."""
+    """What an item asks for: MAV_CMD numbers, but for ACT."""
 
+    ACT = 0
+    """Of a camera, a gimbal or another load that may be aboard or not: told, and passed."""
     WAYPOINT = common.MAV_CMD_NAV_WAYPOINT
     LOITER_UNLIMITED = common.MAV_CMD_NAV_LOITER_UNLIM
     LOITER_TIME = common.MAV_CMD_NAV_LOITER_TIME
     RETURN = common.MAV_CMD_NAV_RETURN_TO_LAUNCH
     LAND = common.MAV_CMD_NAV_LAND
     TAKEOFF = common.MAV_CMD_NAV_TAKEOFF
+    LOITER_TO_ALT = common.MAV_CMD_NAV_LOITER_TO_ALT
     DELAY = common.MAV_CMD_NAV_DELAY
+    TURN = common.MAV_CMD_CONDITION_YAW
     JUMP = common.MAV_CMD_DO_JUMP
     CHANGE_SPEED = common.MAV_CMD_DO_CHANGE_SPEED
+    LOOK_AT = common.MAV_CMD_DO_SET_ROI_LOCATION
+    LOOK_AHEAD = common.MAV_CMD_DO_SET_ROI_NONE
 
 
 class HeightFrame(Enum):
@@ -41,9 +47,21 @@ class HeightFrame(Enum):
     """MAV_FRAME_GLOBAL(_INT)"""
 
 
-FLOWN = frozenset(MissionCommand) - {MissionCommand.JUMP, MissionCommand.CHANGE_SPEED}
+FLOWN = frozenset(MissionCommand) - {
+    MissionCommand.ACT,
+    MissionCommand.JUMP,
+    MissionCommand.CHANGE_SPEED,
+    MissionCommand.LOOK_AT,
+    MissionCommand.LOOK_AHEAD,
+}
 """Commands that take time; the others act on the way."""
-_NEEDS_PLACE = {MissionCommand.WAYPOINT, MissionCommand.LOITER_UNLIMITED, MissionCommand.LOITER_TIME}
+_NEEDS_PLACE = {
+    MissionCommand.WAYPOINT,
+    MissionCommand.LOITER_UNLIMITED,
+    MissionCommand.LOITER_TIME,
+    MissionCommand.LOITER_TO_ALT,
+    MissionCommand.LOOK_AT,
+}
 
 
 class MissionItem(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -61,13 +79,17 @@ class MissionItem(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     hold_s: float = 0.0
     """Stay of WAYPOINT, LOITER_TIME and DELAY"""
     yaw_deg: float | None = None
-    """Heading at the place, clockwise from north; None: as MPC_YAW_MODE says"""
+    """Heading at the place, clockwise from north; None: as MPC_YAW_MODE says. TURN turns there"""
+    yaw_relative: bool = False
+    """Of TURN: ``yaw_deg`` counts from the present heading"""
     speed_m_s: float | None = None
     """Of CHANGE_SPEED, over ground; None: MPC_XY_CRUISE again"""
     jump_to: int = 0
     """Of JUMP: index of the item to go on with"""
     jump_count: int = 1
     """Of JUMP: how often; after that the mission goes on behind it. -1: always"""
+    act: int = 0
+    """Of ACT: the MAV_CMD"""
 
     @property
     def has_place(self) -> bool:
@@ -87,8 +109,8 @@ class Mission(Struct, frozen=True):
             raise MissionError(trouble)
 
     def first_place(self) -> MissionItem | None:
-        """Give the first item with a place, in the order of the list."""
-        return next((item for item in self.items if item.has_place), None)
+        """Give the first item with a place to fly to, in the order of the list."""
+        return next((item for item in self.items if item.has_place and item.command in FLOWN), None)
 
 
 def make_mission(items: Iterable[MissionItem]) -> Mission:
@@ -151,6 +173,8 @@ def _item_trouble(item: MissionItem, count: int) -> str | None:
     for value, low, high, name in checks:
         if value is not None and not low <= value <= high:  # also refuses not-a-number
             return f"{name} {value:g} is outside {low:g} .. {high:g}"
+    if item.command is MissionCommand.TURN and item.yaw_deg is None:
+        return "it has no heading"
     if item.speed_m_s is not None and not 0.0 < item.speed_m_s < math.inf:
         return f"speed {item.speed_m_s:g} m/s is not positive"
     if item.command is MissionCommand.JUMP:
@@ -162,20 +186,28 @@ def _item_trouble(item: MissionItem, count: int) -> str | None:
 
 
 def _circle(items: Sequence[MissionItem]) -> int | None:
-    """Index of a jump from which jumps lead back to it past nothing that is flown, or None."""
-    for start, item in enumerate(items):
-        if item.command is not MissionCommand.JUMP:
-            continue
-        seen: set[int] = set()
-        ahead = _follow(items, start)
-        while ahead:
-            index = ahead.pop()
-            if index == start:
-                return start
-            if index not in seen and index < len(items) and items[index].command not in FLOWN:
-                seen.add(index)
-                ahead += _follow(items, index)
-    return None
+    """Index of a jump from which jumps lead round past nothing that is flown, or None.
+
+    Takes away, again and again, what leads nowhere and what nothing leads to: what is left goes round.
+    """
+    after = {i: set(_follow(items, i)) for i, item in enumerate(items) if item.command not in FLOWN}
+    for index in after:
+        after[index] &= after.keys()
+    before: dict[int, set[int]] = {index: set() for index in after}
+    for index, following in after.items():
+        for other in following:
+            before[other].add(index)
+    for ahead, behind in ((after, before), (before, after)):
+        idle = [index for index, following in ahead.items() if not following]
+        while idle:
+            index = idle.pop()
+            for other in behind.pop(index):
+                ahead[other].discard(index)
+                if not ahead[other]:
+                    idle.append(other)
+            del ahead[index]
+    jumps = (index for index in after if items[index].command is MissionCommand.JUMP)
+    return min(jumps, default=None)
 
 
 def _follow(items: Sequence[MissionItem], index: int) -> list[int]:

@@ -26,7 +26,14 @@ from autopilot.navigation.mission_runner import MissionRunner
 from autopilot.navigation.params import NavigationParams
 from autopilot.types import Array, EstimatorState, TrajectorySetpoint
 
-_STAYS = {MissionCommand.LOITER_UNLIMITED, MissionCommand.LOITER_TIME, MissionCommand.DELAY}
+_STAYS = {
+    MissionCommand.LOITER_UNLIMITED,
+    MissionCommand.LOITER_TIME,
+    MissionCommand.LOITER_TO_ALT,
+    MissionCommand.DELAY,
+    MissionCommand.TURN,
+}
+_IN_PLACE = {MissionCommand.DELAY, MissionCommand.TURN, MissionCommand.RETURN}
 _CORNER_SHARE = 0.5
 """Of the acceptance, for the reference to overshoot the next leg"""
 _SAME_PLACE_M = 0.01
@@ -67,18 +74,22 @@ class MissionFlight:
         self._stayed_s = 0.0
         self._passes = False
         """The guide leads past the present place."""
+        self._level = False
+        """On the way to where a LOITER_TO_ALT changes its height."""
+        self._heading_rad = 0.0
+        """Where a TURN ends."""
         self._stood = False
         """On the ground at the last step."""
 
     @property
     def done(self) -> bool:
-        """Whether all items are flown; it holds the last place."""
-        return self.runner.finished and not self.return_wanted
+        """Whether all items are flown, or there are none any more; it holds the last place."""
+        return (self.runner.finished or self.runner.mission is None) and not self.return_wanted
 
-    def load(self, mission: Mission | None) -> None:
-        """Take another mission, or none; in the mode it begins at the next step."""
+    def load(self, mission: Mission | None, *, start: int = 0) -> None:
+        """Take another mission, or none; in the mode it begins, with item ``start``, at the next step."""
         self.return_wanted = False
-        self.runner.load(mission)
+        self.runner.load(mission, start=start)
 
     def set_limits(self, limits: TrajectoryParams, position: PositionParams) -> None:
         """Change what legs are flown by; `apply_limits` makes the present one follow."""
@@ -94,6 +105,7 @@ class MissionFlight:
     def resume(self, moment: Moment, params: NavigationParams) -> None:
         """Go on with the present item from the present motion; a finished mission holds where that ends."""
         self.return_wanted = False
+        self.runner.settle()
         self._guide.set_limits(self._leg_limits())
         self._guide.restart(moment.state)
         self._begin(moment, params)
@@ -157,10 +169,17 @@ class MissionFlight:
             if item.command is MissionCommand.LAND:
                 self._land(moment.state)
                 return False
+            if self._level:
+                self._level = False
+                self._fly(item, moment, params)
+                return False
             self.stage = Stage.STAY
             self._stayed_s = 0.0
         elif self.stage is Stage.STAY:
             self._stayed_s += moment.dt_s
+        if item.command is MissionCommand.TURN:
+            off_rad = _off_heading_rad(moment.state, self._heading_rad)
+            return moment.landed or (self._guide.resting and off_rad <= params.yaw_acceptance_rad)
         return (
             self.stage is Stage.STAY
             and item.command is not MissionCommand.LOITER_UNLIMITED
@@ -171,17 +190,26 @@ class MissionFlight:
 
     def _begin(self, moment: Moment, params: NavigationParams, *, from_place: bool = False) -> None:
         """Take the runner's item in hand; ``from_place``: the way leads on from the last one's place."""
+        again = self._version == self.runner.version
+        self.runner.settle()
         self._version = self.runner.version
         self._passes = self._stood = False
         item, guide = self.runner.item, self._guide
         if item is None:
             self.stage = Stage.NONE
+            if self.runner.mission is None:
+                guide.restart(moment.state)  # it was taken away in flight
             return
         guide.set_limits(self._leg_limits())
-        if item.command in {MissionCommand.DELAY, MissionCommand.RETURN}:
+        self._level = item.command is MissionCommand.LOITER_TO_ALT
+        if item.command in _IN_PLACE:
             self.place_ned_m = guide.target_ned_m
             self.stage = Stage.STAY
             self._stayed_s = 0.0
+            if item.command is MissionCommand.TURN:
+                if not again:
+                    self._heading_rad = _heading_to_turn_to_rad(item, moment.state)
+                guide.turn_to(self._heading_rad)
         elif moment.landed:
             self._leave_ground(item, moment, params)
         else:
@@ -210,6 +238,8 @@ class MissionFlight:
         start_ned_m = self.place_ned_m if from_place else guide.pos_ned_m
         here_ned_m = self.place_ned_m if from_place else guide.target_ned_m
         self.place_ned_m = self._item_place_ned_m(item, moment, here_ned_m)
+        if self._level:
+            self.place_ned_m[2] = here_ned_m[2]
         target_ned_m = self.place_ned_m
         upcoming = self.runner.next_item()
         if self._is_passed(item) and upcoming is not None and upcoming.has_place:
@@ -239,12 +269,9 @@ class MissionFlight:
     def _is_there(self, item: MissionItem, state: EstimatorState, params: NavigationParams) -> bool:
         if item.command is MissionCommand.LAND and not self._guide.resting:
             return False  # it goes down straight, at the place and not near it
-        if item.yaw_deg is not None:
-            w, x, y, z = state.q_ned_frd.tolist()
-            yaw_rad = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-            off_rad = math.remainder(yaw_rad - math.radians(item.yaw_deg), math.tau)
-            if abs(off_rad) > params.yaw_acceptance_rad:
-                return False
+        heading_rad = math.radians(item.yaw_deg) if item.yaw_deg is not None else None
+        if heading_rad is not None and _off_heading_rad(state, heading_rad) > params.yaw_acceptance_rad:
+            return False
         return is_near(
             state.pos_ned_m,
             self.place_ned_m,
@@ -253,9 +280,14 @@ class MissionFlight:
         )
 
     def _turn(self, moment: Moment, params: NavigationParams) -> None:
-        """Point the nose where MPC_YAW_MODE says, unless the item says where."""
-        item = self.runner.item
+        """Point the nose where the item says, else at what is to be looked at, else as MPC_YAW_MODE says."""
+        item, look_at, guide = self.runner.item, self.runner.look_at, self._guide
         if self.stage is not Stage.FLY or item is None or item.yaw_deg is not None:
+            return
+        if look_at is not None:
+            north_m, east_m, _ = self._item_place_ned_m(look_at, moment, guide.pos_ned_m) - guide.pos_ned_m
+            if math.hypot(north_m, east_m) >= params.acceptance_m:
+                guide.turn_to(math.atan2(east_m, north_m))
             return
         yaw_rad = heading_rad(
             params.yaw_mode, self._guide, self.place_ned_m, moment.home_ned_m, near_m=params.acceptance_m
@@ -291,6 +323,21 @@ class MissionFlight:
     def _down_m(self, item: MissionItem, state: EstimatorState, home_down_m: float) -> float:
         above = home_down_m if item.frame is HeightFrame.ABOVE_HOME else state.origin_alt_m
         return above - item.height_m
+
+
+def _yaw_rad(state: EstimatorState) -> float:
+    w, x, y, z = state.q_ned_frd.tolist()
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def _off_heading_rad(state: EstimatorState, heading_rad: float) -> float:
+    return abs(math.remainder(_yaw_rad(state) - heading_rad, math.tau))
+
+
+def _heading_to_turn_to_rad(item: MissionItem, state: EstimatorState) -> float:
+    """Heading that a TURN ends with."""
+    turn_rad = math.radians(item.yaw_deg or 0.0)
+    return math.remainder(_yaw_rad(state) + turn_rad if item.yaw_relative else turn_rad, math.tau)
 
 
 def overshoot_ned_m(

@@ -1,6 +1,14 @@
-"""Which item of a mission is flown: order, jumps, speeds. It knows no places and no time."""
+"""Which item of a mission is flown: order, jumps, speeds, acts. It knows no time, and flies to no place.
+
+What is not flown is carried out when a vehicle comes by in Mission mode, not before: `settle` does so.
+"""
+
+from collections import deque
 
 from autopilot.navigation.mission import FLOWN, Mission, MissionCommand, MissionError, MissionItem
+
+_REPORTS = 1_000
+"""Most items that are kept to be told of; of more, the newest."""
 
 
 class MissionRunner:
@@ -11,39 +19,49 @@ class MissionRunner:
         self.current = 0
         """Index of the item that is flown, or would be; of the last one when finished."""
         self.reached: int | None = None
-        """Index of the item that was done last, for MISSION_ITEM_REACHED."""
+        """Index of the item flown last."""
         self.reached_count = 0
-        """How many items were done: rises with every `reached`, also of the same item."""
+        """How many items were flown: rises with every `reached`, also of the same item."""
+        self.done: deque[int] = deque(maxlen=_REPORTS)
+        """Indices of items flown or carried out, for whoever tells of them and takes them away."""
+        self.begun = False
+        """Something was flown or carried out since the beginning."""
         self.finished = False
         self.speed_m_s: float | None = None
         """As the mission changed it; None: MPC_XY_CRUISE."""
+        self.look_at: MissionItem | None = None
+        """Where the nose is to point; None: where other settings say."""
         self.version = 0
         """Rises whenever the item to be flown is another, or the same one anew."""
         self._jumps_done: dict[int, int] = {}
 
     @property
     def item(self) -> MissionItem | None:
-        """Item to be flown; None without a mission or when it is finished."""
+        """Present item; None without a mission or when it is finished."""
         if self.mission is None or self.finished:
             return None
         return self.mission.items[self.current]
 
-    def load(self, mission: Mission | None) -> None:
-        """Take another mission, or none, and begin with its first item."""
+    def load(self, mission: Mission | None, *, start: int = 0) -> None:
+        """Take another mission, or none, and begin with its first item, or another that exists."""
         self.mission = mission
         self.restart()
+        if start:
+            self.set_current(start)
 
     def restart(self) -> None:
         """Begin with the first item, as if never flown."""
         self.reached = None
         self.reached_count = 0
+        self.begun = False
+        self.done.clear()
         self._jumps_done.clear()
         self._begin(0)
 
     def set_current(self, index: int) -> None:
         """Go on with another item (MISSION_SET_CURRENT). Raises MissionError for one that does not exist.
 
-        Jumps begin to count anew, and the speed is the last one set in the items before it.
+        Jumps begin to count anew; speed and view are the last ones set in the items before it.
         """
         count = 0 if self.mission is None else len(self.mission.items)
         if not 0 <= index < count:
@@ -51,13 +69,20 @@ class MissionRunner:
         self._jumps_done.clear()
         self._begin(index)
 
+    def settle(self) -> None:
+        """Carry out what acts at once from the present item on, and stop at the first that is flown."""
+        item = self.item
+        if item is not None and item.command not in FLOWN:
+            self._go_on(self.current)
+
     def advance(self) -> None:
-        """Note that the present item is done, and take the next."""
+        """Note that the present item is done, and take the next that is flown."""
         if self.item is None:
             return
         self.reached = self.current
         self.reached_count += 1
-        self._settle(self.current + 1)
+        self._note(self.current)
+        self._go_on(self.current + 1)
 
     def next_item(self) -> MissionItem | None:
         """Item that will be flown after the present one, or None; changes nothing."""
@@ -67,40 +92,52 @@ class MissionRunner:
         return self.mission.items[index] if index < len(self.mission.items) else None
 
     def _begin(self, index: int) -> None:
-        self.finished = False
-        self.speed_m_s = None
-        for item in self.mission.items[:index] if self.mission is not None else ():
-            if item.command is MissionCommand.CHANGE_SPEED:
-                self.speed_m_s = item.speed_m_s
-        self._settle(index)
-
-    def _settle(self, index: int) -> None:
-        """Carry out what acts at once from an index on, and stop at the first item that is flown."""
         self.version += 1
-        if self.mission is None:
-            self.current, self.finished = 0, False
-            return
-        index, speeds = self._walk(index, self._jumps_done)
-        if speeds:
-            self.speed_m_s = speeds[-1]
-        self.finished = index >= len(self.mission.items)
-        self.current = min(index, len(self.mission.items) - 1)
+        self.finished = False
+        self.current = index
+        self.speed_m_s = self.look_at = None
+        for item in self.mission.items[:index] if self.mission is not None else ():
+            self._carry_out(item)
 
-    def _walk(self, index: int, jumps_done: dict[int, int]) -> tuple[int, list[float | None]]:
-        """Index of the first item from ``index`` on that is flown, and the speeds set on the way to it.
+    def _go_on(self, index: int) -> None:
+        """Take the first item from an index on that is flown, and carry out what is on the way to it."""
+        self.version += 1
+        items = self.mission.items if self.mission is not None else ()
+        index, acts = self._walk(index, self._jumps_done)
+        for act in acts:
+            self._carry_out(items[act])
+            self._note(act)
+        self.finished = index >= len(items)
+        self.current = min(index, len(items) - 1)
+
+    def _carry_out(self, item: MissionItem) -> None:
+        """Keep what an item says of those that follow."""
+        if item.command is MissionCommand.CHANGE_SPEED:
+            self.speed_m_s = item.speed_m_s
+        elif item.command is MissionCommand.LOOK_AT:
+            self.look_at = item
+        elif item.command is MissionCommand.LOOK_AHEAD:
+            self.look_at = None
+
+    def _note(self, index: int) -> None:
+        self.begun = True
+        self.done.append(index)
+
+    def _walk(self, index: int, jumps_done: dict[int, int]) -> tuple[int, list[int]]:
+        """Index of the first item from ``index`` on that is flown, and of the acts on the way to it.
 
         Counts the jumps taken. Ends, for no circle of a `Mission` is without something flown.
         """
         items = self.mission.items if self.mission is not None else ()
-        speeds: list[float | None] = []
+        acts: list[int] = []
         while index < len(items) and items[index].command not in FLOWN:
             item = items[index]
-            if item.command is MissionCommand.CHANGE_SPEED:
-                speeds.append(item.speed_m_s)
+            if item.command is not MissionCommand.JUMP:
+                acts.append(index)
                 index += 1
             elif item.jump_count < 0 or jumps_done.get(index, 0) < item.jump_count:
                 jumps_done[index] = jumps_done.get(index, 0) + 1
                 index = item.jump_to
             else:
                 index += 1
-        return index, speeds
+        return index, acts

@@ -25,6 +25,10 @@ CAPACITY = {PlanType.MISSION: 10_000, PlanType.FENCE: 500, PlanType.RALLY: 80}
 """Most items of each, as PX4's simulation has it."""
 
 
+NOT_GIVEN = 2**31 - 1
+"""MAVLink's mark of an integer coordinate that is not given, as not-a-number is that of a float."""
+
+
 class WireItem(NamedTuple):
     """An item as MISSION_ITEM_INT carries it; not-a-number is MAVLink's mark of what is not given."""
 
@@ -35,9 +39,9 @@ class WireItem(NamedTuple):
     params: tuple[float, float, float, float]
     """Values that a float32 holds."""
     x: int
-    """Latitude in 1e-7 degrees, in frames that have one."""
+    """Latitude in 1e-7 degrees in frames that have one, else the fifth parameter; or NOT_GIVEN."""
     y: int
-    """Longitude in 1e-7 degrees."""
+    """Longitude in 1e-7 degrees, else the sixth parameter; or NOT_GIVEN."""
     z: float
     """Metres; what it counts from is the frame's."""
     autocontinue: int = 1
@@ -49,6 +53,19 @@ class Plan(NamedTuple):
     items: tuple[WireItem, ...] = ()
     opaque_id: int = 0
     """Of the items' contents; 0 without any. Stations know by it whether what they have is what is here."""
+    start: int = 0
+    """Of a mission: the item to begin with, which its writer marked as current."""
+
+
+class Refused(NamedTuple):
+    """Why a plan is not taken."""
+
+    result: int
+    """MAV_MISSION_RESULT"""
+    seq: int
+    """The item's number in its plan."""
+    text: str
+    """One line for the user that names item and field."""
 
 
 class PlanStore:
@@ -62,9 +79,12 @@ class PlanStore:
     def __getitem__(self, kind: PlanType) -> Plan:
         return self._plans[kind]
 
-    def put(self, kind: PlanType, items: Iterable[WireItem]) -> bool:
-        """Take other items in place of all of a type; tells whether they are others at all."""
-        plan = make_plan(items)
+    def put(self, kind: PlanType, items: Iterable[WireItem], *, start: int = 0) -> bool:
+        """Take other items in place of all of a type; tells whether they are others at all.
+
+        Where they are the same nothing changes, so that a mission that is written again is flown on (PX4).
+        """
+        plan = make_plan(items, start=start)
         if plan.opaque_id == self._plans[kind].opaque_id:
             return False
         self._plans[kind] = plan
@@ -75,10 +95,10 @@ class PlanStore:
 _CONTENT = struct.Struct("<BHB4fiif")
 
 
-def make_plan(items: Iterable[WireItem]) -> Plan:
+def make_plan(items: Iterable[WireItem], *, start: int = 0) -> Plan:
     """Give items their opaque id."""
     kept = tuple(items)
-    return Plan(kept, opaque_id(kept))
+    return Plan(kept, opaque_id(kept), start)
 
 
 def opaque_id(items: Sequence[WireItem]) -> int:

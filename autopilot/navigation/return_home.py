@@ -1,19 +1,28 @@
-"""Return mode: up, home, down and landing, as PX4's direct return to home.
+"""Return mode: up, to home or a rally point, down and landing, as PX4's direct return (RTL_TYPE 0).
 
-It climbs on the spot, flies to home on a straight line with the nose towards it, comes to rest there and
-lands; with a delay it first waits at the waiting height. Without a home it lands where it is.
+It climbs on the spot, flies to the nearest of home and the rally points on a straight line with the nose
+towards it, comes to rest there and lands; with a delay it first waits at the waiting height. Heights count
+from the place returned to. Without a home it lands where it is.
 """
 
 import math
+from collections.abc import Sequence
 from enum import Enum
 
-from autopilot.navigation.guide import Guide, Moment, heading_rad, is_near
+from autopilot.navigation.geodesy import geodetic_to_ned
+from autopilot.navigation.guide import Guide, HomePosition, Moment, heading_rad, is_near
 from autopilot.navigation.landing import IDLE, UP, Landing
+from autopilot.navigation.mission import HeightFrame
 from autopilot.navigation.params import NavigationParams
+from autopilot.navigation.plan_items import RallyPoint
 from autopilot.types import TrajectorySetpoint
 
 _LEAST_CONE_RAD = math.radians(1.0)
 _WIDEST_CONE_RAD = math.radians(89.0)
+_AT_HOME_M = 10.0
+"""A rally point this near to home is none (PX4's MAX_DIST_FROM_HOME_FOR_LAND_APPROACHES)."""
+_CLEARLY_NEARER_M = 2.0
+"""By so much a rally point must be nearer than what was chosen before it (PX4's MIN_DIST_THRESHOLD)."""
 
 
 class Phase(Enum):
@@ -51,7 +60,7 @@ TRANSITIONS: dict[tuple[Phase, Event], Phase] = {
 
 
 def return_height_m(distance_m: float, params: NavigationParams) -> float:
-    """Height over home to return at, from a horizontal distance to it (PX4's RTL::computeReturnAltitude).
+    """Height over the goal to return at, by the horizontal distance to it (PX4's RTL::computeReturnAltitude).
 
     Far away it is RTL_RETURN_ALT. Within RTL_MIN_DIST the cone is enough, but twice the acceptance radius is
     kept, and within that radius twice the distance: so the ground is not touched while moving sideways.
@@ -68,11 +77,45 @@ def return_height_m(distance_m: float, params: NavigationParams) -> float:
     return height_m
 
 
+def nearest_rally_point(points: Sequence[RallyPoint], moment: Moment) -> RallyPoint | None:
+    """Give the point to return to instead of home, as PX4's RTL::findClosestSafePoint; None: home."""
+    if moment.home_ned_m is None:
+        return None
+    pos_ned_m, home_ned_m = moment.state.pos_ned_m, moment.home_ned_m
+    nearest, nearest_m = None, math.dist(pos_ned_m[:2], home_ned_m[:2])
+    for point in points:
+        place_ned_m = _rally_ned_m(point, moment, home_ned_m)
+        away_m = math.dist(pos_ned_m[:2], place_ned_m[:2])
+        from_home_m = math.dist(place_ned_m[:2], home_ned_m[:2])
+        if from_home_m > _AT_HOME_M and away_m + _CLEARLY_NEARER_M < nearest_m:
+            nearest, nearest_m = point, away_m
+    return nearest
+
+
+def _rally_ned_m(point: RallyPoint, moment: Moment, home_ned_m: HomePosition) -> HomePosition:
+    """Give where a rally point is, in NED metres from the estimator's origin."""
+    state = moment.state
+    north_m, east_m, _ = geodetic_to_ned(
+        point.lat_deg,
+        point.lon_deg,
+        state.origin_alt_m,
+        origin_lat_deg=state.origin_lat_deg,
+        origin_lon_deg=state.origin_lon_deg,
+        origin_alt_m=state.origin_alt_m,
+    ).tolist()
+    above_m = home_ned_m[2] if point.frame is HeightFrame.ABOVE_HOME else state.origin_alt_m
+    return north_m, east_m, above_m - point.height_m
+
+
 class ReturnHome:
     """One vehicle's way home; `start` it, then `update` at every step."""
 
     def __init__(self, guide: Guide, landing: Landing) -> None:
         self.phase = Phase.DONE
+        self.rally_points: tuple[RallyPoint, ...] = ()
+        """Where to return to as well; chosen among at the start of a return."""
+        self.goal: RallyPoint | None = None
+        """What is returned to; None: home."""
         self._guide = guide
         self._landing = landing
         self._return_down_m = 0.0
@@ -80,15 +123,17 @@ class ReturnHome:
 
     def start(self, moment: Moment, params: NavigationParams) -> None:
         """Set out from where the vehicle is."""
-        state, home_ned_m = moment.state, moment.home_ned_m
+        state = moment.state
         self._waited_s = 0.0
+        self.goal = nearest_rally_point(self.rally_points, moment)
+        goal_ned_m = self._goal_ned_m(moment)
         if moment.landed:
             self.phase = Phase.DONE
-        elif home_ned_m is None:
+        elif goal_ned_m is None:
             self.phase = Phase.LAND
         else:
             down_m = float(state.pos_ned_m[2])
-            wanted_m = home_ned_m[2] - return_height_m(self.distance_m(moment), params)
+            wanted_m = goal_ned_m[2] - return_height_m(self.distance_m(moment), params)
             self._return_down_m = min(down_m, wanted_m)
             self.phase = Phase.FLY_HOME if down_m <= wanted_m else Phase.CLIMB
         self.resume(moment, params)
@@ -99,10 +144,10 @@ class ReturnHome:
         self._begin(moment, params)
 
     def distance_m(self, moment: Moment) -> float:
-        """Horizontal distance to home; 0 without one."""
-        home = moment.home_ned_m
+        """Horizontal distance to what is returned to; 0 without a home."""
+        goal = self._goal_ned_m(moment)
         pos = moment.state.pos_ned_m
-        return 0.0 if home is None else math.hypot(pos[0] - home[0], pos[1] - home[1])
+        return 0.0 if goal is None else math.hypot(pos[0] - goal[0], pos[1] - goal[1])
 
     def update(self, moment: Moment, params: NavigationParams) -> TrajectorySetpoint:
         """Give the next setpoint."""
@@ -148,17 +193,23 @@ class ReturnHome:
 
     def _begin(self, moment: Moment, params: NavigationParams) -> None:
         """Set the guide on the present phase's way."""
-        guide, home_ned_m = self._guide, moment.home_ned_m
+        guide, goal_ned_m = self._guide, self._goal_ned_m(moment)
         if self.phase is Phase.DONE:
             return
         if self.phase is Phase.LAND:
             self._landing.start(moment.state)
         target_ned_m = guide.target_ned_m.copy()
-        if home_ned_m is not None and self.phase is not Phase.CLIMB:
-            target_ned_m[:2] = home_ned_m[:2]
+        if goal_ned_m is not None and self.phase is not Phase.CLIMB:
+            target_ned_m[:2] = goal_ned_m[:2]
         if self.phase in {Phase.CLIMB, Phase.FLY_HOME}:
             target_ned_m[2] = self._return_down_m
-        elif self.phase in {Phase.GO_DOWN, Phase.WAIT} and home_ned_m is not None:
-            target_ned_m[2] = max(self._return_down_m, home_ned_m[2] - params.return_home.descend_height_m)
+        elif self.phase in {Phase.GO_DOWN, Phase.WAIT} and goal_ned_m is not None:
+            target_ned_m[2] = max(self._return_down_m, goal_ned_m[2] - params.return_home.descend_height_m)
         # up and down lines are plumb, so that stopping on the way costs no height
         guide.go_to(target_ned_m, along_ned=None if self.phase is Phase.FLY_HOME else UP)
+
+    def _goal_ned_m(self, moment: Moment) -> HomePosition | None:
+        """Give where the way leads; None without a home."""
+        if self.goal is None or moment.home_ned_m is None:
+            return moment.home_ned_m
+        return _rally_ned_m(self.goal, moment, moment.home_ned_m)

@@ -124,6 +124,7 @@ class OnboardApp:
             commands=self._commands,
             on_station_tolerance_m=config.on_station_tolerance_m,
             on_station_hold_s=config.on_station_hold_s,
+            held=config.hold,
         )
         self._own = OwnState(site=site, gps_delay_s=devices.gps_delay_s)
         self._heard: dict[int, Heard] = {}
@@ -166,6 +167,16 @@ class OnboardApp:
             case "HIL_STATE_QUATERNION":
                 if self._config.localisation == "truth":
                     self._own.on_truth(msg)
+
+    def on_request(self, msg: common.MAVLink_message) -> list[common.MAVLink_message]:
+        """Answer whoever has a command for the application: MAV_CMD_USER_1 releases a flight that is held."""
+        if msg.get_msgId() not in messages.COMMANDS:
+            return []
+        known = self._config.hold and msg.command == common.MAV_CMD_USER_1
+        if known and self._flight.held:
+            self._flight.held = False
+            self._flight.texts.append("released: flying to its place")
+        return [messages.acknowledgement(msg, accepted=known)]
 
     def _on_local_position(self, msg: common.MAVLink_local_position_ned_message, now_us: int) -> None:
         if self._own.time_us < 0:

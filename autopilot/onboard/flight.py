@@ -4,7 +4,8 @@ Take-off is the autopilot's own, for its spool-up and its landed-state logic are
 but it holds the uncorrected position, which drifts with the GPS bias, so at `HAND_OVER_HEIGHT_M`, while it
 still climbs, the application takes over in offboard with a setpoint that goes on climbing at the same speed
 over the corrected position. Nobody takes off before the shape of the formation on the ground is known to
-`SHAPE_STD_M`, or the wait for that has been in vain for `LOCALISE_TIMEOUT_US`.
+`SHAPE_STD_M`, or the wait for that has been in vain for `LOCALISE_TIMEOUT_US`. A flight that is held waits
+before all that, commands nothing and sets nothing; once released it goes on from wherever the vehicle is.
 """
 
 from dataclasses import dataclass
@@ -43,13 +44,20 @@ class Flight:
     Attributes:
         phase: where in the flight it is.
         texts: what there is to tell the ground station; the owner takes them away.
+        held: it is not to begin yet; whoever takes that away releases it.
 
     """
 
     def __init__(
-        self, *, commands: CommandSender, on_station_tolerance_m: float, on_station_hold_s: float
+        self,
+        *,
+        commands: CommandSender,
+        on_station_tolerance_m: float,
+        on_station_hold_s: float,
+        held: bool = False,
     ) -> None:
         self.phase = Phase.WAITING
+        self.held = held
         self.texts: list[str] = []
         self._commands = commands
         self._tolerance_m = on_station_tolerance_m
@@ -62,7 +70,7 @@ class Flight:
     @property
     def in_air(self) -> bool:
         """Whether it has been sent up."""
-        return self.phase >= Phase.TAKE_OFF
+        return Phase.TAKE_OFF <= self.phase <= Phase.LANDED
 
     @property
     def in_formation(self) -> bool:
@@ -79,7 +87,9 @@ class Flight:
         disarmed = not own.armed and own.heartbeat_us > self._phase_since_us + HEARTBEAT_LAG_US
         match self.phase:
             case Phase.WAITING if own.origin_ned_m is not None and own.fix is not None:
-                return Phase.LOCALISING if situation.shape_std_m > 0.0 else Phase.ARMING
+                return Phase.HELD if self.held else self._begin(situation)
+            case Phase.HELD if not self.held:
+                return self._begin(situation)
             case Phase.LOCALISING:
                 if situation.shape_std_m < SHAPE_STD_M:
                     return Phase.ARMING
@@ -102,6 +112,10 @@ class Flight:
             case Phase.LANDED:
                 self._commands.want(None, now_us)
         return self.phase
+
+    @staticmethod
+    def _begin(situation: Situation) -> Phase:
+        return Phase.LOCALISING if situation.shape_std_m > 0.0 else Phase.ARMING
 
     def _taking_off(self, own: OwnState, situation: Situation, now_us: int, *, disarmed: bool) -> Phase:
         height_m = -float(own.local_ned_m[2])

@@ -9,6 +9,7 @@ START_NAME = b"start_ms"
 """NAMED_VALUE_INT: when the formation's motion begins, milliseconds on the formation's clock."""
 GAIN_NAME = "MPC_XY_P"
 """Gain of the autopilot's position loop, 1/s."""
+COMMANDS = frozenset({common.MAVLINK_MSG_ID_COMMAND_LONG, common.MAVLINK_MSG_ID_COMMAND_INT})
 _AUTOPILOT_COMPONENT = 1
 _NO_YAW = common.POSITION_TARGET_TYPEMASK_YAW_IGNORE | common.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
 _NO_ACCELERATION = (
@@ -44,6 +45,14 @@ def gain_request(target_system: int) -> common.MAVLink_message:
     """PARAM_REQUEST_READ of the position loop's gain."""
     return common.MAVLink_param_request_read_message(
         target_system, _AUTOPILOT_COMPONENT, GAIN_NAME.encode("ascii"), -1
+    )
+
+
+def acknowledgement(command: common.MAVLink_message, *, accepted: bool) -> common.MAVLink_message:
+    """COMMAND_ACK for whoever sent a command to the application; what it does not know is unsupported."""
+    result = common.MAV_RESULT_ACCEPTED if accepted else common.MAV_RESULT_UNSUPPORTED
+    return common.MAVLink_command_ack_message(
+        command.command, result, 255, 0, command.get_srcSystem(), command.get_srcComponent()
     )
 
 

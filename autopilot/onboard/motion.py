@@ -23,7 +23,7 @@ SETTLED_US = 50_000
 overtaken by a later proposal."""
 MOST_LEADS = 3
 """So many leads after the first proposal that it held a UAV sets off, whoever keeps proposing later times."""
-STAYS_AWAY = frozenset({Phase.YIELDED, Phase.LANDED})
+STAYS_AWAY = frozenset({Phase.YIELDED, Phase.LANDED, Phase.HELD})
 """Phases of a UAV that is not on its way to its place."""
 
 Heard = tuple[Phase, int | None, int]

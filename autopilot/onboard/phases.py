@@ -21,3 +21,6 @@ class Phase(IntEnum):
     """Somebody else chose another mode, or a failsafe did. The application goes on with beacons and ranging,
     and takes over again if that somebody sets the mode to offboard."""
     LANDED = 7
+    HELD = 8
+    """On the ground as far as it is concerned, and not to go up before it is released: `OnboardConfig.hold`.
+    Beacons and ranging go on; somebody else may fly the vehicle meanwhile."""

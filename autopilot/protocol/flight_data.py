@@ -47,6 +47,8 @@ class FlightData:
     """The last HIL_GPS."""
     gps_us: int = 0
     """When it came."""
+    truth: Message | None = None
+    """The last HIL_STATE_QUATERNION, where the simulator tells the truth."""
     origin_known: bool = False
     """The local frame's place on the globe is known, since the position was valid once."""
     home: Home | None = None
@@ -55,3 +57,9 @@ class FlightData:
     attitude_setpoint: AttitudeSetpoint | None = None
     motors: NDArray[np.float64] = field(default_factory=lambda: np.zeros(4))
     """(4,) controls in 0..1."""
+    armed_us: int = 0
+    """When it was armed last; like the next two, 0 before the first time."""
+    took_off_us: int = 0
+    landed_us: int = 0
+    flights: int = 0
+    """How often it was armed."""

@@ -1,100 +1,114 @@
-"""Offboard setpoints: SET_POSITION_TARGET_LOCAL_NED turned into a TrajectorySetpoint, with the time it came.
+"""Offboard setpoints: the newest of every source, and whose count.
 
-Frames LOCAL_NED, and BODY_NED for velocities and accelerations, as PX4 takes them. A setpoint that asks for
-nothing, or has numbers that are none, is dropped and counted; it does not keep offboard mode alive.
+Application, companion and ground stations may all send at once. The source counts that asked for Offboard
+last; as long as it sends nothing fresh, the newest of the others, until Offboard is flown: from then on
+another one counts only when it asks. So no stream is kept alive by somebody else's. A message that is no
+setpoint is dropped and counted; it does not keep offboard mode alive.
 """
 
-import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
-import numpy as np
-from pymavlink.dialects.v20 import common
-
-from autopilot.estimation.rotation import quat_to_euler
+from autopilot.commander.failsafe import US_PER_S
 from autopilot.mavlink.codec import Message
+from autopilot.mavlink.modes import FlightMode
 from autopilot.protocol.flight_data import FlightData
 from autopilot.protocol.service import Addressed, Listener, Partner
-from autopilot.types import Array, TrajectorySetpoint
+from autopilot.protocol.setpoint_messages import SETPOINT_MESSAGES, decode
+from autopilot.types import Setpoint
 
-_YAW_IGNORED = common.POSITION_TARGET_TYPEMASK_YAW_IGNORE
-_YAW_RATE_IGNORED = common.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
-_FORCE = common.POSITION_TARGET_TYPEMASK_FORCE_SET
-_ALL_AXES = (True, True, True)
+_SOURCES_MAX = 8
+"""Of more, the one that has been silent longest is forgotten."""
+
+
+class Received(NamedTuple):
+    """A source's newest setpoint."""
+
+    setpoint: Setpoint
+    time_us: int
 
 
 class OffboardService(Listener):
-    """The newest setpoint from any link."""
+    """Setpoints of all sources: `ask` before Offboard is asked for, `is_fresh` at every step."""
 
-    takes = frozenset({common.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED})
+    takes = SETPOINT_MESSAGES
 
     def __init__(self, flight: FlightData) -> None:
         self._flight = flight
-        self.setpoint: TrajectorySetpoint | None = None
-        self.received_us: int | None = None
         self.rejected = 0
+        """Messages that were no setpoint."""
+        self._received: dict[Partner, Received] = {}
+        self._counts: Partner | None = None
+        """The source that is flown by, or would be."""
+        self._asker: Partner | None = None
+        self._timeout_us = round(flight.commander.params.offboard_loss_s * US_PER_S)
+
+    @property
+    def source(self) -> Partner | None:
+        """Whose setpoints count; None before any came."""
+        return self._counts
+
+    @property
+    def setpoint(self) -> Setpoint | None:
+        """The newest of the source that counts."""
+        received = self._newest
+        return None if received is None else received.setpoint
+
+    @property
+    def received_us(self) -> int | None:
+        """When that came."""
+        received = self._newest
+        return None if received is None else received.time_us
 
     def is_fresh(self, now_us: int, timeout_us: int) -> bool:
-        """Whether a setpoint came within ``timeout_us``."""
-        return self.received_us is not None and now_us - self.received_us <= timeout_us
+        """Whether the source that counts has sent within ``timeout_us``, which is what fresh means."""
+        self._timeout_us = timeout_us
+        if not self._is_flown:
+            self._choose(now_us)
+        return self._is_fresh(self._counts, now_us)
 
-    def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:  # noqa: ARG002
+    def ask(self, partner: Partner, now_us: int) -> None:
+        """Note who is about to ask for Offboard: its setpoints count if they are fresh.
+
+        Else whoever counts goes on as long as that is fresh, as when a station's button is pressed for the
+        companion's program.
+        """
+        self._asker = partner
+        if self._is_fresh(partner, now_us) or not self._is_fresh(self._counts, now_us):
+            self._choose(now_us)
+
+    def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
         """Take a setpoint; nothing is answered."""
-        setpoint = self._decode(message)
+        setpoint = decode(message, self._flight)
         if setpoint is None:
             self.rejected += 1
-        else:
-            self.setpoint = setpoint
-            self.received_us = now_us
+            return ()
+        self._received[partner] = Received(setpoint, now_us)
+        if len(self._received) > _SOURCES_MAX:
+            del self._received[min(self._idle_sources(), key=lambda source: self._received[source].time_us)]
+        if not self._is_flown:
+            self._choose(now_us)
         return ()
 
-    def _decode(self, message: Message) -> TrajectorySetpoint | None:
-        mask = message.type_mask
-        pos, pos_axes = _group(mask, (message.x, message.y, message.z))
-        vel, vel_axes = _group(mask >> 3, (message.vx, message.vy, message.vz))
-        acc, acc_axes = _group(mask >> 6, (message.afx, message.afy, message.afz))
-        yaw_rad = None if mask & _YAW_IGNORED else message.yaw
-        yaw_rate_rad_s = 0.0 if mask & _YAW_RATE_IGNORED else message.yaw_rate
-        groups = [group for group in (pos, vel, acc) if group is not None]
-        finite = all(np.isfinite(group).all() for group in groups)
-        if not groups or not finite or not math.isfinite(yaw_rate_rad_s) or mask & _FORCE:
-            return None
-        if yaw_rad is not None and not math.isfinite(yaw_rad):
-            return None
-        if message.coordinate_frame == common.MAV_FRAME_BODY_NED:
-            if pos is not None or vel_axes[0] is not vel_axes[1] or acc_axes[0] is not acc_axes[1]:
-                return None  # one of forward and right alone is no axis of NED
-            vel, acc = self._from_heading(vel), self._from_heading(acc)
-        elif message.coordinate_frame != common.MAV_FRAME_LOCAL_NED:
-            return None
-        return TrajectorySetpoint(
-            pos_ned_m=pos,
-            vel_ned_m_s=vel,
-            acc_ned_m_s2=acc,
-            pos_axes=pos_axes,
-            vel_axes=vel_axes,
-            acc_axes=acc_axes,
-            yaw_rad=yaw_rad,
-            yaw_rate_rad_s=yaw_rate_rad_s,
-        )
+    @property
+    def _newest(self) -> Received | None:
+        return None if self._counts is None else self._received.get(self._counts)
 
-    def _from_heading(self, vector: Array | None) -> Array | None:
-        """Forward, right, down by the heading into NED."""
-        if vector is None:
-            return None
-        yaw_rad = quat_to_euler(self._flight.state.q_ned_frd)[2]
-        cos_yaw, sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
-        return np.array([
-            cos_yaw * vector[0] - sin_yaw * vector[1],
-            sin_yaw * vector[0] + cos_yaw * vector[1],
-            vector[2],
-        ])  # fmt: skip
+    @property
+    def _is_flown(self) -> bool:
+        commander = self._flight.commander
+        return commander.armed and commander.mode is FlightMode.OFFBOARD
 
+    def _is_fresh(self, source: Partner | None, now_us: int) -> bool:
+        received = None if source is None else self._received.get(source)
+        return received is not None and now_us - received.time_us <= self._timeout_us
 
-def _group(
-    ignore_bits: int, values: tuple[float, float, float]
-) -> tuple[Array | None, tuple[bool, bool, bool]]:
-    """Give a group's vector, 0 on axes that the lowest three bits leave out, and the axes that count."""
-    axes = (not ignore_bits & 1, not ignore_bits & 2, not ignore_bits & 4)
-    if not any(axes):
-        return None, _ALL_AXES
-    return np.array([value if used else 0.0 for value, used in zip(values, axes, strict=True)]), axes
+    def _choose(self, now_us: int) -> None:
+        """Let the asker count while it is fresh, else the source of the newest setpoint, fresh or not."""
+        if self._is_fresh(self._asker, now_us):
+            self._counts = self._asker
+        elif self._received:
+            self._counts = max(self._received, key=lambda source: self._received[source].time_us)
+
+    def _idle_sources(self) -> list[Partner]:
+        return [source for source in self._received if source != self._counts]

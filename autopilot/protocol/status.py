@@ -1,5 +1,7 @@
 """STATUSTEXT and HEARTBEAT: what the vehicle says of itself in words and in one number."""
 
+from collections.abc import Sequence
+
 from pymavlink.dialects.v20 import common
 
 from autopilot.commander.commander import Commander
@@ -7,12 +9,38 @@ from autopilot.commander.conditions import Condition
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.modes import FlightMode
 
-_TEXT_BYTES = 50
+TEXT_BYTES = 50
+"""That a STATUSTEXT has room for."""
+_CHUNKS_MAX = 255
+"""``chunk_seq`` is a byte."""
 
 
 def status_text(severity: int, text: str) -> Message:
-    """STATUSTEXT; text beyond the message's 50 bytes is cut."""
-    return common.MAVLink_statustext_message(severity, text.encode("ascii", "replace")[:_TEXT_BYTES])
+    """STATUSTEXT of any length; what is longer than the message is sent in `Chunks`."""
+    return common.MAVLink_statustext_message(severity, text.encode("ascii", "replace"))
+
+
+class Chunks:
+    """Cuts texts into messages that fit; those of one text share an id."""
+
+    def __init__(self) -> None:
+        self._id = 0
+
+    def split(self, message: Message) -> Sequence[Message]:
+        """Give a message as it is, or a long STATUSTEXT in pieces, of which the last is not full."""
+        if message.get_msgId() != common.MAVLINK_MSG_ID_STATUSTEXT or len(message.text) <= TEXT_BYTES:
+            return (message,)
+        self._id = self._id % 0xFFFF + 1
+        text = message.text[: TEXT_BYTES * _CHUNKS_MAX]
+        return [
+            common.MAVLink_statustext_message(
+                message.severity,
+                text[begin : begin + TEXT_BYTES].encode("ascii", "replace"),
+                self._id,
+                begin // TEXT_BYTES,
+            )
+            for begin in range(0, len(text) + 1, TEXT_BYTES)
+        ]
 
 
 def heartbeat(commander: Commander, conditions: int) -> Message:

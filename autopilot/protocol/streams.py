@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
+from autopilot.mavlink.dialect import CurrentMode
 from autopilot.protocol.service import NEVER_US
 
 Builder = Callable[[], Message | None]
@@ -16,6 +17,8 @@ Builder = Callable[[], Message | None]
 
 _HEARTBEAT = common.MAVLINK_MSG_ID_HEARTBEAT
 SECOND_US = 1_000_000
+STEP_US = 4_000
+"""Of the vehicle: nothing is sent more often."""
 
 GROUND_STATION_HZ: dict[int, float] = {
     _HEARTBEAT: 1.0,
@@ -33,11 +36,15 @@ GROUND_STATION_HZ: dict[int, float] = {
     common.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
     common.MAVLINK_MSG_ID_SCALED_PRESSURE: 1.0,
     common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: 1.0,
+    common.MAVLINK_MSG_ID_MISSION_CURRENT: 1.0,
     common.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
     common.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 0.5,
     common.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
+    CurrentMode.id: 0.5,
+    common.MAVLINK_MSG_ID_PING: 0.1,
+    common.MAVLINK_MSG_ID_VIBRATION: 0.1,
 }
-"""As PX4 v1.17 streams to 14550, less what has no source here yet (vibration)."""
+"""As PX4 v1.17 streams to 14550."""
 
 COMPANION_HZ: dict[int, float] = {
     _HEARTBEAT: 1.0,
@@ -47,6 +54,7 @@ COMPANION_HZ: dict[int, float] = {
     common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 50.0,
     common.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
     common.MAVLINK_MSG_ID_ODOMETRY: 30.0,
+    common.MAVLINK_MSG_ID_TIMESYNC: 10.0,
     common.MAVLINK_MSG_ID_ALTITUDE: 10.0,
     common.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 10.0,
     common.MAVLINK_MSG_ID_GPS_RAW_INT: 10.0,
@@ -58,8 +66,10 @@ COMPANION_HZ: dict[int, float] = {
     common.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
     common.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
     common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: 1.0,
+    common.MAVLINK_MSG_ID_MISSION_CURRENT: 1.0,
     common.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
     common.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
+    CurrentMode.id: 0.5,
 }
 """As PX4 v1.17 streams to 14540."""
 
@@ -85,7 +95,6 @@ ON_NEW_DATA = frozenset({common.MAVLINK_MSG_ID_GPS_RAW_INT})
 
 @dataclass(slots=True)
 class _Stream:
-    build: Builder
     interval_us: int
     due_us: int
     has_new_data: bool
@@ -98,7 +107,10 @@ class _Stream:
 
 
 class Streams:
-    """The periodic messages of one link. While nobody listens only the heartbeat is formed."""
+    """The periodic messages of one link. While nobody listens only the heartbeat is formed.
+
+    Who forms a message is looked up when it is due, so ``builders`` may become more after this was made.
+    """
 
     def __init__(self, builders: Mapping[int, Builder], rates_hz: Mapping[int, float]) -> None:
         self._active = True
@@ -107,7 +119,7 @@ class Streams:
             message_id: round(SECOND_US / rate_hz) for message_id, rate_hz in rates_hz.items()
         }
         self._streams = {
-            message_id: _Stream(builders[message_id], interval_us, 0, message_id not in ON_NEW_DATA)
+            message_id: _Stream(interval_us, 0, message_id not in ON_NEW_DATA)
             for message_id, interval_us in self._default_us.items()
         }
         self._deadline_us = 0
@@ -137,7 +149,7 @@ class Streams:
                     stream.postpone(now_us)
                     if message_id in ON_NEW_DATA:
                         stream.has_new_data = False
-                    if (message := stream.build()) is not None:
+                    if (message := self.form(message_id)) is not None:
                         messages.append(message)
                 if stream.has_new_data:
                     deadline_us = min(deadline_us, stream.due_us)
@@ -152,7 +164,7 @@ class Streams:
         message = None
         if now_us >= stream.due_us:
             stream.postpone(now_us)
-            message = stream.build()
+            message = self.form(_HEARTBEAT)
         self._deadline_us = stream.due_us
         return () if message is None else [message]
 
@@ -172,20 +184,40 @@ class Streams:
         return message_id in self._builders
 
     def form(self, message_id: int) -> Message | None:
-        """Form a message out of turn; None while there is nothing to say."""
-        return self._builders[message_id]()
+        """Form a message; None while there is nothing to say."""
+        build = self._builders.get(message_id)
+        return None if build is None else build()
+
+    def hasten(self, message_id: int, now_us: int) -> None:
+        """Have a stream's message sent with the next step, for what it says has changed."""
+        stream = self._streams.get(message_id)
+        if stream is not None and self._active:
+            stream.due_us = now_us
+            self._deadline_us = min(self._deadline_us, now_us)
+
+    def interval_us(self, message_id: int) -> int:
+        """Give what MESSAGE_INTERVAL says of a message: -1 if it is not sent, 0 if it does not exist here."""
+        if not self.knows(message_id):
+            return 0
+        stream = self._streams.get(message_id)
+        return -1 if stream is None else stream.interval_us
 
     def set_interval(self, message_id: int, interval_us: int, now_us: int) -> bool:
-        """Do as MAV_CMD_SET_MESSAGE_INTERVAL says: -1 stops, 0 is the default. False: unknown message."""
+        """Do as MAV_CMD_SET_MESSAGE_INTERVAL says: -1 stops, 0 is the default. False: unknown message.
+
+        An interval is a step at least, and the heartbeat's a second at most.
+        """
         if not self.knows(message_id):
             return False
         if interval_us == 0:
             interval_us = self._default_us.get(message_id, -1)
+        if message_id == _HEARTBEAT:
+            interval_us = interval_us if 0 < interval_us < SECOND_US else SECOND_US
         if interval_us < 0:
             self._streams.pop(message_id, None)
         else:
             self._streams[message_id] = _Stream(
-                self._builders[message_id], interval_us, now_us, message_id not in ON_NEW_DATA
+                max(interval_us, STEP_US), now_us, message_id not in ON_NEW_DATA
             )
             self._deadline_us = min(self._deadline_us, now_us)
         return True

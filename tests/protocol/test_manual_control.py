@@ -72,3 +72,45 @@ def test_sticks_do_nothing_to_a_vehicle_on_the_ground():
     commander.update(0, conditions=ALL, landed=True)
     service.on_message(sticks(x=1000), 0, ASKER)
     assert commander.mode is FlightMode.HOLD
+
+
+def channels(*widths_us):
+    return common.MAVLink_rc_channels_override_message(1, 1, *widths_us, *[0] * (8 - len(widths_us)))
+
+
+def test_overridden_channels_are_sticks():
+    _, service = flying(FlightMode.POSITION)
+    service.on_message(channels(1_750, 1_250, 2_000, 1_000), 4_000, ASKER)
+    got = service.sticks
+    assert (got.time_us, got.roll, got.pitch, got.throttle, got.yaw) == (4_000, 0.5, -0.5, 1.0, -1.0)
+    service.on_message(channels(65_535, 1_500, 65_535, 0), 8_000, ASKER)  # as it was, middle, released
+    got = service.sticks
+    assert (got.time_us, got.roll, got.pitch, got.throttle, got.yaw) == (8_000, 0.5, 0.0, 1.0, 0.0)
+
+
+def test_released_channels_are_no_sticks_and_wild_ones_stay_within_their_range():
+    _, service = flying(FlightMode.POSITION)
+    service.on_message(channels(0, 0, 0, 0), 0, ASKER)
+    service.on_message(channels(*[65_535] * 8), 0, ASKER)
+    assert service.sticks is None
+    service.on_message(channels(65_534, 1, 1, 1_500), 4_000, ASKER)
+    got = service.sticks
+    assert (got.roll, got.pitch, got.throttle, got.yaw) == (1.0, -1.0, 0.0, 0.0)
+    service.on_message(channels(0, 0, 0, 0), 8_000, ASKER)
+    assert service.sticks.time_us == 4_000  # and so they get lost, as those of a radio that is switched off
+
+
+def test_an_override_takes_over_as_a_joystick_does():
+    commander, service = flying(FlightMode.MISSION)
+    assert service.on_message(channels(1_640, 1_500, 1_500, 1_500), 0, ASKER) == ()
+    assert commander.mode is FlightMode.MISSION
+    service.on_message(channels(1_660, 1_500, 1_500, 1_500), 0, ASKER)
+    assert commander.mode is FlightMode.POSITION
+
+
+def test_buttons_and_the_message_of_rates_and_thrusts_mean_nothing():
+    commander, service = flying(FlightMode.MISSION)
+    pressed = common.MAVLink_manual_control_message(1, 0, 0, 500, 0, 0xFFFF)
+    assert service.on_message(pressed, 0, ASKER) == ()
+    assert commander.mode is FlightMode.MISSION
+    assert common.MAVLINK_MSG_ID_MANUAL_SETPOINT not in service.takes

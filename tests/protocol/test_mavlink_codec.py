@@ -1,12 +1,15 @@
 """Framing: every message comes through, whatever lies before, between or around it, and nothing raises."""
 
+import time
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
-from autopilot.mavlink.codec import Encoder, Parser, stamp
+from autopilot.mavlink.codec import Encoder, Parser, Sequences, frame_bytes, stamp
+from autopilot.mavlink.counters import Counters
 from autopilot.mavlink.modes import FlightMode, mode_from_custom, mode_from_main_sub
 
 
@@ -37,6 +40,14 @@ def test_a_stamped_message_keeps_its_source():
     assert (message.get_srcSystem(), message.get_srcComponent()) == (3, 191)
     (message,) = Parser().push(encoder.encode(attitude(1)))
     assert message.get_srcComponent() == 1
+
+
+def test_a_frames_length_is_told_without_changing_the_message():
+    message = stamp(attitude(0), system=3, component=191)
+    assert frame_bytes(message) == len(Encoder(system=3, component=1).encode(message))
+    assert (message.get_srcSystem(), message.get_srcComponent()) == (3, 191)
+    # trailing zeros are cut off
+    assert frame_bytes(common.MAVLink_attitude_message(1, 0, 0, 0, 0, 0, 0)) == 12 + 1
 
 
 @given(st.lists(st.integers(1, 50), max_size=40))
@@ -101,10 +112,93 @@ def test_version_1_is_heard():
     assert message.get_srcSystem() == 255
 
 
+@pytest.mark.parametrize(
+    ("message", "fields"),
+    [
+        (
+            common.MAVLink_command_long_message(3, 1, 400, 0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0),
+            {"command": 400, "param1": 1.0, "param7": 7.0, "target_system": 3},
+        ),
+        (
+            common.MAVLink_param_set_message(3, 1, b"MPC_XY_VEL_MAX", 5.5, 9),
+            {"param_id": "MPC_XY_VEL_MAX", "param_value": 5.5, "param_type": 9},
+        ),
+        (
+            common.MAVLink_mission_count_message(3, 1, 200),
+            # what version 1 has no place for: the mission's type and its opaque id
+            {"count": 200, "target_component": 1, "mission_type": 0, "opaque_id": 0},
+        ),
+    ],
+    ids=["COMMAND_LONG", "PARAM_SET", "MISSION_COUNT"],
+)
+def test_what_version_1_stations_say_is_heard_with_extensions_at_zero(message, fields):
+    sender = common.MAVLink(None, srcSystem=255, srcComponent=190)
+    frame = message.pack(sender, force_mavlink1=True)
+    assert frame[0] == 0xFE
+    parser = Parser()
+    (heard,) = parser.push_datagram(frame)
+    assert {name: getattr(heard, name) for name in fields} == fields
+    assert parser.counters == Counters()
+
+
 def test_unknown_incompatibility_flags_forbid_reading():
     frame = bytearray(frames(1)[0])
     frame[2] = 0x02
-    assert Parser().push_datagram(bytes(frame)) == []
+    parser = Parser()
+    assert parser.push_datagram(bytes(frame)) == []
+    assert parser.counters.frames_incompatible == 1
+    assert parser.bad_bytes == len(frame)
+
+
+def unknown_kind(frame):
+    frame[7:10] = b"\x7f\x7f\x7f"
+
+
+def wrong_checksum(frame):
+    frame[-1] ^= 1
+
+
+@pytest.mark.parametrize(
+    ("spoil", "cause"), [(unknown_kind, "frames_unknown"), (wrong_checksum, "frames_bad_checksum")]
+)
+def test_each_cause_is_counted_for_itself(spoil, cause):
+    whole, spoiled = frames(2)[0], bytearray(frames(2)[1])
+    assert spoiled.count(0xFD) + spoiled.count(0xFE) == 1  # else a frame seems to begin inside it too
+    spoil(spoiled)
+    parser = Parser()
+    for _ in range(7):
+        assert numbers(parser.push_datagram(bytes(spoiled) + whole)) == [0]
+    assert parser.counters == Counters(bytes_bad=7 * len(spoiled), **{cause: 7})
+
+
+def test_a_datagram_of_nothing_but_beginnings_takes_no_long_time():
+    """Every byte seems to begin a whole frame of a known kind: as dear as garbage gets."""
+    header = bytes([0xFE, 0xFE, 0, 0, 0, common.MAVLINK_MSG_ID_ATTITUDE])
+    parser = Parser()
+    datagram = (header * 11_000)[:65_000]
+    begun_s = time.process_time()
+    assert parser.push_datagram(datagram) == []
+    assert time.process_time() - begun_s < 1.0
+    assert parser.bad_bytes == len(datagram)
+
+
+def test_each_partner_hears_every_source_without_gaps():
+    """What one partner alone is sent leaves no gap in what others hear, nor one component in another's."""
+    encoder, sequences = Encoder(system=3, component=1), [Sequences(), Sequences()]
+    heard = [[], []]
+    for i in range(600):
+        message = attitude(i)
+        if i % 3 == 0:
+            stamp(message, system=3, component=191)
+        frame = encoder.encode(message)
+        for partner in (0, 1) if i % 5 else (1,):
+            renumbered = sequences[partner].renumber(frame, common.MAVLINK_MSG_ID_ATTITUDE)
+            heard[partner] += Parser().push_datagram(renumbered)
+    assert [len(messages) for messages in heard] == [480, 600]
+    for messages in heard:
+        for component in (1, 191):
+            of_one = [m.get_seq() for m in messages if m.get_srcComponent() == component]
+            assert of_one == [i % 256 for i in range(len(of_one))]
 
 
 @pytest.mark.parametrize("mode", [m for m in FlightMode if m is not FlightMode.DESCEND])

@@ -121,6 +121,55 @@ def test_partners_are_bounded_and_garbage_makes_none(sockets):
     assert not select.select([partners[0]], [], [], 0.0)[0]
 
 
+def test_a_flood_of_strangers_does_not_push_the_default_partner_out(sockets):
+    ground = partner(sockets)
+    link = link_to(sockets, ground.getsockname()[1])
+    ((number, _),) = greet(ground, link)
+    for _ in range(3 * MAX_PARTNERS):
+        greet(partner(sockets), link)
+    link.send([(number, heartbeat())])
+    assert ground.recvfrom(2048)
+    assert [again for again, _ in greet(ground, link)] == [number]
+
+
+def test_every_partner_counts_what_it_is_sent(sockets):
+    """A station shows a gap in the sequence numbers as loss."""
+    ground = partner(sockets)
+    link = link_to(sockets, ground.getsockname()[1])
+    socks = [ground, *(partner(sockets) for _ in range(2))]
+    numbers = [greet(sock, link)[0][0] for sock in socks]
+    expected = [0] * len(socks)
+    for step in range(300):
+        to = numbers[step % 3] if step % 2 else EVERYBODY
+        link.send([(to, heartbeat()), (EVERYBODY, heartbeat())])
+        for i, sock in enumerate(socks):
+            heard = [message.get_seq() for message in Parser().push_datagram(sock.recv(2048))]
+            assert heard == [
+                (expected[i] + k) % 256 for k in range(1 if to not in {EVERYBODY, numbers[i]} else 2)
+            ]
+            expected[i] += len(heard)
+
+
+def test_a_station_of_version_1_is_answered_in_version_2(sockets):
+    link, station = link_to(sockets, 0), partner(sockets)
+    sender = common.MAVLink(None, srcSystem=255, srcComponent=190)
+    station.sendto(heartbeat().pack(sender, force_mavlink1=True), ("127.0.0.1", link.local_port))
+    assert select.select([link], [], [], DEADLINE_S)[0]
+    ((number, message),) = link.receive()
+    assert message.get_type() == "HEARTBEAT"
+    link.send([(number, heartbeat())])
+    assert station.recv(2048)[0] == 0xFD
+
+
+def test_nobody_sets_a_key_over_the_link(sockets):
+    link, station = link_to(sockets, 0), partner(sockets)
+    setup = common.MAVLink_setup_signing_message(1, 1, [7] * 32, 1)
+    station.sendto(Encoder(system=255, component=190).encode(setup), ("127.0.0.1", link.local_port))
+    assert select.select([link], [], [], DEADLINE_S)[0]
+    assert link.receive() == []
+    assert link.counters.setup_signing == 1
+
+
 def test_a_port_in_use_is_an_error(sockets):
     link = link_to(sockets, 0)
     with pytest.raises(OSError, match="in use"):

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from msgspec import structs
 from rich.console import Console
 
 from harness.cli import BAD_INPUT, FINE, main
@@ -48,6 +49,7 @@ def test_missing_file_is_named(capsys: pytest.CaptureFixture[str]) -> None:
         (["--speed", "0"], ["'0'", "'max'"]),
         (["--speed", "inf"], ["'inf'", "'max'"]),
         (["--port-offset", "61000"], ["simulator_tcp", "61000"]),
+        (["--hold", "--one-process"], ["--hold", "one process"]),
         (["--no-such-option"], ["--no-such-option"]),
     ],
 )
@@ -104,6 +106,10 @@ def test_fleet_counts_phases_and_forgets_the_lost() -> None:
 def test_headline() -> None:
     assert headline(progress(12_340_000, 0.0), 4.26) == "t = 12.34 s, 4.3 x real time, channel 12.3% busy"
     assert "- x real time" in headline(progress(0, 0.0), None)
+    late = structs.replace(progress(12_340_000, 0.0), lag_s=0.34)
+    assert headline(late, 1.0) == "t = 12.34 s, 1.0 x real time (0.3 s behind), channel 12.3% busy"
+    standing = structs.replace(progress(12_340_000, 0.0), paused=True)
+    assert headline(standing, 0.5) == "t = 12.34 s, paused, channel 12.3% busy"
 
 
 def test_happenings_in_words() -> None:

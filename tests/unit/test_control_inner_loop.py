@@ -10,7 +10,7 @@ from autopilot.control.attitude import AttitudeController
 from autopilot.control.inner_loop import InnerLoop
 from autopilot.control.params import AllocationParams, AttitudeParams, RateParams
 from autopilot.control.rates import RateController
-from autopilot.types import AttitudeSetpoint
+from autopilot.types import AttitudeSetpoint, RateSetpoint
 
 DT_S = 0.004
 
@@ -43,6 +43,26 @@ def test_equals_the_stages_one_after_the_other(airmode_above, by_tilt, integrate
         np.testing.assert_array_equal(controls, expected)
         np.testing.assert_array_equal(inner.rate_setpoint_frd_rad_s, rate)
         np.testing.assert_array_equal(inner.torque, torque)
+
+
+@pytest.mark.parametrize("airmode_above", [math.inf, 0.2])
+@pytest.mark.parametrize("integrate", [False, True])
+def test_rates_go_by_the_attitude_within_its_limits(airmode_above, integrate):
+    rng = np.random.default_rng(2)
+    attitude, rates, allocator = stages()
+    inner = InnerLoop(*stages())
+    limit = attitude.rate_max_rad_s
+    for _ in range(200):
+        omega, wanted = rng.normal(size=(2, 3)) * 3.0
+        setpoint = RateSetpoint(rate_frd_rad_s=wanted, thrust=float(rng.uniform()))
+        controls = inner.follow_rates(
+            omega, setpoint, dt_s=DT_S, integrate=integrate, airmode_above=airmode_above
+        )
+        rate = np.clip(wanted, -limit, limit)
+        torque = rates.update(omega, rate, allocator.unallocated, dt_s=DT_S, integrate=integrate)
+        expected = allocator.allocate(setpoint.thrust, torque, airmode=setpoint.thrust > airmode_above)
+        np.testing.assert_array_equal(controls, expected)
+        np.testing.assert_array_equal(inner.rate_setpoint_frd_rad_s, rate)
 
 
 def test_a_reset_forgets_what_was_flown():

@@ -61,7 +61,7 @@ class Bench:
             self.encoder.encode(message)
         output.actuators.payload()
         assert np.isfinite(output.actuators.controls).all()
-        for build in self.vehicle.telemetry.builders.values():
+        for build in self.vehicle.messaging.telemetry.builders.values():
             message = build()
             if message is not None:
                 self.encoder.encode(message)
@@ -121,20 +121,20 @@ def test_nothing_raises_and_all_telemetry_packs_whatever_the_simulator_sends(see
 
 def test_telemetry_holds_what_the_wire_can_and_says_zero_for_no_number():
     bench = Bench().get_ready()
-    telemetry, state = bench.vehicle.telemetry, bench.vehicle.flight.state
+    telemetry, state = bench.vehicle.messaging.telemetry, bench.vehicle.flight.state
     state.vel_ned_m_s[:] = (710.0, -710.0, math.nan)
     state.pos_ned_m[:] = (0.0, 0.0, -1e12)
-    sent = telemetry.global_position_int()
+    sent = telemetry.motion.global_position_int()
     assert (sent.vx, sent.vy, sent.vz) == (32_767, -32_768, 0)
     assert sent.relative_alt == 2**31 - 1
     state.pos_ned_m[:] = (1e300, -math.inf, math.nan)
-    sent = telemetry.local_position_ned()
+    sent = telemetry.motion.local_position_ned()
     assert (sent.x, sent.y) == (pytest.approx(3.4e38, rel=1e-2), -math.inf)
     assert math.isnan(sent.z)
     bench.encoder.encode(sent)
     for temperature, centidegrees in ((math.nan, 0), (math.inf, 32_767), (-1e30, -32_768), (12.34, 1_234)):
         bench.step(temperature=temperature)
-        assert telemetry.scaled_pressure().temperature == centidegrees
+        assert telemetry.sensors.scaled_pressure().temperature == centidegrees
 
 
 # ---- the estimator

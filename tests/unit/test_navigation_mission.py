@@ -41,6 +41,7 @@ def runner_of(*items):
 def flown(runner, most=100):
     """Indices in the order in which they are flown, until the mission is finished."""
     order = []
+    runner.settle()
     while runner.item is not None and len(order) < most:
         order.append(runner.current)
         runner.advance()
@@ -52,7 +53,9 @@ def flown(runner, most=100):
 
 def test_commands_have_mavlinks_numbers():
     # the numbers of common.xml, which the wire will carry
-    assert [int(command) for command in MissionCommand] == [16, 17, 19, 20, 21, 22, 93, 177, 178]
+    assert [int(command) for command in MissionCommand] == [
+        0, 16, 17, 19, 20, 21, 22, 31, 93, 115, 177, 178, 195, 197,
+    ]  # fmt: skip
     assert MissionCommand(common.MAV_CMD_NAV_WAYPOINT) is MissionCommand.WAYPOINT
 
 
@@ -138,6 +141,53 @@ def test_a_jump_is_taken_exactly_so_often(count):
     assert flown(runner) == [0] + [1, 2] * (count + 1) + [4]
 
 
+def test_what_is_carried_out_on_the_way_is_told_in_its_order():
+    act = MissionItem(command=MissionCommand.ACT, act=2000)
+    runner = runner_of(act, speed(3.0), WAYPOINT, act, jump(2, 1), WAYPOINT, act)
+    assert (runner.current, list(runner.done), runner.begun) == (0, [], False)  # nothing before it is flown
+    runner.settle()
+    runner.settle()
+    assert (runner.current, list(runner.done), runner.begun) == (2, [0, 1], True)
+    while runner.item is not None:
+        runner.advance()
+    assert list(runner.done) == [0, 1, 2, 3, 2, 3, 5, 6]  # a jump is nothing that is reached
+    runner.restart()
+    assert (list(runner.done), runner.begun) == ([], False)
+
+
+def test_a_mission_begins_with_the_item_that_its_writer_marked():
+    runner = MissionRunner()
+    runner.load(make_mission([speed(3.0), WAYPOINT, WAYPOINT]), start=2)
+    assert (runner.current, runner.speed_m_s, runner.begun) == (2, 3.0, False)
+    runner.restart()
+    assert runner.current == 0
+
+
+def test_a_view_lasts_until_another():
+    here = at(5.0, 5.0, 0.0, MissionCommand.LOOK_AT)
+    ahead = MissionItem(command=MissionCommand.LOOK_AHEAD)
+    runner = runner_of(WAYPOINT, here, WAYPOINT, ahead, WAYPOINT)
+    views = []
+    while runner.item is not None:
+        views.append(runner.look_at)
+        runner.advance()
+    assert views == [None, here, None]
+    runner.set_current(2)
+    assert runner.look_at is here
+
+
+def test_a_long_list_of_jumps_is_checked_in_time_that_grows_with_its_length():
+    # 5000 jumps, each over all that follow: every way among them was looked at from each of them once
+    jumps = [jump(5001, 1)] * 5000
+    mission = make_mission([*jumps, WAYPOINT, WAYPOINT])
+    runner = MissionRunner()
+    runner.load(mission)
+    runner.settle()
+    assert runner.current == 5001
+    with pytest.raises(MissionError, match=r"item 0 \(JUMP\): goes round"):
+        make_mission([*[jump(0, 1)] * 5000, WAYPOINT])
+
+
 def test_a_jump_without_end_never_finishes():
     runner = runner_of(WAYPOINT, WAYPOINT, jump(0, -1))
     assert flown(runner, most=101) == [0, 1] * 50 + [0]
@@ -161,6 +211,7 @@ def test_looking_ahead_changes_nothing_and_tells_what_comes(kinds, random):
         runner = runner_of(*items)
     except MissionError:
         return
+    runner.settle()
     for _ in range(200):
         if runner.item is None:
             break
@@ -180,8 +231,10 @@ def test_another_current_item_begins_anew_with_the_speed_of_before_it():
     assert (runner.finished, runner.current, runner.speed_m_s) == (False, 2, 3.0)
     assert runner.version > version
     assert flown(runner) == [2, 0, 2, 4]
-    runner.set_current(1)  # not flown itself: the next one that is
-    assert runner.current == 2
+    runner.set_current(1)  # not flown itself: it is carried out when the vehicle comes by
+    assert (runner.current, runner.speed_m_s) == (1, None)
+    runner.settle()
+    assert (runner.current, runner.speed_m_s) == (2, 3.0)
     runner.set_current(0)
     assert runner.speed_m_s is None
     for index in (-1, 5):

@@ -275,7 +275,7 @@ def test_without_a_mission_it_holds_and_with_a_return_it_asks_for_the_mode():
     loop.enter(FlightMode.MISSION)
     loop.run(10.0)
     assert np.abs(loop.state.vel_ned_m_s).max() == 0.0
-    assert not loop.navigator.completed(loop.state)
+    assert loop.navigator.completed(loop.state)
     start(loop, at(5.0, 0.0, 10.0), MissionItem(command=MissionCommand.RETURN))
     assert loop.run(30.0, lambda: loop.navigator.next_mode(loop.state) is FlightMode.RETURN)
     assert not loop.navigator.completed(loop.state)  # it is the return that comes next, not hold

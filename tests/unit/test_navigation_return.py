@@ -8,10 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
-from navigation_fixtures import DT_S, FlightMode, Ideal, Real
+from navigation_fixtures import DT_S, FlightMode, Ideal, Real, lat_lon
 
 from autopilot.navigation.landing import IDLE
+from autopilot.navigation.mission import HeightFrame
 from autopilot.navigation.params import NavigationParams, ReturnParams
+from autopilot.navigation.plan_items import RallyPoint
 from autopilot.navigation.return_home import TRANSITIONS, Event, Phase, return_height_m
 
 LOW = NavigationParams(return_home=ReturnParams(height_m=20.0, descend_height_m=12.0))
@@ -164,6 +166,51 @@ def test_a_jump_of_the_estimate_goes_on_with_the_phase_and_from_where_it_now_is(
     assert np.abs(loop.state.pos_ned_m - before).max() < 5.0 * DT_S + 1e-6  # no jump of the setpoint
     assert loop.run(60.0, lambda: loop.navigator.return_phase is Phase.LAND)
     np.testing.assert_allclose(loop.state.pos_ned_m, (0.0, 0.0, -20.0), atol=0.01)  # the same height
+
+
+# ---- rally points
+
+
+def rally(north_m, east_m, height_m=0.0, frame=HeightFrame.ABOVE_HOME):
+    return RallyPoint(*lat_lon(north_m, east_m).values(), height_m, frame)
+
+
+def test_it_returns_to_the_nearest_of_home_and_rally_points():
+    # PX4's rule: nearer by more than 2 m than the best so far, and more than 10 m from home
+    loop = Ideal((30.0, 0.0, -20.0), params=LOW)
+    for points, expected in (
+        ((), (0.0, 0.0)),
+        ((rally(30.0, 20.0), rally(30.0, 12.0)), (30.0, 12.0)),
+        ((rally(30.0, 12.0), rally(30.0, 11.0)), (30.0, 12.0)),
+        ((rally(30.0, 29.0),), (0.0, 0.0)),
+        ((rally(9.0, 0.0),), (0.0, 0.0)),
+        ((rally(200.0, 0.0),), (0.0, 0.0)),
+    ):
+        loop.navigator.set_rally_points(points)
+        loop.enter(FlightMode.HOLD)
+        loop.enter(FlightMode.RETURN)
+        np.testing.assert_allclose(loop.navigator.target_ned_m[:2], expected, atol=1e-3)
+
+
+def test_at_a_rally_point_it_lands_and_heights_count_from_it():
+    loop = Ideal((40.0, 0.0, -8.0), params=LOW)
+    loop.navigator.set_rally_points([rally(40.0, 20.0, 5.0)])
+    loop.enter(FlightMode.RETURN)
+    seen = phases_of(loop)
+    assert [phase for phase, _ in seen] == [Phase.CLIMB, Phase.FLY_HOME, Phase.LAND, Phase.DONE]
+    assert min(pos[2] for pos in loop.track) == pytest.approx(-25.0, abs=0.05)  # RTL_RETURN_ALT above 5 m
+    np.testing.assert_allclose(loop.state.pos_ned_m, (40.0, 20.0, 0.0), atol=1e-3)
+
+
+def test_a_rally_point_above_the_sea_and_one_taken_away_under_way():
+    loop = Ideal((40.0, 0.0, -30.0), params=LOW)
+    # the ideal vehicle's estimate begins at 488 m above the sea
+    loop.navigator.set_rally_points([rally(40.0, 20.0, 491.0, HeightFrame.AMSL)])
+    loop.enter(FlightMode.RETURN)
+    loop.run(2.0)
+    loop.navigator.set_rally_points([])
+    assert loop.run(60.0, lambda: loop.navigator.return_phase is Phase.DONE)
+    np.testing.assert_allclose(loop.state.pos_ned_m[:2], (40.0, 20.0), atol=1e-3)
 
 
 # ---- with dynamics

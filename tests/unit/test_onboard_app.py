@@ -13,6 +13,7 @@ from autopilot.onboard.commands import CommandSender
 from autopilot.onboard.flight import OFFBOARD_MAIN_MODE, Flight, Situation
 from autopilot.onboard.formation import COAST_S
 from autopilot.onboard.own_state import OwnState
+from autopilot.params import ParameterSet, Settings
 from autopilot.protocol.parameter import ParameterService
 from autopilot.protocol.service import APPLICATION_PARTNER
 from netsim.wire.messages import Broadcast, Delivery, FtmRequest
@@ -272,7 +273,8 @@ def test_the_position_loops_gain_is_asked_for_and_heeded():
     w = world()
     app = w.apps[0]
     w.run_until(phase_is(Phase.ON_STATION), limit_s=25.0)
-    service = ParameterService(lambda _: gain_1_s, lambda *_: None)
+    parameters = ParameterSet(Settings())
+    service = ParameterService(parameters, parameters.set)
     reference, own = app._guidance._reference, app._own
     avoidance = app._guidance._avoidance
     ask = avoidance.velocity_change_ne_m_s
@@ -285,6 +287,7 @@ def test_the_position_loops_gain_is_asked_for_and_heeded():
 
     avoidance.velocity_change_ne_m_s = spy
     for gain_1_s in (0.95, 1.5):
+        parameters.set("MPC_XY_P", gain_1_s)
         for _, answer in service.on_message(messages.gain_request(1), w.now_us, APPLICATION_PARTNER):
             app.on_mavlink(answer, w.now_us)
         w.run(0.5)

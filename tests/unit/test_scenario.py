@@ -186,6 +186,27 @@ def test_overrides_take_numbers_strings_words_and_new_tables():
             "onboard.odometry_drift_m_sqrt_s: expected `float` <= 10.0",
         ),
         ("ports.simulator_tcp=65530", "ports.simulator_tcp: 65530 + 7 vehicles is over 65535"),
+        (
+            "ports.companion_local_udp=18573",
+            "ports.gcs_local_udp of UAV 3 and ports.companion_local_udp of UAV 0 are both 18573",
+        ),
+        (
+            "ports.companion_local_udp=18567",
+            "ports.gcs_local_udp of UAV 0 and ports.companion_local_udp of UAV 3 are both 18570",
+        ),
+        (
+            "ports.gcs_remote_udp=18577",
+            "ports.gcs_local_udp of UAV 7 and ports.gcs_remote_udp are both 18577",
+        ),
+        ("ports.radio_tcp=4561", "ports.simulator_tcp of UAV 1 and ports.radio_tcp are both 4561"),
+        ("links.host=localhost", "links: host: 'localhost' is no IPv4 address"),
+        ("links.companion_host=1.2.3", "links: companion_host: '1.2.3' is no IPv4 address"),
+        (
+            "links.ground_station_host=192.168.1.7",
+            "links: ground_station_host: other machines cannot be reached from 127.0.0.1",
+        ),
+        ("links.bandwidth_bytes_s=-1", "links.bandwidth_bytes_s: expected `int` >= 0"),
+        ("links.signing_key_file=nowhere", "links.signing_key_file: "),
         ("wind.kind=breeze", "wind.kind: invalid enum value 'breeze'"),
         ("wind.mean_m_s=3", 'wind: mean_m_s: no effect where kind is "force"'),
         ('wind={kind="velocity", mean_n=2.0}', 'wind: mean_n: no effect where kind is "velocity"'),
@@ -254,6 +275,49 @@ def test_a_wrong_field_is_named(override, says):
     text = str(caught.value)
     assert says.lower() in text.lower()
     assert "\n" not in text
+
+
+def companion_ports(scenario):
+    return [
+        scenario.vehicle(i, run_id="x", radio_endpoint=None, log_path=None).ports.companion_remote_udp
+        for i in range(scenario.agents)
+    ]
+
+
+def test_companions_are_called_at_14540_and_up_but_for_ports_that_are_somebody_elses():
+    ports = companion_ports(load(ARTICLE, ["agents=64"]))
+    # 14550 is the ground station's, and from 14580 on the swarm's own: UAV 40 would speak to UAV 0
+    assert ports == [14540 + i if i != 10 and i < 40 else 0 for i in range(64)]
+    assert companion_ports(load(ARTICLE, ["agents=12", "ports.gcs_remote_udp=14000"]))[10] == 14550
+    assert companion_ports(load(ARTICLE, ["agents=3", "ports.companion_remote_udp=0"])) == [0, 0, 0]
+
+
+def test_on_other_machines_every_companion_port_is_free():
+    there = ["links.host=0.0.0.0", "links.companion_host=10.0.0.9"]
+    assert companion_ports(load(ARTICLE, ["agents=64", *there])) == [14540 + i for i in range(64)]
+    both = [*there, "links.ground_station_host=10.0.0.9"]
+    assert companion_ports(load(ARTICLE, ["agents=64", *both]))[9:12] == [14549, 0, 14551]
+
+
+def test_links_stay_on_this_machine_unless_the_scenario_says_otherwise():
+    vehicle = load(ARTICLE).vehicle(0, run_id="x", radio_endpoint=None, log_path=None)
+    links = vehicle.links
+    assert {links.host, links.ground_station_host, links.companion_host} == {"127.0.0.1"}
+    assert (links.bandwidth_bytes_s, links.signing_key_file) == (0, None)
+
+
+def test_a_signing_key_is_found_beside_the_scenario_and_stays_in_its_file(tmp_path):
+    (tmp_path / "swarm.toml").write_text('[links]\nsigning_key_file = "key"\n')
+    key = tmp_path / "key"
+    with pytest.raises(ScenarioError, match=r"links\.signing_key_file: .*key: cannot be read"):
+        load(tmp_path / "swarm.toml")
+    key.write_bytes(b"")
+    with pytest.raises(ScenarioError, match=r"links\.signing_key_file: .*key: neither a passphrase nor"):
+        load(tmp_path / "swarm.toml")
+    key.write_text("correct horse\n")
+    scenario = load(tmp_path / "swarm.toml")
+    assert scenario.links.signing_key_file == str(key)
+    assert b"horse" not in msgspec.json.encode(scenario)
 
 
 @pytest.mark.parametrize(
@@ -347,3 +411,24 @@ def test_ranging_sessions_may_not_last_longer_than_odometry_is_remembered():
 def test_no_length_is_boundless(override, where):
     with pytest.raises(ScenarioError, match=where):
         load(ARTICLE, [override])
+
+
+def test_time_0_has_a_date_which_vehicles_are_told():
+    def told_us(*overrides):
+        vehicle = load(ARTICLE, overrides).vehicle(0, run_id="x", radio_endpoint=None, log_path=None)
+        return vehicle.epoch_unix_us
+
+    assert told_us("run.epoch_utc=1970-01-01T00:00:01.5Z") == 1_500_000
+    assert told_us("run.epoch_utc=1970-01-01T02:00:00+02:00") == 0
+    assert (
+        told_us()
+        == told_us("run.epoch_utc=2026-01-01T00:00:00Z")
+        > told_us("run.epoch_utc=2025-12-31T23:59:59Z")
+    )
+    for wrong, says in [
+        ("1969-12-31T23:59:59Z", "run: epoch_utc is before 1970"),
+        ("2026-01-01T00:00:00", "run.epoch_utc: expected `datetime` with a timezone"),
+        ("yesterday", "run.epoch_utc: invalid RFC3339"),
+    ]:
+        with pytest.raises(ScenarioError, match=says):
+            load(ARTICLE, [f"run.epoch_utc={wrong}"])

@@ -4,17 +4,23 @@ import itertools
 
 import msgspec
 import pytest
+from pymavlink.dialects.v20 import common
+from vehicle_world import Flight, vehicle_config
 
 from autopilot.params import (
     INDEX_OF,
     NOT_OVER,
+    ROWS,
     TABLE,
     UNDER,
     ParameterError,
     ParameterSet,
+    Problem,
     Settings,
     check_range,
 )
+from autopilot.protocol.metadata import COMPONENT_METADATA
+from autopilot.stated_params import STATED
 
 NAMES = [parameter.name for parameter in TABLE]
 CHAINS = (
@@ -131,3 +137,64 @@ def test_a_range_alone_is_checked_without_the_others():
     check_range("MPC_THR_MAX", 0.1)
     with pytest.raises(ParameterError, match="outside"):
         check_range("MPC_THR_MAX", 0.09)
+
+
+def test_parameters_without_effect_are_kept_in_their_ranges_and_change_nothing_else():
+    parameters = ParameterSet(Settings(), {"COM_RC_IN_MODE": 4.0}, system=7)
+    assert (parameters.get("COM_RC_IN_MODE"), parameters.get("MAV_SYS_ID")) == (4.0, 7.0)
+    assert parameters.settings == Settings()
+    for row in STATED:
+        assert row.minimum <= row.default <= row.maximum
+        assert not row.is_integer or row.default == round(row.default)
+        if not row.read_only:
+            parameters.set(row.name, row.maximum)
+            assert parameters.get(row.name) == row.maximum
+    assert parameters.settings == Settings()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "problem"),
+    [
+        ("NO_SUCH", 1.0, Problem.UNKNOWN),
+        ("MPC_XY_P", 9.0, Problem.VALUE),
+        ("RTL_TYPE", 3.0, Problem.VALUE),
+        ("MAV_SYS_ID", 3.0, Problem.READ_ONLY),
+    ],
+)
+def test_a_refusal_says_what_is_wrong_and_is_no_change(name, value, problem):
+    parameters = ParameterSet(Settings())
+    with pytest.raises(ParameterError) as error:
+        parameters.set(name, value)
+    assert error.value.problem is problem
+    assert parameters.version == 0
+    parameters.set("MPC_XY_P", 1.1)
+    assert parameters.version == 1
+
+
+def test_names_of_both_sorts_are_one_sorted_list():
+    names = [row.name for row in ROWS]
+    assert sorted(set(names)) == names
+    assert max(map(len, names)) <= 16
+    assert len(names) == len(TABLE) + len(STATED)
+
+
+def test_stations_hear_of_a_change_whoever_made_it():
+    with Flight(vehicle_config()) as flight:
+        flight.step()
+        flight.vehicle.set_parameter("MPC_XY_P", 1.2)
+        flight.vehicle.set_parameter("COM_RC_IN_MODE", 4.0)
+        flight.step()
+        told = [message.param_id for _, message in flight.heard if message.get_type() == "PARAM_VALUE"]
+        assert set(told) == {"MPC_XY_P", "COM_RC_IN_MODE"}
+        flight.heard.clear()
+        flight.run(0.2)
+        assert not [message for _, message in flight.heard if message.get_type() == "PARAM_VALUE"]
+
+
+def test_the_metadata_are_a_message_that_can_be_asked_for():
+    with Flight(vehicle_config()) as flight:
+        flight.step()
+        wanted = float(COMPONENT_METADATA)
+        assert flight.command(common.MAV_CMD_REQUEST_MESSAGE, wanted) == common.MAV_RESULT_ACCEPTED
+        (message,) = [m for _, m in flight.heard if m.get_msgId() == COMPONENT_METADATA]
+        assert flight.vehicle.messaging.files.open(message.uri.removeprefix("mftp://")) is not None

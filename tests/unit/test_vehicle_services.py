@@ -170,7 +170,7 @@ def test_a_battery_that_runs_down_is_reported_and_lands_the_vehicle():
     with flight_of(params={"COM_LOW_BAT_ACT": 2}) as flight:
         flight.take_off(5.0)
         commander, battery = flight.vehicle.commander, flight.vehicle.monitor.battery
-        status = flight.vehicle.telemetry.battery_status()
+        status = flight.vehicle.messaging.telemetry.system.battery_status()
         assert status.battery_remaining == pytest.approx(100.0 * battery.remaining, abs=1.0)
         assert status.current_battery == pytest.approx(1700.0, rel=0.1)  # four motors of 4 A, and 1 A
         drawn_mah = battery.consumed_mah
@@ -199,7 +199,9 @@ def test_a_fence_of_the_scenario_holds_the_vehicle_and_refuses_arming_outside():
         assert flight.texts()[-1] == "Failsafe: geofence, Hold"
         assert flight.vehicle.monitor.breach is not None
         bits = common.MAV_SYS_STATUS_GEOFENCE
-        assert not flight.vehicle.telemetry.sys_status().onboard_control_sensors_health & bits
+        assert (
+            not flight.vehicle.messaging.telemetry.system.sys_status().onboard_control_sensors_health & bits
+        )
 
 
 def test_a_ground_station_that_falls_silent():
@@ -242,7 +244,9 @@ def test_all_that_stands_against_arming_is_told_on_request():
         reasons = ["GPS fix", "velocity estimate", "position estimate"]
         assert flight.texts() == [f"Arming denied: no {reason}" for reason in reasons]
         prearm = common.MAV_SYS_STATUS_PREARM_CHECK
-        assert not flight.vehicle.telemetry.sys_status().onboard_control_sensors_health & prearm
+        assert (
+            not flight.vehicle.messaging.telemetry.system.sys_status().onboard_control_sensors_health & prearm
+        )
 
 
 def test_parameters_act_in_flight_and_are_saved_when_asked():

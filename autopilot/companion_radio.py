@@ -1,0 +1,34 @@
+"""The radio of an on-board application that is a process beside its autopilot, outside the lockstep.
+
+What it sends goes on the air when it comes, as a guest's does: the channel is asked to go on in every step of
+such a swarm. On the same way the application tells the simulator how far its flight is, which vehicles of
+coflight's own say on the simulator's link.
+"""
+
+from collections.abc import Sequence
+
+from autopilot.mavlink.codec import Encoder, Message
+from autopilot.protocol.service import APPLICATION_COMPONENT
+from netsim.radio import RadioClient
+
+SAID_LIMIT_S = 5.0
+"""Wall time that the simulator has to acknowledge; nobody waits for it."""
+
+
+def said_key(run_id: str) -> str:
+    """Served by the physics server: MAVLink frames of the applications, which carry whose they are."""
+    return f"coflight/{run_id}/application/said"
+
+
+class CompanionRadio(RadioClient):
+    """A station's radio, and its application's word to the simulator. Close it; see `RadioClient`."""
+
+    def __init__(self, *, endpoint: str, run_id: str, station: int) -> None:
+        super().__init__(endpoint=endpoint, run_id=run_id, station=station)
+        self._encoder = Encoder(system=station + 1, component=APPLICATION_COMPONENT)
+        self._sayer = self._transport.asker(said_key(run_id), timeout_s=SAID_LIMIT_S, lossy=True)
+
+    def tell(self, messages: Sequence[Message]) -> None:
+        """Tell the simulator, without waiting; each message with its source, if it has one."""
+        if messages:
+            self._sayer.ask(b"".join(map(self._encoder.encode, messages)))

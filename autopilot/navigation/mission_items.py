@@ -1,0 +1,235 @@
+"""Missions as stations write them, made into what is flown, item for item.
+
+Which items there are and what their parameters mean is PX4's (src/modules/mavlink/mavlink_mission.cpp,
+parse_mavlink_mission_item), with these differences: items without a place may have any frame, CONDITION_YAW
+is taken, DO_SET_HOME and CONDITION_DISTANCE are not.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+
+from pymavlink.dialects.v20 import common
+
+from autopilot.navigation.mission import (
+    HeightFrame,
+    Mission,
+    MissionCommand,
+    MissionError,
+    MissionItem,
+    make_mission,
+)
+from autopilot.navigation.plan_checks import (
+    HEIGHT_FRAMES,
+    INVALID,
+    NO_FRAME,
+    PER_DEGREE,
+    UNSUPPORTED,
+    UNSUPPORTED_FRAME,
+    RefusalError,
+    frame_of,
+    height_m,
+    name_of,
+    number,
+    require_finite,
+    require_place,
+    wrong,
+)
+from autopilot.navigation.plan_store import WireItem
+
+
+def mission(items: Sequence[WireItem]) -> Mission | None:
+    """Make a mission, item for item; None without any. Raises ValueError for what `refusal` refuses."""
+    if not items:
+        return None
+    made = [_mission_item(seq, item) for seq, item in enumerate(items)]
+    count = len(made)
+    for seq, item in enumerate(made):
+        if item.command is MissionCommand.JUMP and not item.jump_to < count:
+            raise wrong(seq, items[seq], 0, f"jumps to item {item.jump_to} of {count}")
+    try:
+        return make_mission(made)
+    except MissionError as error:
+        raise RefusalError(INVALID, 0, f"Mission: {error}") from None
+
+
+# ---- items of a mission
+
+
+def _mission_item(seq: int, item: WireItem) -> MissionItem:
+    require_finite(seq, item)
+    maker = _MAKERS.get(item.command)
+    if maker is None:
+        raise RefusalError(UNSUPPORTED, seq, f"Item {seq}: {name_of(item)} is not supported")
+    if item.frame != NO_FRAME and item.frame not in HEIGHT_FRAMES:
+        raise RefusalError(UNSUPPORTED_FRAME, seq, f"Item {seq}: {frame_of(item)} is not supported")
+    return maker(seq, item)
+
+
+def _place_or_here(seq: int, item: WireItem) -> tuple[float | None, float | None]:
+    """Latitude and longitude; without a frame, at 0/0 and off the globe neither: where the vehicle is."""
+    beyond = abs(item.x) > 90 * PER_DEGREE or abs(item.y) > 180 * PER_DEGREE
+    if item.frame == NO_FRAME or (item.x, item.y) == (0, 0) or beyond:
+        return None, None
+    return require_place(seq, item)
+
+
+def _height(seq: int, item: WireItem) -> tuple[float, HeightFrame]:
+    return height_m(seq, item), HEIGHT_FRAMES.get(item.frame, HeightFrame.ABOVE_HOME)
+
+
+def _yaw_deg(seq: int, item: WireItem) -> float | None:
+    yaw_deg = number(seq, item, 3, low=-1e6, high=1e6, nothing=math.nan)
+    return None if math.isnan(yaw_deg) else math.fmod(yaw_deg, 360.0)
+
+
+def _waypoint(seq: int, item: WireItem) -> MissionItem:
+    height, frame = _height(seq, item)
+    lat_deg, lon_deg = require_place(seq, item)
+    return MissionItem(lat_deg=lat_deg, lon_deg=lon_deg,
+        command=MissionCommand.WAYPOINT, height_m=height, frame=frame, yaw_deg=_yaw_deg(seq, item),
+        hold_s=number(seq, item, 0, high=1e6), acceptance_m=number(seq, item, 1, high=1e4),
+    )  # fmt: skip
+
+
+def _loiter(seq: int, item: WireItem) -> MissionItem:
+    command = MissionCommand(item.command)
+    height, frame = _height(seq, item)
+    timed, to_height = command is MissionCommand.LOITER_TIME, command is MissionCommand.LOITER_TO_ALT
+    lat_deg, lon_deg = require_place(seq, item)
+    return MissionItem(lat_deg=lat_deg, lon_deg=lon_deg,
+        command=command, height_m=height, frame=frame,
+        yaw_deg=None if to_height else _yaw_deg(seq, item),
+        hold_s=number(seq, item, 0, high=1e6) if timed else 0.0,
+    )  # fmt: skip
+
+
+def _take_off(seq: int, item: WireItem) -> MissionItem:
+    height, frame = _height(seq, item)
+    lat_deg, lon_deg = _place_or_here(seq, item)
+    return MissionItem(lat_deg=lat_deg, lon_deg=lon_deg,
+        command=MissionCommand.TAKEOFF, height_m=height, frame=frame, yaw_deg=_yaw_deg(seq, item),
+    )  # fmt: skip
+
+
+def _land(seq: int, item: WireItem) -> MissionItem:
+    lat_deg, lon_deg = _place_or_here(seq, item)
+    return MissionItem(
+        lat_deg=lat_deg,
+        lon_deg=lon_deg,
+        command=MissionCommand.LAND,
+        yaw_deg=_yaw_deg(seq, item),
+    )
+
+
+def _return(seq: int, item: WireItem) -> MissionItem:  # noqa: ARG001  # one shape for all
+    return MissionItem(command=MissionCommand.RETURN)
+
+
+def _delay(seq: int, item: WireItem) -> MissionItem:
+    return MissionItem(command=MissionCommand.DELAY, hold_s=number(seq, item, 0, high=1e6))
+
+
+def _turn(seq: int, item: WireItem) -> MissionItem:
+    relative = number(seq, item, 3, low=0.0, high=1.0) == 1.0
+    yaw_deg = number(seq, item, 0, low=-360.0, high=360.0)
+    counterclockwise = number(seq, item, 2, low=-1.0, high=1.0) < 0.0
+    return MissionItem(
+        command=MissionCommand.TURN, yaw_relative=relative,
+        yaw_deg=-yaw_deg if relative and counterclockwise else yaw_deg,
+    )  # fmt: skip
+
+
+def _jump(seq: int, item: WireItem) -> MissionItem:
+    return MissionItem(
+        command=MissionCommand.JUMP,
+        jump_to=int(number(seq, item, 0, high=65_535.0, nothing=None)),
+        jump_count=int(number(seq, item, 1, low=-1.0, high=65_535.0, nothing=None)),
+    )
+
+
+def _change_speed(seq: int, item: WireItem) -> MissionItem:
+    """Speed over ground; through the air is the same to a multicopter, and vertical ones are parameters'."""
+    number(seq, item, 0, low=0.0, high=1.0)
+    speed_m_s = number(seq, item, 1, low=-2.0, high=1e3)
+    return MissionItem(command=MissionCommand.CHANGE_SPEED, speed_m_s=speed_m_s if speed_m_s > 0.0 else None)
+
+
+def _look_at(seq: int, item: WireItem) -> MissionItem:
+    height, frame = _height(seq, item)
+    lat_deg, lon_deg = require_place(seq, item)
+    return MissionItem(
+        lat_deg=lat_deg,
+        lon_deg=lon_deg,
+        command=MissionCommand.LOOK_AT,
+        height_m=height,
+        frame=frame,
+    )
+
+
+def _look_ahead(seq: int, item: WireItem) -> MissionItem:  # noqa: ARG001  # one shape for all
+    return MissionItem(command=MissionCommand.LOOK_AHEAD)
+
+
+def _old_view(seq: int, item: WireItem) -> MissionItem:
+    """MAV_CMD_DO_SET_ROI and MAV_CMD_NAV_ROI, whose first parameter says at what."""
+    what = number(seq, item, 0, high=4.0)
+    if what == common.MAV_ROI_LOCATION:
+        return _look_at(seq, item)
+    if what == common.MAV_ROI_NONE:
+        return _look_ahead(seq, item)
+    if what == common.MAV_ROI_WPNEXT:
+        return _act(seq, item)
+    raise wrong(seq, item, 0, f"region of interest of kind {what:g} is not supported")
+
+
+def _act(seq: int, item: WireItem) -> MissionItem:  # noqa: ARG001  # one shape for all
+    return MissionItem(command=MissionCommand.ACT, act=item.command)
+
+
+ACTS: dict[int, str] = {
+    common.MAV_CMD_DO_LAND_START: "",
+    common.MAV_CMD_DO_SET_ROI: "look at the next place",
+    common.MAV_CMD_NAV_ROI: "look at the next place",
+    common.MAV_CMD_DO_SET_ROI_WPNEXT_OFFSET: "look at the next place",
+    common.MAV_CMD_DO_SET_ACTUATOR: "set actuators",
+    common.MAV_CMD_DO_CONTROL_VIDEO: "control video",
+    common.MAV_CMD_DO_DIGICAM_CONTROL: "take photo",
+    common.MAV_CMD_DO_MOUNT_CONFIGURE: "configure mount",
+    common.MAV_CMD_DO_MOUNT_CONTROL: "turn mount",
+    common.MAV_CMD_DO_SET_CAM_TRIGG_DIST: "photos by distance",
+    common.MAV_CMD_DO_GRIPPER: "move gripper",
+    common.MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL: "photos by time",
+    common.MAV_CMD_OBLIQUE_SURVEY: "oblique survey",
+    common.MAV_CMD_SET_CAMERA_MODE: "set camera mode",
+    common.MAV_CMD_SET_CAMERA_ZOOM: "zoom camera",
+    common.MAV_CMD_SET_CAMERA_FOCUS: "focus camera",
+    common.MAV_CMD_SET_CAMERA_SOURCE: "set camera source",
+    common.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: "turn gimbal",
+    common.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE: "configure gimbal",
+    common.MAV_CMD_IMAGE_START_CAPTURE: "take photo",
+    common.MAV_CMD_IMAGE_STOP_CAPTURE: "stop photos",
+    common.MAV_CMD_DO_TRIGGER_CONTROL: "control trigger",
+    common.MAV_CMD_VIDEO_START_CAPTURE: "start video",
+    common.MAV_CMD_VIDEO_STOP_CAPTURE: "stop video",
+    common.MAV_CMD_DO_WINCH: "move winch",
+}
+"""Items for a load, and what is said when the vehicle comes by; of a marker nothing is."""
+
+_MAKERS: dict[int, Callable[[int, WireItem], MissionItem]] = dict.fromkeys(ACTS, _act) | {
+    common.MAV_CMD_NAV_WAYPOINT: _waypoint,
+    common.MAV_CMD_NAV_LOITER_UNLIM: _loiter,
+    common.MAV_CMD_NAV_LOITER_TIME: _loiter,
+    common.MAV_CMD_NAV_LOITER_TO_ALT: _loiter,
+    common.MAV_CMD_NAV_TAKEOFF: _take_off,
+    common.MAV_CMD_NAV_LAND: _land,
+    common.MAV_CMD_NAV_RETURN_TO_LAUNCH: _return,
+    common.MAV_CMD_NAV_DELAY: _delay,
+    common.MAV_CMD_CONDITION_DELAY: _delay,
+    common.MAV_CMD_CONDITION_YAW: _turn,
+    common.MAV_CMD_DO_JUMP: _jump,
+    common.MAV_CMD_DO_CHANGE_SPEED: _change_speed,
+    common.MAV_CMD_DO_SET_ROI_LOCATION: _look_at,
+    common.MAV_CMD_DO_SET_ROI_NONE: _look_ahead,
+    common.MAV_CMD_DO_SET_ROI: _old_view,
+    common.MAV_CMD_NAV_ROI: _old_view,
+}

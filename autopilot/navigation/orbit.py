@@ -1,0 +1,194 @@
+"""Orbit mode: around a place at a distance, with the nose where it was asked for. Pure.
+
+After PX4's FlightTaskOrbit: it flies straight to the nearest place of the circle and then around. Unlike
+there, the circle is flown by position, velocity and acceleration, from a standstill within the limit of jerk,
+so that nothing pulls the vehicle inwards or out.
+"""
+
+import math
+from enum import IntEnum
+
+import numpy as np
+from msgspec import Struct
+
+from autopilot.control.params import TrajectoryParams
+from autopilot.estimation.rotation import quat_to_euler
+from autopilot.navigation.guide import Guide, Moment
+from autopilot.navigation.manual import CENTRED, ManualInput, curve
+from autopilot.navigation.params import NavigationParams
+from autopilot.types import Array, EstimatorState, TrajectorySetpoint
+
+RADIUS_MIN_M, RADIUS_MAX_M = 1.0, 1_000.0
+SPEED_MAX_M_S = 10.0
+ACC_MAX_M_S2 = 2.0
+"""PX4's bounds of radius, speed and what both together ask for; of the last two the speed gives way."""
+_CENTRE_M = 0.1
+"""Nearer to the centre than this, every place of the circle is as near as any other."""
+
+
+class YawBehaviour(IntEnum):
+    """Where the nose points: ORBIT_YAW_BEHAVIOUR."""
+
+    TO_CENTRE = 0
+    INITIAL = 1
+    UNCONTROLLED = 2
+    """The nose stays where it is."""
+    TANGENT = 3
+    STICK = 4
+    UNCHANGED = 5
+    """As before, or to the centre."""
+
+
+class Circle(Struct, frozen=True, kw_only=True):
+    """What is flown."""
+
+    north_m: float
+    east_m: float
+    down_m: float
+    """Of the centre, from the estimator's origin"""
+    radius_m: float
+    speed_m_s: float
+    """Clockwise seen from above; negative the other way round"""
+    yaw: YawBehaviour
+
+    def bounded(self) -> "Circle":
+        """Give what may be flown of it."""
+        radius_m = min(max(self.radius_m, RADIUS_MIN_M), RADIUS_MAX_M)
+        most_m_s = min(SPEED_MAX_M_S, math.sqrt(ACC_MAX_M_S2 * radius_m))
+        return Circle(
+            north_m=self.north_m, east_m=self.east_m, down_m=self.down_m, radius_m=radius_m,
+            speed_m_s=min(max(self.speed_m_s, -most_m_s), most_m_s), yaw=self.yaw,
+        )  # fmt: skip
+
+
+def default_circle(state: EstimatorState) -> Circle:
+    """Give PX4's for a mode that is chosen without a circle: 1 m about a place to the south, at 1 m/s."""
+    north_m, east_m, down_m = state.pos_ned_m.tolist()
+    return Circle(
+        north_m=north_m - RADIUS_MIN_M, east_m=east_m, down_m=down_m, radius_m=RADIUS_MIN_M, speed_m_s=1.0,
+        yaw=YawBehaviour.TO_CENTRE,
+    )  # fmt: skip
+
+
+class Orbit:
+    """One vehicle's way around; `start` with every circle, then `update` at every step."""
+
+    def __init__(self, guide: Guide) -> None:
+        self.circle: Circle | None = None
+        """What was asked for last, within its bounds."""
+        self.approaching = True
+        """On the straight way to the circle."""
+        self._guide = guide
+        self._bearing_rad = 0.0
+        """Of the reference, seen from the centre: from north, clockwise."""
+        self._speed_m_s = 0.0
+        self._acc_m_s2 = 0.0
+        """Of the reference along the circle."""
+        self._yaw_rad = 0.0
+        self._initial_yaw_rad = 0.0
+
+    def start(self, state: EstimatorState, circle: Circle) -> None:
+        """Go to the nearest place of a circle, from the present motion."""
+        guide = self._guide
+        guide.restart(state)
+        self._initial_yaw_rad = self._yaw_rad = float(quat_to_euler(state.q_ned_frd)[2])
+        if circle is not self.circle:
+            self.circle = circle = circle.bounded()
+        north_m, east_m = guide.target_ned_m[0] - circle.north_m, guide.target_ned_m[1] - circle.east_m
+        self._bearing_rad = math.atan2(east_m, north_m)
+        if math.hypot(north_m, east_m) < _CENTRE_M:
+            self._bearing_rad = self._initial_yaw_rad
+        self._speed_m_s = self._acc_m_s2 = 0.0
+        self.approaching = True
+        wanted_rad = self._heading_rad(circle)
+        guide.go_to(self._place_ned_m(circle), yaw_rad=wanted_rad)
+
+    def update(
+        self, moment: Moment, params: NavigationParams, *, manual: ManualInput | None
+    ) -> TrajectorySetpoint:
+        """Give the next setpoint."""
+        guide, circle, state = self._guide, self.circle, moment.state
+        if circle is None:
+            return guide.follow(moment.dt_s)
+        if self.approaching and guide.resting:
+            self.approaching = False
+            self._yaw_rad = guide.yaw_rad
+        if self.approaching:
+            return guide.follow(moment.dt_s, vehicle_pos_ned_m=state.pos_ned_m)
+        limits = guide.limits
+        place_ned_m = self._place_ned_m(circle)
+        lag_m = math.hypot(place_ned_m[0] - state.pos_ned_m[0], place_ned_m[1] - state.pos_ned_m[1])
+        pace = min(max(2.0 - 2.0 * lag_m / limits.xy_error_max_m, 0.0), 1.0)
+        jerk_m_s3 = self._advance(circle, pace * moment.dt_s, limits)
+        yaw_rate_rad_s = pace * self._turn(circle, moment.dt_s, limits)
+        if circle.yaw is YawBehaviour.STICK:
+            stick = params.manual
+            yaw_rate_rad_s = stick.yaw_rate_max_rad_s * curve(
+                (manual or CENTRED).yaw, deadzone=stick.deadzone, expo=stick.yaw_expo
+            )
+        return self._setpoint(circle, pace, jerk_m_s3, yaw_rate_rad_s, limits.acc_lead_s)
+
+    # ---- pieces
+
+    def _place_ned_m(self, circle: Circle) -> Array:
+        """(3,) where the reference is."""
+        return np.array((
+            circle.north_m + circle.radius_m * math.cos(self._bearing_rad),
+            circle.east_m + circle.radius_m * math.sin(self._bearing_rad),
+            circle.down_m,
+        ))  # fmt: skip
+
+    def _advance(self, circle: Circle, dt_s: float, limits: TrajectoryParams) -> float:
+        """Move on along the circle; returns the jerk along it, m/s^3."""
+        if dt_s <= 0.0:
+            return 0.0
+        missing_m_s = circle.speed_m_s - self._speed_m_s
+        # the acceleration that vanishes at full jerk just when the speed is reached
+        half_s = 0.5 * dt_s
+        most_m_s2 = limits.jerk_m_s3 * (
+            math.sqrt(half_s * half_s + 2.0 * abs(missing_m_s) / limits.jerk_m_s3) - half_s
+        )
+        wanted_m_s2 = math.copysign(min(most_m_s2, limits.acc_xy_m_s2, abs(missing_m_s) / dt_s), missing_m_s)
+        change_m_s2 = limits.jerk_m_s3 * dt_s
+        before_m_s2 = self._acc_m_s2
+        self._acc_m_s2 += min(max(wanted_m_s2 - before_m_s2, -change_m_s2), change_m_s2)
+        way_m = (self._speed_m_s + half_s * self._acc_m_s2) * dt_s
+        self._speed_m_s += self._acc_m_s2 * dt_s
+        self._bearing_rad = math.remainder(self._bearing_rad + way_m / circle.radius_m, math.tau)
+        return (self._acc_m_s2 - before_m_s2) / dt_s
+
+    def _turn(self, circle: Circle, dt_s: float, limits: TrajectoryParams) -> float:
+        """Turn towards the heading that is asked for; returns the rate at which that itself turns, rad/s."""
+        most_rad = limits.yaw_rate_max_rad_s * dt_s
+        missing_rad = math.remainder(self._heading_rad(circle) - self._yaw_rad, math.tau)
+        self._yaw_rad = math.remainder(self._yaw_rad + min(max(missing_rad, -most_rad), most_rad), math.tau)
+        if circle.yaw not in {YawBehaviour.TO_CENTRE, YawBehaviour.TANGENT}:
+            return 0.0
+        rate_rad_s = self._speed_m_s / circle.radius_m
+        return min(max(rate_rad_s, -limits.yaw_rate_max_rad_s), limits.yaw_rate_max_rad_s)
+
+    def _heading_rad(self, circle: Circle) -> float:
+        if circle.yaw is YawBehaviour.TO_CENTRE:
+            return math.remainder(self._bearing_rad + math.pi, math.tau)
+        if circle.yaw is YawBehaviour.TANGENT:
+            ahead_rad = math.copysign(0.5 * math.pi, circle.speed_m_s)
+            return math.remainder(self._bearing_rad + ahead_rad, math.tau)
+        return self._initial_yaw_rad
+
+    def _setpoint(
+        self, circle: Circle, pace: float, jerk_m_s3: float, yaw_rate_rad_s: float, lead_s: float
+    ) -> TrajectorySetpoint:
+        """Give the reference's motion; as elsewhere the acceleration leads by the attitude loop's lag."""
+        cos, sin = math.cos(self._bearing_rad), math.sin(self._bearing_rad)
+        outwards, along = np.array((cos, sin, 0.0)), np.array((-sin, cos, 0.0))
+        speed_m_s, acc_m_s2, turn_1_s = self._speed_m_s, self._acc_m_s2, self._speed_m_s / circle.radius_m
+        acc_ned_m_s2 = acc_m_s2 * along - speed_m_s * turn_1_s * outwards
+        jerk_ned_m_s3 = (jerk_m_s3 - speed_m_s * turn_1_s**2) * along - 3.0 * acc_m_s2 * turn_1_s * outwards
+        by_stick = circle.yaw is YawBehaviour.STICK
+        return TrajectorySetpoint(
+            pos_ned_m=self._place_ned_m(circle),
+            vel_ned_m_s=pace * speed_m_s * along,
+            acc_ned_m_s2=pace**2 * acc_ned_m_s2 + pace**3 * lead_s * jerk_ned_m_s3,
+            yaw_rad=None if by_stick else self._yaw_rad,
+            yaw_rate_rad_s=yaw_rate_rad_s,
+        )

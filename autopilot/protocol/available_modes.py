@@ -1,0 +1,62 @@
+"""AVAILABLE_MODES and CURRENT_MODE: the modes that can be flown, as stations list them to their users."""
+
+from collections.abc import Sequence
+
+from pymavlink.dialects.v20 import common
+
+from autopilot.commander.conditions import MODE_NEEDS
+from autopilot.mavlink.codec import Message
+from autopilot.mavlink.dialect import AvailableModes, CurrentMode
+from autopilot.mavlink.modes import FlightMode
+
+AVAILABLE_MODES_ID: int = AvailableModes.id
+
+STANDARD_MODES: dict[int, int] = {
+    FlightMode.POSITION.custom_mode: common.MAV_STANDARD_MODE_POSITION_HOLD,
+    FlightMode.ALTITUDE.custom_mode: common.MAV_STANDARD_MODE_ALTITUDE_HOLD,
+    FlightMode.RETURN.custom_mode: common.MAV_STANDARD_MODE_SAFE_RECOVERY,
+    FlightMode.MISSION.custom_mode: common.MAV_STANDARD_MODE_MISSION,
+    FlightMode.LAND.custom_mode: common.MAV_STANDARD_MODE_LAND,
+    FlightMode.TAKEOFF.custom_mode: common.MAV_STANDARD_MODE_TAKEOFF,
+    FlightMode.ORBIT.custom_mode: common.MAV_STANDARD_MODE_ORBIT,
+}
+"""MAV_STANDARD_MODE by custom mode, as PX4 has them; the rest are not standard and have names."""
+
+_ADVANCED, _NOT_SELECTABLE, _AUTO = 1, 2, 4
+"""MAV_MODE_PROPERTY bits."""
+_ADVANCED_MODES = frozenset({FlightMode.STABILIZED, FlightMode.OFFBOARD})
+_MAIN_AUTO = 4
+
+
+def available_modes(index: int) -> Sequence[Message]:
+    """Give the mode of an index from 1 on, or all of them for 0; none for an index that there is not."""
+    if index == 0:
+        return [_describe(number) for number in range(1, len(_MODES) + 1)]
+    return [_describe(index)] if 1 <= index <= len(_MODES) else []
+
+
+def current_mode(mode: FlightMode, *, forced: bool) -> Message:
+    """CURRENT_MODE; of a mode that a failsafe ``forced`` it is not said here what was wanted instead."""
+    return CurrentMode(
+        standard_mode=STANDARD_MODES.get(mode.custom_mode, common.MAV_STANDARD_MODE_NON_STANDARD),
+        custom_mode=mode.custom_mode,
+        intended_custom_mode=0 if forced else mode.custom_mode,
+    )
+
+
+_MODES = tuple(mode for mode in FlightMode if mode in MODE_NEEDS and mode is not FlightMode.DESCEND)
+"""In the order in which they are listed; nobody can choose to descend."""
+
+
+def _describe(number: int) -> Message:
+    mode = _MODES[number - 1]
+    standard = STANDARD_MODES.get(mode.custom_mode, common.MAV_STANDARD_MODE_NON_STANDARD)
+    properties = _ADVANCED if mode in _ADVANCED_MODES else 0
+    if mode.custom_mode >> 16 & 0xFF == _MAIN_AUTO:
+        properties |= _AUTO
+    if mode is FlightMode.ORBIT:
+        properties |= _NOT_SELECTABLE  # it needs a centre: MAV_CMD_DO_ORBIT
+    return AvailableModes(
+        number_modes=len(_MODES), mode_index=number, standard_mode=standard, custom_mode=mode.custom_mode,
+        properties=properties, mode_name="" if standard else mode.label,
+    )  # fmt: skip

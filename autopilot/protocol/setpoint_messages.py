@@ -1,0 +1,217 @@
+"""What SET_POSITION_TARGET_LOCAL_NED, SET_POSITION_TARGET_GLOBAL_INT and SET_ATTITUDE_TARGET ask for. Pure.
+
+PX4's meaning of masks and frames, and of the offset frames MAVLink's: their positions are from where the
+vehicle is when the message comes. Whatever the frame, a yaw is a heading from north. What asks for nothing
+that can be flown, or has numbers that are none, is no setpoint.
+"""
+
+import math
+
+import numpy as np
+from pymavlink.dialects.v20 import common
+
+from autopilot.estimation.rotation import quat_to_euler
+from autopilot.mavlink.codec import Message
+from autopilot.navigation.geodesy import geodetic_to_ned
+from autopilot.protocol.flight_data import FlightData
+from autopilot.types import (
+    Array,
+    AttitudeSetpoint,
+    EstimatorState,
+    RateSetpoint,
+    Setpoint,
+    TrajectorySetpoint,
+)
+
+_LOCAL = common.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
+_GLOBAL = common.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT
+_ATTITUDE = common.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET
+SETPOINT_MESSAGES = frozenset({_LOCAL, _GLOBAL, _ATTITUDE})
+
+_FORCE = common.POSITION_TARGET_TYPEMASK_FORCE_SET
+_YAW_IGNORED = common.POSITION_TARGET_TYPEMASK_YAW_IGNORE
+_YAW_RATE_IGNORED = common.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
+_BY_HEADING = frozenset({common.MAV_FRAME_BODY_NED, common.MAV_FRAME_BODY_OFFSET_NED})
+_FROM_HERE = frozenset({common.MAV_FRAME_LOCAL_OFFSET_NED, common.MAV_FRAME_BODY_OFFSET_NED})
+_LOCAL_FRAMES = _BY_HEADING | _FROM_HERE | {common.MAV_FRAME_LOCAL_NED}
+_ABOVE_SEA = frozenset({common.MAV_FRAME_GLOBAL, common.MAV_FRAME_GLOBAL_INT})
+_ABOVE_HOME = frozenset({common.MAV_FRAME_GLOBAL_RELATIVE_ALT, common.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT})
+
+_ROLL_PITCH_RATE_IGNORED = (
+    common.ATTITUDE_TARGET_TYPEMASK_BODY_ROLL_RATE_IGNORE
+    | common.ATTITUDE_TARGET_TYPEMASK_BODY_PITCH_RATE_IGNORE
+)
+_BODY_YAW_RATE_IGNORED = common.ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE
+_THRUST_BODY = 32
+"""ATTITUDE_TARGET_TYPEMASK_THRUST_BODY_SET"""
+_THRUST_IGNORED = common.ATTITUDE_TARGET_TYPEMASK_THROTTLE_IGNORE
+_ATTITUDE_IGNORED = common.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE
+_GREATEST = 1e9
+"""Metres, and so on: what is beyond means nothing, and would leave the range of telemetry's numbers."""
+_NORM_ERROR_MAX = 0.1
+"""Of a quaternion, which is then made one: further off it means something else, or nothing"""
+
+_Group = tuple[Array | None, tuple[bool, bool, bool]]
+"""Vector, 0 on axes that are left out, and the axes that count."""
+_ALL_AXES = (True, True, True)
+
+
+def decode(message: Message, flight: FlightData) -> Setpoint | None:
+    """Setpoint of one of `SETPOINT_MESSAGES`; None for one that cannot be flown."""
+    kind = message.get_msgId()
+    if kind == _ATTITUDE:
+        return _attitude(message)
+    pos = _global_position(message, flight) if kind == _GLOBAL else _local_position(message, flight)
+    if pos is None:
+        return None
+    return _trajectory(message, pos, flight.state)
+
+
+# ---- positions, velocities, accelerations
+
+
+def _trajectory(message: Message, pos: _Group, state: EstimatorState) -> TrajectorySetpoint | None:
+    mask = message.type_mask
+    vel = _group(mask >> 3, (message.vx, message.vy, message.vz))
+    acc = _group(mask >> 6, (message.afx, message.afy, message.afz))
+    yaw_rad = None if mask & _YAW_IGNORED else message.yaw
+    yaw_rate_rad_s = 0.0 if mask & _YAW_RATE_IGNORED else message.yaw_rate
+    vectors = [vector for vector, _ in (pos, vel, acc) if vector is not None]
+    turn = np.array((0.0 if yaw_rad is None else yaw_rad, yaw_rate_rad_s))
+    if not vectors or not all(map(_is_sane, (*vectors, turn))) or (mask & _FORCE and acc[0] is not None):
+        return None
+    if message.get_msgId() == _LOCAL and message.coordinate_frame in _BY_HEADING:
+        if not (_turns(vel) and _turns(acc)):
+            return None
+        vel, acc = _by_heading(vel, state), _by_heading(acc, state)
+    return TrajectorySetpoint(
+        pos_ned_m=pos[0],
+        vel_ned_m_s=vel[0],
+        acc_ned_m_s2=acc[0],
+        pos_axes=pos[1],
+        vel_axes=vel[1],
+        acc_axes=acc[1],
+        yaw_rad=yaw_rad,
+        yaw_rate_rad_s=yaw_rate_rad_s,
+    )
+
+
+def _local_position(message: Message, flight: FlightData) -> _Group | None:
+    """Position from the estimator's origin; None for one that cannot be, or a frame that is not known."""
+    frame, state = message.coordinate_frame, flight.state
+    if frame not in _LOCAL_FRAMES or (frame in _BY_HEADING and not state.attitude_valid):
+        return None
+    pos, axes = group = _group(message.type_mask, (message.x, message.y, message.z))
+    if pos is None or frame == common.MAV_FRAME_LOCAL_NED:
+        return group
+    if frame == common.MAV_FRAME_BODY_NED or not _knows(state, axes):
+        return None  # PX4 has no positions ahead of the vehicle in BODY_NED
+    if frame == common.MAV_FRAME_BODY_OFFSET_NED:
+        if not _turns(group):
+            return None
+        pos = _to_ned(pos, state)
+    here_ned_m: Array = np.where(axes, state.pos_ned_m, 0.0)
+    return here_ned_m + pos, axes
+
+
+def _global_position(message: Message, flight: FlightData) -> _Group | None:
+    """Position from the estimator's origin of degrees and an altitude above the sea or above home."""
+    frame, state, home = message.coordinate_frame, flight.state, flight.home
+    if frame not in _ABOVE_SEA | _ABOVE_HOME:
+        return None
+    lat_deg, lon_deg = message.lat_int * 1e-7, message.lon_int * 1e-7
+    group = _group(message.type_mask, (lat_deg, lon_deg, message.alt))
+    wanted, axes = group
+    if wanted is None:
+        return group
+    if axes[0] is not axes[1] or not state.position_valid:
+        return None  # a circle of latitude is no place, and degrees mean nothing without an origin
+    if axes[0] and not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0):
+        return None  # INT32_MAX is MAVLink's mark of nothing
+    ned_m = np.zeros(3)
+    if axes[0]:
+        ned_m[:2] = horizontal_ned_m(lat_deg, lon_deg, state)
+    if axes[2]:
+        if frame in _ABOVE_HOME and home is None:
+            return None
+        zero_amsl_m = home.alt_m if frame in _ABOVE_HOME and home is not None else 0.0
+        ned_m[2] = state.origin_alt_m - (zero_amsl_m + message.alt)
+    return ned_m, axes
+
+
+def horizontal_ned_m(lat_deg: float, lon_deg: float, state: EstimatorState) -> Array:
+    """(2,) north and east of the estimator's origin, in its plane."""
+    ned_m = geodetic_to_ned(
+        lat_deg,
+        lon_deg,
+        state.origin_alt_m,
+        origin_lat_deg=state.origin_lat_deg,
+        origin_lon_deg=state.origin_lon_deg,
+        origin_alt_m=state.origin_alt_m,
+    )
+    return ned_m[:2]
+
+
+def _group(ignore_bits: int, values: tuple[float, float, float]) -> _Group:
+    """Take of a group's values those that the lowest three bits do not leave out."""
+    axes = (not ignore_bits & 1, not ignore_bits & 2, not ignore_bits & 4)
+    if not any(axes):
+        return None, _ALL_AXES
+    return np.array([value if used else 0.0 for value, used in zip(values, axes, strict=True)]), axes
+
+
+def _is_sane(vector: Array) -> bool:
+    return bool((np.abs(vector) <= _GREATEST).all())  # NaN is not
+
+
+def _turns(group: _Group) -> bool:
+    """Whether it may be turned by a heading: one of forward and right alone is no axis of NED."""
+    return group[1][0] is group[1][1]
+
+
+def _knows(state: EstimatorState, axes: tuple[bool, bool, bool]) -> bool:
+    return (state.position_valid or not (axes[0] or axes[1])) and (state.height_valid or not axes[2])
+
+
+def _by_heading(group: _Group, state: EstimatorState) -> _Group:
+    return group if group[0] is None else (_to_ned(group[0], state), group[1])
+
+
+def _to_ned(vector: Array, state: EstimatorState) -> Array:
+    """Forward, right, down by the heading into NED."""
+    yaw_rad = quat_to_euler(state.q_ned_frd)[2]
+    cos_yaw, sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array([
+        cos_yaw * vector[0] - sin_yaw * vector[1],
+        sin_yaw * vector[0] + cos_yaw * vector[1],
+        vector[2],
+    ])  # fmt: skip
+
+
+# ---- attitudes and rates
+
+
+def _attitude(message: Message) -> AttitudeSetpoint | RateSetpoint | None:
+    """Attitude, with the yaw rate on top, or else body rates, as the mask says; thrust is never left out.
+
+    Of a thrust vector the part along -z counts, for rotors push no other way. A yaw rate that is left out is
+    none. Given both, PX4's attitude controller decides on roll and pitch.
+    """
+    mask = message.type_mask
+    thrust = -message.thrust_body[2] if mask & _THRUST_BODY else message.thrust
+    if (mask & _THRUST_IGNORED and not mask & _THRUST_BODY) or not math.isfinite(thrust):
+        return None
+    thrust = min(max(thrust, 0.0), 1.0)
+    yaw_rate_rad_s = 0.0 if mask & _BODY_YAW_RATE_IGNORED else message.body_yaw_rate
+    if not abs(yaw_rate_rad_s) <= _GREATEST:
+        return None
+    if not mask & _ATTITUDE_IGNORED:
+        q_ned_frd = np.array(message.q, float)
+        norm = math.sqrt(q_ned_frd @ q_ned_frd)
+        if not abs(norm - 1.0) <= _NORM_ERROR_MAX:  # NaN is refused, too
+            return None
+        return AttitudeSetpoint(q_ned_frd=q_ned_frd / norm, yaw_rate_rad_s=yaw_rate_rad_s, thrust=thrust)
+    rate_frd_rad_s = np.array((message.body_roll_rate, message.body_pitch_rate, yaw_rate_rad_s))
+    if mask & _ROLL_PITCH_RATE_IGNORED or not _is_sane(rate_frd_rad_s):
+        return None
+    return RateSetpoint(rate_frd_rad_s=rate_frd_rad_s, thrust=thrust)

@@ -1,0 +1,66 @@
+"""Clients are processes of their own, and so are the swarms that they fly; none outlives its test."""
+
+import importlib.util
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from swarms import Held
+
+from harness import kernel_cache
+
+PACKAGES = {"mavsdk": "mavsdk", "MAVProxy": "MAVProxy", "serial": "pyserial"}
+REQUIRED = os.environ.get("COFLIGHT_CLIENTS") == "required"
+"""So it is where the clients are installed for these tests: then none of them is skipped."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    absent = [name for module, name in PACKAGES.items() if importlib.util.find_spec(module) is None]
+    if absent and not REQUIRED:
+        reason = f"{', '.join(absent)} not installed: make test-clients does so"
+        for item in items:
+            item.add_marker(pytest.mark.skip(reason=reason))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def kernels() -> None:
+    kernel_cache.prepare(lambda _: None)
+
+
+@pytest.fixture
+def hold(tmp_path: Path) -> Iterator[Callable[..., Held]]:
+    """Give a factory of swarms; none outlives the test."""
+    started: list[Held] = []
+
+    def make(port_offset: int, *options: str) -> Held:
+        started.append(Held(tmp_path / f"run{len(started)}", port_offset, *options))
+        return started[-1]
+
+    yield make
+    for swarm in started:
+        swarm.kill()
+
+
+@pytest.fixture
+def client() -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Give a starter of client scripts of this folder; none outlives the test."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(script: str, *arguments: object) -> subprocess.Popen[str]:
+        command = [sys.executable, str(Path(__file__).with_name(script)), *map(str, arguments)]
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        )
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+        if process.stdout is not None:
+            process.stdout.close()

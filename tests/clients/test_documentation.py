@@ -1,0 +1,28 @@
+"""The code blocks of docs/ground-control.md run as they stand there, but for the ports."""
+
+import re
+import subprocess
+import sys
+
+import pytest
+from swarms import ROOT
+
+pytestmark = [pytest.mark.clients, pytest.mark.timeout(200)]
+
+
+def test_the_blocks_of_the_ground_stations_page(hold, tmp_path) -> None:
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "ground-control.md").read_text(), re.DOTALL)
+    assert len(blocks) == 2
+    swarm = hold(3400)
+    # the last first: it flies a vehicle that waits, and the formation is released afterwards
+    for number, block in enumerate(reversed(blocks)):
+        script = tmp_path / f"block{number}.py"
+        script.write_text(
+            block.replace("14550", str(swarm.ground_station_port)).replace("14540", str(swarm.companion_port))
+        )
+        done = subprocess.run(
+            [sys.executable, str(script)], capture_output=True, text=True, timeout=90.0, check=False
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+    swarm.end()
+    assert any("released" in line for line in swarm.said)

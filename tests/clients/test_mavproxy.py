@@ -1,0 +1,24 @@
+"""MAVProxy without a window, on the ground stations' port of a swarm that holds."""
+
+import pytest
+from swarms import ROOT, failures, findings
+
+from harness.scenario import load
+
+pytestmark = [pytest.mark.clients, pytest.mark.timeout(300)]
+
+
+def test_a_session_of_mavproxy(hold, client, tmp_path) -> None:
+    site = load(ROOT / "scenarios" / "article.toml").site
+    # one vehicle alone calls the ground stations' port: its user flies by the numbers of one
+    swarm = hold(3300, "--agents", "1")
+    process = client(
+        "mavproxy_session.py",
+        swarm.ground_station_port,
+        tmp_path,
+        site.latitude_deg,
+        site.longitude_deg,
+        site.altitude_m,
+    )
+    assert failures(findings(process, wall_limit_s=180.0)) == []
+    swarm.end()

@@ -1,0 +1,152 @@
+"""Flying at a human pace: pause, hold and release, a steady speed, heartbeats whatever time does."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import common
+
+from harness.messages import Progress
+from harness.physics_server import MOST_LAG_S
+from harness.swarm import Swarm
+
+pytestmark = pytest.mark.multiprocess
+
+SCENARIO = "scenarios/article.toml"
+WALL_LIMIT_S = 60.0
+
+
+@pytest.fixture
+def held() -> Iterator[Callable[..., Swarm]]:
+    """Give a factory of started swarms that hold."""
+    started: list[Swarm] = []
+
+    def start(*, agents: int = 2, hold: bool = True, **options: Any) -> Swarm:
+        overrides = ["onboard.hold=true"] if hold else []
+        swarm = Swarm(SCENARIO, agents=agents, overrides=overrides, wall_limit_s=120.0, **options)
+        started.append(swarm)
+        swarm.start()
+        return swarm
+
+    yield start
+    for swarm in started:
+        swarm.stop()
+
+
+def heard(link: Any, kind: str, *, within_s: float, component: int = 1) -> list[tuple[float, Any]]:
+    """Messages of a kind that arrive within so much wall time, each with when it did."""
+    messages, wall_end_s = [], time.monotonic() + within_s
+    while (wall_s := time.monotonic()) < wall_end_s:
+        message = link.recv_match(type=kind, blocking=True, timeout=wall_end_s - wall_s)
+        if message is not None and message.get_srcComponent() == component:
+            messages.append((time.monotonic(), message))
+    return messages
+
+
+def command(link: Any, number: int, *params: float, component: int = 1) -> int | None:
+    """Send a COMMAND_LONG; its result, None if no answer comes within a second of wall time."""
+    link.mav.command_long_send(1, component, number, 0, *params, *(0.0,) * (7 - len(params)))
+    answers = heard(link, "COMMAND_ACK", within_s=1.0, component=component)
+    return answers[0][1].result if answers else None
+
+
+def test_while_time_stands_heartbeats_go_on_and_commands_are_answered(held) -> None:
+    swarm = held(agents=1)
+    link = swarm.mavlink(0)
+    swarm.run_for(8.0)  # until it may be armed
+    while link.recv_msg() is not None:
+        pass
+    # nobody runs it: time stands
+    beats = heard(link, "HEARTBEAT", within_s=3.6)
+    gaps_s = [later - earlier for (earlier, _), (later, _) in pairwise(beats)]
+    assert len(beats) >= 3
+    assert max(gaps_s) < 1.4  # one second and a look around; stations wait for three
+    assert all(not beat.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED for _, beat in beats)
+    assert command(link, common.MAV_CMD_COMPONENT_ARM_DISARM, 1.0) == common.MAV_RESULT_ACCEPTED
+    beats = heard(link, "HEARTBEAT", within_s=1.5)
+    assert beats[-1][1].base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED
+    assert command(link, common.MAV_CMD_COMPONENT_ARM_DISARM, 0.0) == common.MAV_RESULT_ACCEPTED
+    # a thousand setpoints are taken from the socket, the last of which is what counts
+    for i in range(1_000):
+        link.mav.set_position_target_local_ned_send(
+            0, 1, 1, common.MAV_FRAME_LOCAL_NED, 0x0DF8, 0.0, 0.0, -float(i), *(0.0,) * 8
+        )
+        time.sleep(1e-4)
+    offboard = (float(common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED), 6.0)
+    assert command(link, common.MAV_CMD_DO_SET_MODE, *offboard) == common.MAV_RESULT_ACCEPTED
+    before_s = swarm.truth.t_s
+    swarm.run_for(0.2)
+    assert swarm.truth.t_s == pytest.approx(before_s + 0.2)
+    # no time-out of its setpoints passed with the wall clock
+    assert swarm.truth.vehicles[0].mode == "Offboard"
+
+
+def test_a_pause_changes_nothing_of_what_is_flown_and_trips_nothing(held, tmp_path) -> None:
+    hashes = []
+    for name, pauses in (("straight", False), ("paused", True)):
+        progress: list[Progress] = []
+        swarm = held(
+            hold=False,
+            out=tmp_path / name,
+            on_message=lambda m, said=progress: said.append(m) if isinstance(m, Progress) else None,
+        )
+        if pauses:
+            swarm.pause()
+            threading.Timer(1.2, swarm.resume).start()
+        swarm.run(until_s=3.0)
+        stood = [p for p in progress if p.paused]
+        assert bool(stood) is pauses
+        assert len({p.time_us for p in stood}) <= 1
+        summary = swarm.summary(draw=False)
+        hashes.append(summary["log_sha256"])
+        assert summary["deterministic"]
+    assert hashes[0] == hashes[1]
+
+
+def test_held_uavs_range_and_stay_until_they_are_released(held) -> None:
+    swarm = held(agents=2)
+    swarm.run_for(12.0)
+    assert [vehicle.phase for vehicle in swarm.truth.vehicles] == ["held", "held"]
+    assert not any(vehicle.armed for vehicle in swarm.truth.vehicles)
+    link = swarm.mavlink(0)
+    # another command, and another component, are not it
+    assert command(link, common.MAV_CMD_USER_2, component=191) == common.MAV_RESULT_UNSUPPORTED
+    assert command(link, common.MAV_CMD_USER_1, component=1) != common.MAV_RESULT_ACCEPTED
+    assert command(link, common.MAV_CMD_USER_1, component=191) == common.MAV_RESULT_ACCEPTED
+    assert command(link, common.MAV_CMD_USER_1, component=191) == common.MAV_RESULT_ACCEPTED  # a repeat
+    truth = swarm.run_until(lambda truth: truth.vehicles[0].phase == "on station", timeout_s=60.0)
+    assert truth.vehicles[1].phase == "held"
+    assert not truth.vehicles[1].armed
+    assert swarm.summary(draw=False)["ftm"]["completed"] > 0
+
+
+def test_the_pace_is_steady_and_what_is_late_is_not_caught_up_with(held) -> None:
+    progress: list[Progress] = []
+    swarm = held(
+        agents=1, speed=2.0, on_message=lambda m: progress.append(m) if isinstance(m, Progress) else None
+    )
+    wall_begin_s = time.monotonic()
+    swarm.run_for(3.0)
+    assert time.monotonic() - wall_begin_s > 3.0 / 2.0 - 0.02
+    threading.Timer(0.5, swarm.pause).start()
+    threading.Timer(1.5, swarm.resume).start()
+    swarm.run_for(3.0)
+    moving = [p for p in progress if not p.paused]
+    for a, b in pairwise(moving):
+        if b.time_us > a.time_us and not any(p.paused and a.wall_s < p.wall_s < b.wall_s for p in progress):
+            late_s = (b.wall_s - a.wall_s) - (b.time_us - a.time_us) * 1e-6 / 2.0
+            # what it lost it told, and what it did not tell is at most the lateness that it makes good
+            assert -MOST_LAG_S - 0.02 < late_s - (b.lag_s - a.lag_s) < MOST_LAG_S + 0.02
+
+
+def test_a_speed_can_be_changed_in_a_run(held) -> None:
+    swarm = held(agents=1, speed=0.2)
+    assert swarm.speed == 0.2
+    wall_begin_s = time.monotonic()
+    threading.Timer(0.5, swarm.set_speed, ["max"]).start()
+    swarm.run_for(3.0)
+    assert time.monotonic() - wall_begin_s < 10.0  # at 0.2 it would be 15 s
+    assert swarm.speed == "max"

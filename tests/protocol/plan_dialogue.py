@@ -1,0 +1,85 @@
+"""One station's words to a `PlanTransfer`, and what it hears."""
+
+from pymavlink.dialects.v20 import common
+
+from autopilot.mavlink.codec import stamp
+from autopilot.mavlink.dialect import MissionAck, MissionCount
+from autopilot.navigation.plan_store import PlanStore, PlanType
+from autopilot.protocol.plan_transfer import PlanTransfer
+from autopilot.protocol.plan_wire import encode_item
+from autopilot.protocol.service import ALL, Partner
+
+MISSION, FENCE, RALLY = PlanType
+ME, OTHER = Partner(0, 3), Partner(1, 3)
+V = (1, 1)
+ACCEPTED, ERROR = common.MAV_MISSION_ACCEPTED, common.MAV_MISSION_ERROR
+CANCELLED, UNSUPPORTED = common.MAV_MISSION_OPERATION_CANCELLED, common.MAV_MISSION_UNSUPPORTED
+INVALID_SEQUENCE = common.MAV_MISSION_INVALID_SEQUENCE
+TO_ALL_TYPES = common.MAV_MISSION_TYPE_ALL
+
+
+def machine(*, check=lambda _kind, _items: None, current=lambda: 0, **plans):
+    store = PlanStore()
+    for name, items in plans.items():
+        store.put(PlanType[name.upper()], items)
+    return store, PlanTransfer(store, check=check, system=1, current=current)
+
+
+def count(number, kind=MISSION):
+    return MissionCount(*V, number, int(kind))
+
+
+def item(plan, seq, kind=MISSION, *, current=False, in_integers=True):
+    return encode_item(plan[seq], kind=kind, seq=seq, current=current, target=V, in_integers=in_integers)
+
+
+def request(seq, kind=MISSION):
+    return common.MAVLink_mission_request_int_message(*V, seq, int(kind))
+
+
+def request_list(kind=MISSION):
+    return common.MAVLink_mission_request_list_message(*V, int(kind))
+
+
+def clear(kind):
+    return common.MAVLink_mission_clear_all_message(*V, int(kind))
+
+
+def ack(result, kind=MISSION):
+    return MissionAck(*V, result, int(kind))
+
+
+def say(service, message, now_us=0, partner=ME):
+    """Answers to a message, checked to be for its sender or for all."""
+    answers = service.on_message(stamp(message, system=255, component=190), now_us, partner)
+    assert all(to in {partner, ALL} for to, _ in answers)
+    assert sum(to == partner for to, _ in answers) <= 1
+    for to, answer in answers:
+        if to == partner:
+            assert (answer.target_system, answer.target_component) == (255, 190)
+    return [answer for _, answer in answers]
+
+
+def results(messages):
+    return [message.type for message in messages if message.get_type() == "MISSION_ACK"]
+
+
+def asked(messages):
+    return [message.seq for message in messages if message.get_type().startswith("MISSION_REQUEST")]
+
+
+def write(service, plan, kind=MISSION, *, now_us=0, partner=ME):
+    """Write a plan, each answer at once; what was said at the end."""
+    answers = say(service, count(len(plan), kind), now_us, partner)
+    for seq in range(len(plan)):
+        assert asked(answers) == [seq]
+        answers = say(service, item(plan, seq, kind), now_us, partner)
+    return answers
+
+
+def let_pass(service, until_us):
+    """What is said on timers, with times."""
+    said = []
+    while (now_us := service.next_deadline_us()) <= until_us:
+        said += [(now_us, message) for _, message in service.on_timer(now_us)]
+    return said

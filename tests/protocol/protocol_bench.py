@@ -1,0 +1,121 @@
+"""A vehicle's state without a vehicle, and its commands as one partner sends them."""
+
+import math
+
+from pymavlink.dialects.v20 import common
+
+from autopilot.commander.commander import Commander
+from autopilot.commander.conditions import Condition
+from autopilot.commander.params import CommanderParams
+from autopilot.estimation.estimator import Estimator
+from autopilot.estimation.params import EstimatorParams
+from autopilot.mavlink.codec import Encoder, Parser, stamp
+from autopilot.protocol.actions_flight import FlightActions, FlightCommands
+from autopilot.protocol.actions_system import SystemCommands
+from autopilot.protocol.calibration import Calibration
+from autopilot.protocol.command import CommandService, TakeoffAltitude
+from autopilot.protocol.flight_data import FlightData, Home
+from autopilot.protocol.manual_control import ManualControlService
+from autopilot.protocol.service import Partner
+from autopilot.protocol.streams import GROUND_STATION_HZ, Streams
+from autopilot.protocol.telemetry import Telemetry
+
+NAN = math.nan
+EVERYTHING = sum(Condition)
+ASKER = Partner(0, 3)
+HOME = Home(lat_deg=47.0, lon_deg=8.0, alt_m=400.0, pos_ned_m=(0.0, 0.0, 0.0), q_ned_frd=(1.0, 0.0, 0.0, 0.0))
+TAKEOFF_HEIGHT_M = 2.5
+
+
+def make_flight():
+    estimator = Estimator(EstimatorParams())
+    return FlightData(
+        estimator=estimator,
+        commander=Commander(CommanderParams()),
+        state=estimator.state,
+        conditions=EVERYTHING,
+    )
+
+
+def make_telemetry(flight, **more):
+    return Telemetry(flight, system=7, manual=ManualControlService(flight.commander), **more)
+
+
+def over_the_wire(message):
+    (decoded,) = Parser().push(Encoder(system=255, component=190).encode(message))
+    return decoded
+
+
+class Commanded:
+    """Commands whose flying is noted in ``done`` and refused with ``refusal``."""
+
+    def __init__(self):
+        self.flight = make_flight()
+        self.flight.home = HOME
+        self.commander = self.flight.commander
+        self.altitude = TakeoffAltitude()
+        self.telemetry = make_telemetry(self.flight)
+        self.streams = Streams(self.telemetry.builders, GROUND_STATION_HZ)
+        self.done = []
+        self.refusal = None
+        self.woken = 0
+        self.has_file = True
+        self.mission_items = 5
+        self.calibration = Calibration(self.flight, wake=self._wake)
+        flying = FlightCommands(
+            self.flight,
+            self.altitude,
+            FlightActions(
+                ask_offboard=self._note("ask_offboard"),
+                reposition=self._note("reposition"),
+                orbit=self._note("orbit"),
+                change_speed=self._note("change_speed"),
+                set_home=self._note("set_home"),
+                set_home_here=self._note("set_home_here"),
+                set_mission_current=lambda seq: (
+                    not self.done.append(("seq", seq)) and seq < self.mission_items
+                ),
+                takeoff_height_m=lambda: TAKEOFF_HEIGHT_M,
+            ),
+        )
+        system = SystemCommands(
+            {0: self.streams}, calibrate=self.calibration.command, save_parameters=lambda: self.has_file
+        )
+        self.table = flying.table | system.table
+        self.service = CommandService(self.table)
+        self.hold(EVERYTHING)
+
+    def hold(self, conditions, *, landed=True):
+        self.flight.conditions = conditions
+        self.commander.update(0, conditions=conditions, landed=landed)
+
+    def long(self, command, *params, confirmation=0, now_us=0):
+        padded = [*params, *[0.0] * (7 - len(params))]
+        return self.send(
+            common.MAVLink_command_long_message(1, 1, command, confirmation, *padded), command, now_us
+        )
+
+    def int(self, command, *params, frame=common.MAV_FRAME_GLOBAL_INT, x=0, y=0, z=0.0, now_us=0):
+        padded = [*params, *[0.0] * (4 - len(params))]
+        message = common.MAVLink_command_int_message(1, 1, frame, command, 0, 0, *padded, x, y, z)
+        return self.send(message, command, now_us)
+
+    def send(self, message, command, now_us=0):
+        """The result and the other messages; that there is one acknowledgement, for the asker, is checked."""
+        answers = self.service.on_message(stamp(message, system=255, component=190), now_us, ASKER)
+        (ack, *others) = [message for _, message in answers]
+        assert answers[0].partner == ASKER
+        assert ack.get_type() == "COMMAND_ACK"
+        assert (ack.command, ack.target_system, ack.target_component) == (command, 255, 190)
+        assert all(other.get_type() != "COMMAND_ACK" for other in others)
+        return ack.result, others
+
+    def _note(self, name):
+        def act(*values):
+            self.done.append((name, *values))
+            return self.refusal
+
+        return act
+
+    def _wake(self):
+        self.woken += 1

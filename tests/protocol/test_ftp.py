@@ -1,0 +1,452 @@
+"""File transfer: folders, reads, bursts, sessions; over links that lose, with stations' retries. In 7 s."""
+
+import json
+import lzma
+import struct
+import zlib
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from lossy import play
+from pymavlink.dialects.v20 import common
+
+from autopilot.crc import crc32
+from autopilot.mavlink.codec import Encoder, Parser
+from autopilot.params import ROWS, ParameterSet, Settings
+from autopilot.protocol import metadata
+from autopilot.protocol.files import Contents, FileStore, Log
+from autopilot.protocol.ftp import (
+    BURST_PACKETS,
+    DATA_BYTES,
+    IDLE_US,
+    MOST_SESSIONS,
+    PACKETS_OF_BURST,
+    Failure,
+    FtpService,
+    Opcode,
+)
+from autopilot.protocol.service import NEVER_US, Partner
+
+ASKER, OTHER = Partner(0, 3), Partner(1, 0)
+CONTENT = bytes(range(256)) * 80  # 20 kB: more than a burst, and no whole number of packets
+HEADER = struct.Struct("<HBBBBBxI")
+MS = 1_000
+
+
+def make_files():
+    files = FileStore()
+    files.add("/etc/extras/a.bin", lambda _query: Contents(CONTENT))
+    files.add("/etc/extras/empty", lambda _query: Contents(b""))
+    files.add("/etc/extras/query", lambda query: Contents(query.encode()))
+    files.add_log(Log("/fs/microsd/log/uav-0.ulg", Contents(b"ULog"), 0))
+    return files
+
+
+def request(opcode, *, seq=1, session=0, size=None, offset=0, data=b""):
+    header = HEADER.pack(seq, session, opcode, len(data) if size is None else size, 0, 0, offset)
+    return common.MAVLink_file_transfer_protocol_message(0, 1, 1, (header + data).ljust(251, b"\0"))
+
+
+class Reply:
+    def __init__(self, message):
+        payload = bytes(message.payload)
+        self.seq, self.session, self.opcode, size, self.asked, self.complete, self.offset = (
+            HEADER.unpack_from(payload)
+        )
+        self.data = payload[HEADER.size : HEADER.size + size]
+        assert payload[HEADER.size + size :].strip(b"\0") == b""
+        self.to = message.target_system, message.target_component
+        self.failure = Failure(self.data[0]) if self.opcode == Opcode.NAK else None
+
+
+class Served:
+    def __init__(self, files=None):
+        self.service = FtpService(files or make_files())
+        self.encoder = Encoder(system=255, component=190)
+
+    def ask(self, message, now_us=0, partner=ASKER):
+        (received,) = Parser().push(self.encoder.encode(message))
+        replies = []
+        for to, answer in self.service.on_message(received, now_us, partner):
+            assert to == partner
+            replies.append(Reply(answer))
+            assert replies[-1].to == (255, 190)
+        return replies
+
+    def one(self, *parts, now_us=0, partner=ASKER, **named):
+        (answer,) = self.ask(request(*parts, **named), now_us, partner)
+        return answer
+
+    def open(self, path=b"/etc/extras/a.bin", **named):
+        return self.one(Opcode.OPEN_READ, data=path, **named)
+
+
+# ---- requests
+
+
+def test_a_file_is_opened_with_its_size_read_and_closed():
+    served = Served()
+    opened = served.open(seq=7, session=5)
+    assert (opened.opcode, opened.seq, opened.session, opened.asked) == (Opcode.ACK, 8, 5, Opcode.OPEN_READ)
+    assert struct.unpack("<I", opened.data) == (len(CONTENT),)
+    read = served.one(Opcode.READ, session=5, size=100, offset=300)
+    assert (read.data, read.offset) == (CONTENT[300:400], 300)
+    assert served.one(Opcode.READ, session=5, offset=len(CONTENT) - 3).data == CONTENT[-3:]
+    assert served.one(Opcode.READ, session=5, offset=0).data == CONTENT[:DATA_BYTES]
+    assert served.one(Opcode.READ, session=5, offset=len(CONTENT)).failure is Failure.END_OF_FILE
+    assert served.one(Opcode.TERMINATE, session=5, seq=20).opcode == Opcode.ACK
+    assert served.one(Opcode.READ, session=5, seq=21).failure is Failure.SESSION
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        b"/etc/extras/nothing", b"/etc/extras", b"/", b"", b"/etc/passwd", b"/etc/extras/../extras/a.bin",
+        b"../../../etc/hosts", b"/etc/extras/a.bin/x", b"\xff\xfe", b"/" * 200, b"C:\\x",
+    ],
+)  # fmt: skip
+def test_nothing_but_the_files_can_be_named(path):
+    served = Served()
+    assert served.open(path).failure is Failure.NOT_FOUND
+    assert served.one(Opcode.CHECKSUM, data=path).failure is Failure.NOT_FOUND
+
+
+@pytest.mark.parametrize("path", [b"/etc/extras/a.bin", b"etc/extras/a.bin\0rest", b"//etc/./extras//a.bin"])
+def test_a_path_may_be_written_in_more_than_one_way(path):
+    assert struct.unpack("<I", Served().open(path).data) == (len(CONTENT),)
+
+
+def test_what_follows_a_question_mark_is_for_the_file():
+    served = Served()
+    served.open(b"/etc/extras/query?start=3")
+    assert served.one(Opcode.READ).data == b"start=3"
+
+
+@pytest.mark.parametrize("opcode", [*range(6, 14)])
+def test_nothing_can_be_written(opcode):
+    assert Served().one(opcode, data=b"/etc/extras/a.bin").failure is Failure.PROTECTED
+
+
+def test_what_is_no_request_is_refused_or_left():
+    served = Served()
+    assert (
+        served.one(16).failure is Failure.UNKNOWN_COMMAND
+    )  # a listing with times, which MAVProxy tries first
+    assert served.one(Opcode.LIST, size=240).failure is Failure.SIZE
+    assert served.one(Opcode.NONE).opcode == Opcode.ACK
+    assert served.ask(request(Opcode.ACK)) == []
+    assert served.ask(request(Opcode.NAK)) == []
+
+
+def test_folders_are_listed_by_entries_until_there_are_no_more():
+    served = Served()
+
+    def listed(path, offset=0):
+        return served.one(Opcode.LIST, data=path, offset=offset).data.rstrip(b"\0").split(b"\0")
+
+    assert listed(b"/") == [b"Detc", b"Dfs"]
+    assert listed(b"/etc/extras") == [b"Fa.bin\t20480", b"Fempty\t0", b"Fquery\t0"]
+    assert listed(b"/etc/extras", 2) == [b"Fquery\t0"]
+    assert served.one(Opcode.LIST, data=b"/etc/extras", offset=3).failure is Failure.END_OF_FILE
+    assert served.one(Opcode.LIST, data=b"/none").failure is Failure.NOT_FOUND
+
+
+def test_a_long_listing_comes_in_parts_that_make_the_whole():
+    files = FileStore()
+    names = [f"{number:03}-{'x' * (number % 50)}" for number in range(100)]
+    for name in names:
+        files.add(f"/a/{name}", lambda _query: Contents(b""))
+    served = Served(files)
+    got, failure = [], None
+    while failure is None:
+        part = served.one(Opcode.LIST, data=b"/a", offset=len(got))
+        failure = part.failure
+        if failure is None:
+            got += [entry[1:].split(b"\t")[0].decode() for entry in part.data.rstrip(b"\0").split(b"\0")]
+    assert (got, failure) == (names, Failure.END_OF_FILE)
+
+
+def test_the_checksum_is_px4s():
+    (checksum,) = struct.unpack("<I", Served().one(Opcode.CHECKSUM, data=b"/etc/extras/a.bin").data)
+    assert checksum == zlib.crc32(CONTENT, 0xFFFF_FFFF) ^ 0xFFFF_FFFF
+
+
+# ---- sessions
+
+
+def test_partners_with_the_same_session_number_do_not_meet():
+    served = Served()
+    served.open()
+    assert served.one(Opcode.READ, partner=OTHER).failure is Failure.SESSION
+    served.open(b"/etc/extras/query?x", partner=OTHER)
+    assert served.one(Opcode.READ, partner=OTHER).data == b"x"
+    assert served.one(Opcode.RESET, partner=OTHER).opcode == Opcode.ACK
+    assert served.one(Opcode.READ, partner=OTHER).failure is Failure.SESSION
+    assert served.one(Opcode.READ).data == CONTENT[:DATA_BYTES]
+
+
+def test_sessions_are_few_and_end_when_nothing_is_asked_for():
+    served = Served()
+    for number in range(MOST_SESSIONS):
+        assert served.open(session=number).failure is None
+    assert served.open(session=99).failure is Failure.NO_SESSION_LEFT
+    assert served.open(session=0).failure is None  # anew, in place of the one before
+    served.one(Opcode.READ, session=0, now_us=IDLE_US)
+    assert served.open(session=99, now_us=IDLE_US + 1).failure is None
+    assert served.one(Opcode.READ, session=0, now_us=IDLE_US + 1).failure is None
+    assert served.one(Opcode.READ, session=1, now_us=IDLE_US + 1).failure is Failure.SESSION
+
+
+def test_the_same_ending_twice_has_the_same_answer_twice():
+    served = Served()
+    served.open()
+    end = request(Opcode.TERMINATE, seq=9)
+    assert [answer.opcode for _ in range(3) for answer in served.ask(end)] == [Opcode.ACK] * 3
+    assert served.one(Opcode.TERMINATE, seq=10).failure is Failure.SESSION
+
+
+def bursts(served):
+    """Packets with the times at which they are sent."""
+    packets = []
+    while served.service.next_deadline_us() < NEVER_US:
+        now_us = served.service.next_deadline_us()
+        packets += [(now_us, Reply(message)) for _, message in served.service.on_timer(now_us)]
+    return packets
+
+
+def test_a_burst_is_so_many_packets_in_order_and_says_when_it_is_over():
+    served = Served()
+    served.open()
+    assert served.ask(request(Opcode.BURST, seq=65_530, size=DATA_BYTES)) == []
+    packets = bursts(served)
+    assert b"".join(packet.data for _, packet in packets) == CONTENT[: PACKETS_OF_BURST * DATA_BYTES]
+    assert [packet.seq for _, packet in packets] == [(65_531 + k) % 65_536 for k in range(PACKETS_OF_BURST)]
+    assert [packet.complete for _, packet in packets] == [0] * (PACKETS_OF_BURST - 1) + [1]
+    assert {packet.asked for _, packet in packets} == {Opcode.BURST}
+    at_once = [now_us for now_us, _ in packets]
+    assert max(at_once.count(now_us) for now_us in at_once) == BURST_PACKETS
+
+
+def test_a_burst_ends_with_the_file_and_a_request_beyond_it_is_refused():
+    served = Served()
+    served.open()
+    served.ask(request(Opcode.BURST, size=80, offset=len(CONTENT) - 100))
+    packets = [packet for _, packet in bursts(served)]
+    assert [(len(packet.data), packet.complete) for packet in packets] == [(80, 0), (20, 1)]
+    assert served.one(Opcode.BURST, offset=len(CONTENT)).failure is Failure.END_OF_FILE
+
+
+def test_an_empty_file_is_one():
+    served = Served()
+    assert served.open(b"/etc/extras/empty").data == bytes(4)
+    assert served.one(Opcode.BURST).failure is Failure.END_OF_FILE
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.lists(
+        st.tuples(
+            st.binary(max_size=251) | st.binary(min_size=251, max_size=251),
+            st.integers(0, 20),
+            st.sampled_from((0, 4 * MS, 20_000 * MS)),
+        ),
+        max_size=20,
+    )
+)
+def test_whatever_comes_has_one_answer_at_most_and_leaves_few_sessions(payloads):
+    served, now_us = Served(), 0
+    for payload, opcode, later_us in payloads:
+        now_us += later_us
+        data = payload.ljust(251, b"\0")
+        for sent in (data, data[:3] + bytes([opcode]) + data[4:]):
+            message = common.MAVLink_file_transfer_protocol_message(0, 1, 1, sent)
+            assert len(served.ask(message, now_us)) <= 1
+        assert len(served.service.on_timer(now_us)) <= MOST_SESSIONS * BURST_PACKETS
+    assert len(served.service._sessions) <= MOST_SESSIONS
+
+
+# ---- over a link
+
+
+class Downloader:
+    """Reads a file as QGroundControl and MAVProxy do: in bursts, then the gaps one by one."""
+
+    def __init__(self, path, *, session, retry_us=500 * MS):
+        self.path, self.session, self.retry_us = path, session, retry_us
+        self.size = None
+        self.parts = {}
+        self.done = False
+        self.bursting = True
+        self.at = 0
+        self.seq = 0
+        self.last = None
+        self.due_us = 0
+
+    @property
+    def content(self):
+        return b"".join(self.parts[offset] for offset in sorted(self.parts))
+
+    def send(self, now_us, opcode, **named):
+        self.last = opcode, named
+        self.seq = (self.seq + 1) % 65_536
+        self.due_us = now_us + self.retry_us
+        return [request(opcode, seq=self.seq, session=self.session, **named)]
+
+    def on_timer(self, now_us):
+        if self.last is None:
+            return self.send(now_us, Opcode.OPEN_READ, data=self.path)
+        opcode, named = self.last
+        if opcode == Opcode.BURST:
+            return self.next_burst(now_us)
+        if opcode == Opcode.READ:
+            return self.next_gap(now_us)
+        self.due_us = now_us + self.retry_us  # the same request again
+        return [request(opcode, seq=self.seq, session=self.session, **named)]
+
+    def next_deadline_us(self):
+        return NEVER_US if self.done else self.due_us
+
+    def next_burst(self, now_us):
+        if self.at >= self.size:
+            return self.next_gap(now_us)
+        return self.send(now_us, Opcode.BURST, size=DATA_BYTES, offset=self.at)
+
+    def next_gap(self, now_us):
+        at = 0
+        for offset in sorted(self.parts):
+            if offset > at:
+                break
+            at = offset + len(self.parts[offset])
+        if at >= self.size:
+            return self.send(now_us, Opcode.TERMINATE)
+        return self.send(now_us, Opcode.READ, size=DATA_BYTES, offset=at)
+
+    def on_message(self, message, now_us):
+        answer = Reply(message)
+        if answer.session != self.session or answer.asked != self.last[0] or self.done:
+            return ()
+        if answer.asked == Opcode.OPEN_READ:
+            (self.size,) = struct.unpack("<I", answer.data)
+            return self.next_burst(now_us)
+        if answer.asked == Opcode.TERMINATE:
+            self.done = answer.seq == (self.seq + 1) % 65_536
+            return ()
+        if answer.opcode == Opcode.ACK:
+            self.parts[answer.offset] = answer.data
+            self.at = max(self.at, answer.offset + len(answer.data))
+            self.due_us = now_us + self.retry_us
+        if answer.asked == Opcode.READ or answer.opcode == Opcode.NAK:
+            return self.next_gap(now_us)
+        return self.next_burst(now_us) if answer.complete else ()
+
+
+def test_files_arrive_whole_over_a_lossy_link():
+    lost = 0
+    for seed in range(200):
+        stations = [Downloader(b"/etc/extras/a.bin", session=0), Downloader(b"etc/extras/a.bin", session=0)]
+        outcome = play(
+            FtpService(make_files()),
+            *stations,
+            seed=seed,
+            loss=0.05,
+            duplication=0.05,
+            delays_us=(0, 50 * MS),
+        )
+        for station in stations:
+            assert station.done, seed
+            assert station.content == CONTENT, seed
+        lost += outcome.lost
+    assert lost > 200
+
+
+# ---- what the files hold
+
+
+def vehicle_files():
+    files, parameters = FileStore(), ParameterSet(Settings())
+    metadata.add_files(files, parameters)
+    return files, parameters
+
+
+def read_whole(files, path):
+    station = Downloader(path.encode(), session=3)
+    play(FtpService(files), station, packed=True)
+    assert station.done
+    return station.content
+
+
+def test_the_metadata_lead_from_the_message_to_every_parameter():
+    files, parameters = vehicle_files()
+    message = metadata.message_builder(lambda: 1_234_567)()
+    (received,) = Parser().push(Encoder(system=1, component=1).encode(message))
+    assert received.time_boot_ms == 1_234
+    general_text = lzma.decompress(read_whole(files, received.uri.removeprefix("mftp://")))
+    assert crc32(general_text) == received.file_crc
+    general = json.loads(general_text)
+    assert general["version"] == 1
+    (entry,) = general["metadataTypes"]
+    text = lzma.decompress(read_whole(files, entry["uri"].removeprefix("mftp://")))
+    assert (entry["type"], entry["fileCrc"]) == (1, crc32(text))
+    described = json.loads(text)
+    assert described["version"] == 1
+    assert [row["name"] for row in described["parameters"]] == [row.name for row in ROWS]
+    for row, about in zip(ROWS, described["parameters"], strict=True):
+        assert about["type"] == ("Int32" if row.is_integer else "Float")
+        assert about["min"] <= about["default"] <= about["max"]
+        assert about["default"] == pytest.approx(parameters.get(row.name), rel=1e-6)
+        assert about["shortDesc"]
+        assert about["group"]
+
+
+def unpacked(data):
+    """Decode the packed parameters: (name, value, default or None) of each, by the format's description."""
+    magic, count, total = struct.unpack_from("<HHH", data)
+    assert magic in {0x671B, 0x671C}
+    values, at, name = [], 6, ""
+    while at < len(data):
+        kind, lengths = data[at], data[at + 1]
+        suffix = (lengths >> 4) + 1
+        name = name[: lengths & 15] + data[at + 2 : at + 2 + suffix].decode()
+        at += 2 + suffix
+        code = {3: "<i", 4: "<f"}[kind & 15]
+        numbers = [struct.unpack_from(code, data, at)[0]]
+        at += 4
+        if kind >> 4:
+            assert magic == 0x671C
+            numbers.append(struct.unpack_from(code, data, at)[0])
+            at += 4
+        values.append((name, *numbers))
+    assert len(values) == count
+    return total, values
+
+
+def test_the_packed_parameters_are_all_as_they_are_when_opened():
+    files, parameters = vehicle_files()
+    parameters.set("MPC_XY_P", 1.25)
+    total, values = unpacked(read_whole(files, "@PARAM/param.pck?withdefaults=1"))
+    assert total == len(ROWS)
+    assert [value[0] for value in values] == [row.name for row in ROWS]
+    for name, value, *_ in values:
+        assert value == pytest.approx(parameters.get(name), rel=1e-6)
+    assert [value for value in values if len(value) > 2] == [("MPC_XY_P", 1.25, pytest.approx(0.95))]
+    _, part = unpacked(read_whole(files, "@PARAM/param.pck?start=10&count=5"))
+    assert [value[0] for value in part] == [row.name for row in ROWS[10:15]]
+    for query in ("start=99999999", "count=-1", "start=x&=&", "%", "withdefaults"):
+        unpacked(files.open(f"@PARAM/param.pck?{query}").data)
+
+
+def test_a_burst_waits_for_its_link_and_its_session_with_it():
+    room = []
+    service = FtpService(make_files(), has_room=lambda _partner: bool(room))
+    served = Served()
+    served.service = service
+    served.open()
+    served.ask(request(Opcode.BURST))
+    now_us = 0
+    while now_us < 2 * IDLE_US:
+        now_us = service.next_deadline_us()
+        assert service.on_timer(now_us) == []
+    assert served.open(session=1, now_us=now_us).failure is None  # forgets what is idle
+    room.append(True)
+    assert len(bursts(served)) == PACKETS_OF_BURST

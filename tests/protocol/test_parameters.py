@@ -1,0 +1,430 @@
+"""The parameter services: over links that lose, with stations' retries, and what they refuse. About 15 s."""
+
+import math
+import struct
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from lossy import STEP_US, play
+from pymavlink.dialects.v20 import common
+
+from autopilot.mavlink.codec import Encoder, Parser, stamp
+from autopilot.params import ROW_INDEX_OF, ROWS, ParameterSet, Settings
+from autopilot.protocol.parameter import LIST_BATCH, LIST_PERIOD_US, ParameterService, value_bytes
+from autopilot.protocol.parameter_ext import ParameterExtService
+from autopilot.protocol.service import ALL, NEVER_US, Partner
+
+ASKER, OTHER = Partner(0, 3), Partner(1, 0)
+SEEDS = 200
+LINK = {"loss": 0.05, "duplication": 0.05, "delays_us": (0, 100_000)}
+UINT32, INT32, REAL32 = 5, 6, 9
+MS = 1_000
+
+
+def bits(message):
+    """Value of a PARAM_VALUE as the four bytes on the wire."""
+    if message.param_type == UINT32:
+        return struct.pack("<I", message.param_value)
+    return struct.pack("<f", message.param_value)
+
+
+class Reader:
+    """Reads all parameters as a station does: a list, then by index what is missing once it has ended."""
+
+    def __init__(self, *, batch, silence_us):
+        self.values = {}
+        self.count = 0
+        self.done = False
+        self.requests = 0
+        self._batch, self._silence_us = batch, silence_us
+        self._due_us = 0
+        self._waiting_for = None
+
+    def on_message(self, message, now_us):
+        if message.get_msgId() != common.MAVLINK_MSG_ID_PARAM_VALUE or message.param_index == 65_535:
+            return ()
+        self.count = message.param_count
+        self.values[message.param_index] = message.param_id, bits(message)
+        self.done = len(self.values) == self.count
+        self._due_us = NEVER_US if self.done else now_us + self._silence_us
+        if not self.done and message.param_index == self._waiting_for:
+            return self._ask_for_missing()
+        return ()
+
+    def on_timer(self, now_us):
+        self._due_us = now_us + self._silence_us
+        if not self.count:
+            self.requests += 1
+            return [common.MAVLink_param_request_list_message(1, 1)]
+        return self._ask_for_missing()
+
+    def next_deadline_us(self):
+        return self._due_us
+
+    def _ask_for_missing(self):
+        missing = [index for index in range(self.count) if index not in self.values][: self._batch]
+        self._waiting_for = missing[-1]
+        self.requests += len(missing)
+        return [common.MAVLink_param_request_read_message(1, 1, b"", index) for index in missing]
+
+
+def mavsdk():
+    """Ten at a time, half a second after the last value or when the tenth has come."""
+    return Reader(batch=10, silence_us=500 * MS)
+
+
+def qgroundcontrol():
+    """Ten at a time, three seconds after the last value."""
+    return Reader(batch=10, silence_us=3_000 * MS)
+
+
+def mavproxy():
+    """One at a time, a second after the last value."""
+    return Reader(batch=1, silence_us=1_000 * MS)
+
+
+def expected(parameters):
+    return {
+        index: (row.name, value_bytes(row.is_integer, parameters.get(row.name)))
+        for index, row in enumerate(ROWS)
+    }
+
+
+STATIONS = [mavsdk, qgroundcontrol, mavproxy]
+
+
+@pytest.mark.parametrize("make", STATIONS)
+def test_all_parameters_arrive_and_are_equal_over_a_lossy_link(make):
+    parameters = ParameterSet(
+        Settings(), {"MPC_XY_P": 1.0 / 3.0, "SENS_BOARD_Z_OFF": -0.1, "COM_FLTMODE1": 8}
+    )
+    wanted = expected(parameters)
+    lost = 0
+    for seed in range(SEEDS):
+        station = make()
+        service = ParameterService(parameters, parameters.set)
+        outcome = play(service, station, seed=seed, **LINK)
+        assert station.done, seed
+        assert station.values == wanted, seed
+        lost += outcome.lost
+    assert lost > SEEDS  # the link was one
+
+
+def test_three_stations_are_served_side_by_side():
+    parameters = ParameterSet(Settings())
+    stations = [make() for make in STATIONS]
+    play(ParameterService(parameters, parameters.set), *stations, seed=1, packed=True, **LINK)
+    for station in stations:
+        assert {index: name for index, (name, _) in station.values.items()} == {
+            index: row.name for index, row in enumerate(ROWS)
+        }
+
+
+class Writer:
+    """Sets parameters one after the other as MAVSDK does: again after half a second, until the echo comes."""
+
+    def __init__(self, values):
+        self._left = list(values.items())
+        self._due_us = 0
+
+    @property
+    def done(self):
+        return not self._left
+
+    def on_message(self, message, now_us):
+        name, value = self._left[0] if self._left else ("", 0.0)
+        row = ROWS[ROW_INDEX_OF[name]] if name else None
+        if row and message.get_type() == "PARAM_VALUE" and message.param_id == name:
+            if bits(message) == value_bytes(row.is_integer, value):
+                self._left.pop(0)
+            return self.on_timer(now_us) if self._left else ()
+        return ()
+
+    def on_timer(self, now_us):
+        self._due_us = now_us + 500 * MS
+        name, value = self._left[0]
+        return [set_message(name, value)]
+
+    def next_deadline_us(self):
+        return self._due_us if self._left else NEVER_US
+
+
+def test_values_that_are_written_over_a_lossy_link_hold():
+    values = {row.name: row.minimum for row in ROWS if row.name.startswith(("MC_ROLL", "RC_MAP", "COM_FLT"))}
+    values = {name: round(value * 64) / 64 for name, value in values.items()}  # what a float32 holds
+    for seed in range(SEEDS):
+        parameters = ParameterSet(Settings())
+        station = Writer(values)
+        play(ParameterService(parameters, parameters.set), station, seed=seed, **LINK)
+        assert station.done
+        assert {name: parameters.get(name) for name in values} == pytest.approx(values)
+
+
+# ---- single messages
+
+
+def over_the_wire(message, system=255):
+    (decoded,) = Parser().push(Encoder(system=system, component=190).encode(message))
+    return decoded
+
+
+def set_message(name, value, kind=None):
+    row = ROWS[ROW_INDEX_OF[name]] if name in ROW_INDEX_OF else None
+    if kind is None:
+        kind = INT32 if row is not None and row.is_integer else REAL32
+    if kind == INT32:
+        (value,) = struct.unpack("<f", struct.pack("<i", round(value)))
+    return common.MAVLink_param_set_message(1, 1, name.encode(), value, kind)
+
+
+class Served:
+    def __init__(self):
+        self.parameters = ParameterSet(Settings())
+        self.service = ParameterService(self.parameters, self.parameters.set)
+
+    def ask(self, message, now_us=0, partner=ASKER):
+        return list(self.service.on_message(over_the_wire(message), now_us, partner))
+
+    def listed(self, partner=ASKER, now_us=0):
+        self.ask(common.MAVLink_param_request_list_message(1, 1), now_us, partner)
+        messages = []
+        while self.service.next_deadline_us() < NEVER_US:
+            due_us = self.service.next_deadline_us()
+            messages += [(due_us, to, message) for to, message in self.service.on_timer(due_us)]
+        return messages
+
+
+def read_message(name=b"", index=-1):
+    return common.MAVLink_param_request_read_message(1, 1, name, index)
+
+
+def test_a_list_begins_with_the_hash_takes_its_pace_and_goes_to_the_asker_alone():
+    served = Served()
+    listed = served.listed()
+    assert {to for _, to, _ in listed} == {ASKER}
+    assert [message.param_index for _, _, message in listed] == [65_535, *range(len(ROWS))]
+    assert {message.param_count for _, _, message in listed} == {len(ROWS)}
+    batches = math.ceil((len(ROWS) + 1) / LIST_BATCH)
+    assert listed[-1][0] in range((batches - 1) * LIST_PERIOD_US, batches * LIST_PERIOD_US + 1)
+
+
+def crc32_bit_by_bit(data):
+    """PX4's table is of this polynomial; it begins with zero and is not inverted."""
+    checksum = 0
+    for byte in data:
+        checksum ^= byte
+        for _ in range(8):
+            checksum = checksum >> 1 ^ (0xEDB88320 if checksum & 1 else 0)
+    return checksum
+
+
+def hash_of(served, partner=ASKER):
+    ((to, message),) = served.ask(read_message(b"_HASH_CHECK"), partner=partner)
+    assert (to, message.param_index, message.param_type) == (partner, 65_535, UINT32)
+    frame = Encoder(system=1, component=1).encode(message)
+    (value,) = struct.unpack_from("<I", frame, 10)
+    return value
+
+
+def test_the_hash_is_over_names_and_values_and_follows_them():
+    served = Served()
+    data = b"".join(name.encode() + value for name, value in expected(served.parameters).values())
+    before = hash_of(served)
+    assert before == crc32_bit_by_bit(data)
+    served.ask(set_message("MPC_XY_P", 1.25))
+    assert hash_of(served) != before
+    served.ask(set_message("MPC_XY_P", 0.95))
+    assert hash_of(served) == before
+
+
+def test_a_station_that_knows_the_hash_ends_its_list_and_nobody_elses():
+    served = Served()
+    for partner in (ASKER, OTHER):
+        served.ask(common.MAVLink_param_request_list_message(1, 1), partner=partner)
+    served.service.on_timer(0)
+    knows = common.MAVLink_param_set_message(1, 1, b"_HASH_CHECK", 0.0, UINT32)
+    assert served.ask(knows) == []
+    rest = served.service.on_timer(served.service.next_deadline_us())
+    assert {to for to, _ in rest} == {OTHER}
+
+
+def test_a_list_that_is_asked_for_again_begins_anew_without_the_hash():
+    served = Served()
+    served.ask(common.MAVLink_param_request_list_message(1, 1))
+    served.service.on_timer(0)
+    again = [message.param_index for _, _, message in served.listed(now_us=MS)]
+    assert again == list(range(len(ROWS)))
+
+
+def test_what_is_set_is_told_to_everybody():
+    served = Served()
+    ((to, echo),) = served.ask(set_message("MPC_XY_P", 1.2))
+    assert (to, echo.param_id, bits(echo)) == (ALL, "MPC_XY_P", struct.pack("<f", 1.2))
+    assert served.parameters.settings.control.position.xy_p == 1.2  # the shortest decimal of the float32
+    ((to, echo),) = served.ask(set_message("EKF2_REQ_NSATS", 7))
+    assert (to, bits(echo)) == (ALL, struct.pack("<i", 7))
+    assert served.parameters.get("EKF2_REQ_NSATS") == 7
+
+
+def test_what_is_changed_otherwise_is_told_once():
+    served = Served()
+    served.service.on_change("MPC_XY_P")
+    served.service.on_change("MPC_XY_P")
+    assert served.service.next_deadline_us() == 0
+    ((to, told),) = served.service.on_timer(STEP_US)
+    assert (to, told.param_id) == (ALL, "MPC_XY_P")
+    assert served.service.next_deadline_us() == NEVER_US
+
+
+@pytest.mark.parametrize(
+    ("message", "error", "text"),
+    [
+        (set_message("NO_SUCH", 1.0), 1, "there is no parameter 'NO_SUCH'"),
+        (set_message("MPC_XY_P", 7.0), 2, "parameter MPC_XY_P = 7 is outside 0 .. 2 1/s"),
+        (set_message("MPC_XY_P", math.nan), 2, "parameter MPC_XY_P = nan is outside 0 .. 2 1/s"),
+        (set_message("MAV_SYS_ID", 9), 5, "parameter MAV_SYS_ID is read only"),
+        (set_message("EKF2_REQ_NSATS", 7.0, REAL32), 7, "EKF2_REQ_NSATS: wrong type"),
+        (set_message("MPC_XY_P", 1, INT32), 7, "MPC_XY_P: wrong type"),
+        (read_message(b"NO_SUCH"), 1, None),
+        (read_message(index=len(ROWS)), 1, None),
+        (read_message(index=32_767), 1, None),
+    ],
+)
+def test_a_refusal_is_an_error_for_the_asker_alone_and_no_value(message, error, text):
+    """An old value for an answer would have MAVSDK set again at once."""
+    served = Served()
+    before = dict(expected(served.parameters))
+    (to, refusal), *texts = served.ask(message)
+    assert to == ASKER
+    assert (refusal.get_type(), refusal.error) == ("PARAM_ERROR", error)
+    assert (refusal.target_system, refusal.target_component) == (255, 190)
+    assert refusal.param_id == message.param_id
+    assert refusal.param_index == getattr(message, "param_index", -1)
+    assert [(to, text.text) for to, text in texts] == ([] if text is None else [(ALL, text)])
+    assert expected(served.parameters) == before
+
+
+def test_refusals_one_after_the_other_are_one_text_a_second():
+    served = Served()
+    texts = sum(
+        len(served.ask(set_message("MPC_XY_P", 7.0), now_us)) - 1 for now_us in range(0, 5_000 * MS, 20 * MS)
+    )
+    assert texts == 5
+
+
+def test_whole_numbers_as_floats_are_taken_from_whoever_has_the_packed_file_until_it_lists():
+    served = Served()
+    served.service.take_by_value(ASKER)
+    as_float = set_message("EKF2_REQ_NSATS", 8.0, REAL32)
+    assert served.ask(as_float)[0].message.get_type() == "PARAM_VALUE"
+    assert served.parameters.get("EKF2_REQ_NSATS") == 8
+    assert served.ask(set_message("EKF2_REQ_NSATS", 8.5, REAL32))[0].message.error == 2
+    assert served.ask(as_float, partner=OTHER)[0].message.error == 7
+    served.listed()
+    assert served.ask(as_float)[0].message.error == 7
+
+
+def test_many_partners_lists_stay_bounded():
+    served = Served()
+    for number in range(1_000):
+        served.ask(common.MAVLink_param_request_list_message(1, 1), partner=Partner(0, number))
+        served.service.take_by_value(Partner(0, number))
+    assert len(served.service.on_timer(0)) <= 16 * (LIST_BATCH + 1)
+
+
+names = st.sampled_from([row.name.encode() for row in ROWS[::20]]) | st.binary(max_size=16)
+floats = st.floats(width=32)
+anything = st.one_of(
+    st.builds(common.MAVLink_param_set_message, st.just(1), st.just(1), names, floats, st.integers(0, 255)),
+    st.builds(
+        common.MAVLink_param_request_read_message, st.just(1), st.just(1), names, st.integers(-32_768, 32_767)
+    ),
+    st.builds(common.MAVLink_param_request_list_message, st.just(1), st.just(1)),
+)
+anything_ext = st.one_of(
+    st.builds(
+        common.MAVLink_param_ext_set_message,
+        st.just(1), st.just(1), names, st.binary(max_size=128), st.integers(0, 255),
+    ),
+    st.builds(
+        common.MAVLink_param_ext_request_read_message,
+        st.just(1), st.just(1), names, st.integers(-32_768, 32_767),
+    ),
+    st.builds(common.MAVLink_param_ext_request_list_message, st.just(1), st.just(1)),
+)  # fmt: skip
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(st.one_of(anything, anything_ext), max_size=12))
+def test_whatever_comes_is_answered_or_left_and_leaves_every_value_in_its_range(messages):
+    parameters = ParameterSet(Settings())
+    services = (ParameterService(parameters, parameters.set), ParameterExtService(parameters, parameters.set))
+    encoder = Encoder(system=1, component=1)
+    for place, message in enumerate(messages):
+        received = over_the_wire(message)
+        for service in services:
+            answers = (
+                list(service.on_message(received, place, ASKER))
+                if received.get_msgId() in service.takes
+                else []
+            )
+            assert len(answers) <= 2
+            answers += service.on_timer(place * LIST_PERIOD_US)
+            for _, answer in answers:
+                encoder.encode(answer)
+    for row in ROWS:
+        assert row.minimum <= parameters.get(row.name) <= row.maximum
+
+
+# ---- the extended protocol
+
+
+def ext_value(message):
+    return message._param_value_raw[:4]
+
+
+def test_the_extended_protocol_lists_reads_and_sets_the_same_values():
+    parameters = ParameterSet(Settings())
+    service = ParameterExtService(parameters, parameters.set)
+    service.on_message(over_the_wire(common.MAVLink_param_ext_request_list_message(1, 1)), 0, ASKER)
+    listed = []
+    while service.next_deadline_us() < NEVER_US:
+        listed += service.on_timer(service.next_deadline_us())
+    got = {m.param_index: (m.param_id, ext_value(m)) for _, m in listed}
+    assert got == expected(parameters)
+
+    def put(name, data, kind):
+        message = common.MAVLink_param_ext_set_message(1, 1, name, data.ljust(128, b"\0"), kind)
+        ((to, ack),) = service.on_message(over_the_wire(message), 0, ASKER)
+        assert to == ASKER
+        return ack.param_result, ext_value(ack)
+
+    taken = struct.pack("<f", 1.2)
+    assert put(b"MPC_XY_P", taken, REAL32) == (common.PARAM_ACK_ACCEPTED, taken)
+    assert parameters.get("MPC_XY_P") == 1.2
+    assert put(b"MPC_XY_P", struct.pack("<f", 9.0), REAL32) == (common.PARAM_ACK_VALUE_UNSUPPORTED, taken)
+    assert put(b"MPC_XY_P", taken, INT32) == (common.PARAM_ACK_VALUE_UNSUPPORTED, taken)
+    assert put(b"NO_SUCH", taken, REAL32)[0] == common.PARAM_ACK_FAILED
+    ((_, refusal),) = service.on_message(
+        stamp(common.MAVLink_param_ext_request_read_message(1, 1, b"NO_SUCH", -1), system=255, component=190),
+        0,
+        ASKER,
+    )
+    assert (refusal.get_type(), refusal.error) == ("PARAM_ERROR", 1)
+
+
+def test_a_list_waits_for_its_link_and_for_no_other():
+    parameters, full = ParameterSet(Settings()), {ASKER}
+    service = ParameterService(parameters, parameters.set, lambda partner: partner not in full)
+    request = common.MAVLink_param_request_list_message(1, 1)
+    for partner in (ASKER, OTHER):
+        service.on_message(request, 0, partner)
+    sent = []
+    for _ in range(100):
+        sent += [to for to, _ in service.on_timer(service.next_deadline_us())]
+    assert sent == [OTHER] * (len(ROWS) + 1)
+    full.clear()
+    while service.next_deadline_us() < NEVER_US:
+        sent += [to for to, _ in service.on_timer(service.next_deadline_us())]
+    assert sent.count(ASKER) == len(ROWS) + 1

@@ -1,0 +1,142 @@
+"""Plans written and read by MAVSDK, QGroundControl and MAVProxy over links of all kinds.
+
+What a client does not mend itself and no vehicle can is counted, with bounds.
+"""
+
+import pytest
+from lossy import play
+from plan_clients import Job, MavProxy, Mavsdk, OldStation, QGroundControl, bits, drawn_plan
+from pymavlink.dialects.v20 import common
+
+from autopilot.navigation.plan_store import PlanStore, PlanType
+from autopilot.protocol.plan_transfer import PlanTransfer
+from autopilot.protocol.service import NEVER_US
+
+MISSION, FENCE, RALLY = PlanType
+ERROR = common.MAV_MISSION_ERROR
+
+PLAN = drawn_plan(200)
+BAD_LINK = {"loss": 0.05, "delays_us": (0, 100_000), "after_us": 12_000_000}
+
+
+def machine():
+    store = PlanStore()
+    return store, PlanTransfer(store, check=lambda _kind, _items: None, system=1)
+
+
+def up_and_down(client_type, seed, **link):
+    store, service = machine()
+    up, down = Job("up", items=PLAN), Job("down")
+    play(service, client_type(up, down), seed=seed, **link)
+    assert not service.receiving
+    assert service.next_deadline_us() == NEVER_US
+    return bits(store[MISSION].items), up, bits(down.got), down
+
+
+def test_qgroundcontrol_writes_and_reads_200_items_over_200_bad_links():
+    for seed in range(200):
+        kept, up, got, down = up_and_down(QGroundControl, seed, duplication=0.05, **BAD_LINK)
+        assert (up.result, down.result) == ("success", "success"), seed
+        assert kept == got == bits(PLAN), seed
+
+
+def test_mavsdk_writes_200_items_over_200_links_that_lose_and_reorder():
+    """It never sends an item twice unless asked: that all come is the vehicle's doing."""
+    timeouts = 0
+    for seed in range(200):
+        kept, up, got, down = up_and_down(Mavsdk, seed, **BAD_LINK)
+        assert up.result == "success", seed
+        assert kept == bits(PLAN), seed
+        timeouts += down.result != "success"
+        assert down.result == "timeout" or got == bits(PLAN), seed
+    assert timeouts <= 2  # it asks five times: each of 200 items is in vain with a chance of 1e-5
+
+
+def test_mavsdk_over_200_links_that_duplicate_too():
+    """A late copy of a request or of MISSION_COUNT makes it go back, which it does not always survive.
+
+    Then it says that it failed though all is there, or keeps items that it has read before the copy twice.
+    """
+    failed = doubled = 0
+    for seed in range(200):
+        kept, up, got, _ = up_and_down(Mavsdk, seed, duplication=0.05, **BAD_LINK)
+        assert kept == bits(PLAN), seed
+        failed += up.result != "success"
+        doubled += len(got) > len(PLAN)
+        assert got == bits(PLAN) or len(got) > len(PLAN), seed
+    assert failed <= 6  # 1 of 200 when this was written
+    assert doubled <= 14  # 6 of 200; copies of MISSION_COUNT: 5 %
+
+
+def test_mavsdk_is_led_on_from_where_late_copies_have_led_it():
+    """Where answers take longer than its requests are apart: nine in ten come through."""
+    link = {"duplication": 0.05, "delays_us": (0, 250_000), "after_us": 12_000_000}
+    successes = sum(up_and_down(Mavsdk, seed, **link)[1].result == "success" for seed in range(100))
+    assert successes >= 90  # 97 when this was written; 80 if it is only asked for what is missing
+
+
+def test_mavproxy_over_200_bad_links():
+    """It says MISSION_COUNT and MISSION_REQUEST_LIST once, and the last item once: no vehicle can mend that.
+
+    What it has read is what there is, and what is kept is all of what it has written, or nothing.
+    """
+    written = 0
+    for seed in range(200):
+        kept, up, got, down = up_and_down(MavProxy, seed, duplication=0.05, **BAD_LINK)
+        assert kept in ([], bits(PLAN)), seed
+        written += kept == bits(PLAN)
+        if up.result == "given up":
+            assert kept == [], seed
+        if down.result == "success":
+            assert got == kept, seed
+    # lost at once: MISSION_COUNT or the last item, each by one in twenty; a copy may save it
+    assert written >= 0.85 * 200
+
+
+@pytest.mark.parametrize("client_type", [Mavsdk, QGroundControl, MavProxy, OldStation])
+def test_nothing_is_lost_on_a_good_link_and_nothing_is_asked_twice(client_type):
+    plan = PLAN if client_type is not OldStation else [i._replace(x=0, y=0, frame=0) for i in PLAN]
+    store, service = machine()
+    up, down = Job("up", items=plan), Job("down")
+    outcome = play(service, client_type(up, down), delays_us=(2_000, 2_000), packed=True)
+    assert (up.result, down.result) == ("success", "success")
+    assert bits(store[MISSION].items) == bits(down.got) == bits(plan)
+    assert down.current == 0
+    if client_type is not OldStation:  # which first has to be found out
+        kinds = [message.get_type() for _, _, message in outcome.from_service]
+        assert kinds.count("MISSION_REQUEST_INT") == kinds.count("MISSION_ITEM_INT") == len(plan)
+
+
+@pytest.mark.parametrize("client_type", [Mavsdk, QGroundControl, MavProxy])
+def test_every_message_may_come_twice(client_type):
+    store, service = machine()
+    up, down = Job("up", items=PLAN[:20]), Job("down")
+    play(service, client_type(up, down), duplication=1.0, delays_us=(2_000, 2_000), after_us=6_000_000)
+    assert (up.result, down.result) == ("success", "success")
+    assert bits(store[MISSION].items) == bits(down.got) == bits(PLAN[:20])
+    assert store.version[MISSION] == 1
+    assert not service.receiving
+
+
+def test_mavsdk_may_begin_the_next_transfer_at_once_over_a_slow_link():
+    """It takes any MISSION_ACK for its own, so the last one must not be said again after it has gone on."""
+    jobs = [Job("up", kind, PLAN[:5]) for kind in PlanType] + [Job("clear", FENCE), Job("down", RALLY)]
+    store, service = machine()
+    play(service, Mavsdk(*jobs), delays_us=(100_000, 100_000))
+    assert [job.result for job in jobs] == ["success"] * 5
+    assert [len(store[kind].items) for kind in PlanType] == [5, 0, 5]
+
+
+def test_two_stations_at_once_do_not_hear_of_each_other():
+    """One writes; the other is refused with an error and may read what was there before."""
+    store, service = machine()
+    store.put(MISSION, PLAN[:7])
+    writer, reader = Job("up", items=PLAN), Job("down")
+    late = Job("up", FENCE, PLAN[:3])
+    outcome = play(service, Mavsdk(writer), Mavsdk(reader, late), delays_us=(5_000, 5_000))
+    assert (writer.result, reader.result) == ("success", "success")
+    assert bits(reader.got) == bits(PLAN[:7])
+    assert late.result == f"acknowledged {ERROR}"
+    assert (len(store[MISSION].items), len(store[FENCE].items)) == (200, 0)
+    first = [m.get_type() for _, number, m in outcome.from_service if number == 0]
+    assert set(first) == {"MISSION_REQUEST_INT", "MISSION_ACK"}

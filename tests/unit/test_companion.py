@@ -1,0 +1,150 @@
+"""The application beside a PX4, without its sockets: whose messages count, its clock, what it asks for."""
+
+import math
+
+import msgspec
+import pytest
+from pymavlink.dialects.v20 import common
+
+from autopilot.companion import CALL_PERIOD_S, LONGEST_LEAP_US, TICK_US, Companion
+from autopilot.companion_log import CompanionLog
+from autopilot.config import VehicleConfig
+from autopilot.mavlink.codec import Encoder, Parser, stamp
+from autopilot.onboard.phases import Phase
+from autopilot.recording import VEHICLE_RECORD
+from netsim.record_log import read
+
+SYSTEM = 2
+
+
+def config(**onboard):
+    places = [[0.0, 0.0, -3.0], [0.0, 3.0, -3.0]]
+    fields = {"run_id": "x", "instance": 1, "seed": 1, "places_ned_m": places, "onboard": onboard}
+    return msgspec.convert(fields, VehicleConfig)
+
+
+def from_px4(message, *, system=SYSTEM, component=1):
+    return stamp(message, system=system, component=component)
+
+
+def attitude(time_ms):
+    return common.MAVLink_attitude_message(time_ms, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def position(time_ms):
+    return common.MAVLink_local_position_ned_message(time_ms, 1.0, 2.0, -3.0, 0.5, 0.0, 0.0)
+
+
+def origin():
+    return common.MAVLink_gps_global_origin_message(473_977_420, 85_455_940, 488_000, 0)
+
+
+def beat(mode=0):
+    return common.MAVLink_heartbeat_message(2, 12, 157, mode, 4, 3)
+
+
+def requests(output):
+    return [
+        message for message in output.mavlink
+        if message.get_type() == "COMMAND_LONG" and message.command == common.MAV_CMD_REQUEST_MESSAGE
+    ]  # fmt: skip
+
+
+def fly(companion, until_ms, period_ms=10, begin_ms=10):
+    outputs = []
+    for time_ms in range(begin_ms, until_ms + 1, period_ms):
+        companion.on_message(from_px4(attitude(time_ms)))
+        if companion.is_due:
+            outputs.append(companion.on_timer(()))
+    return outputs
+
+
+def test_its_clock_is_that_of_px4_which_neither_goes_back_nor_leaps():
+    companion = Companion(config())
+    assert companion.now_us == -1
+    assert not companion.is_due
+    for time_ms, clock_ms in ((5_000, 5_000), (4_990, 5_000), (5_010, 5_010), (2**32 - 1, 5_010)):
+        companion.on_message(from_px4(attitude(time_ms)))
+        assert companion.now_us == clock_ms * 1_000
+    leap_ms = 5_010 + LONGEST_LEAP_US // 1_000
+    companion.on_message(from_px4(attitude(leap_ms)))
+    assert companion.now_us == leap_ms * 1_000
+    assert len(companion.on_timer(()).radio) < 2 * LONGEST_LEAP_US // 100_000
+
+
+def test_it_looks_at_each_attitude_of_100_hz_and_no_oftener():
+    companion = Companion(config())
+    assert len(fly(companion, 1_000)) == 100
+    assert len(fly(Companion(config()), 1_000, period_ms=4, begin_ms=4)) == 1_000 // (TICK_US // 1_000)
+
+
+@pytest.mark.parametrize(("system", "component"), [(3, 1), (SYSTEM, 100), (255, 190), (0, 0)])
+def test_only_its_own_autopilot_is_believed(system, component):
+    companion = Companion(config())
+    companion.on_message(from_px4(attitude(100), system=system, component=component))
+    assert companion.now_us == -1
+    companion.on_message(from_px4(attitude(100)))
+    companion.on_message(from_px4(beat(), system=system, component=component))
+    companion.on_message(from_px4(position(100), system=system, component=component))
+    assert companion.on_timer(()).radio == ()
+    said = companion.on_timer(()).said
+    assert all(message.get_srcComponent() == 191 for message in said)
+
+
+def test_the_origin_is_asked_for_each_second_until_it_is_known():
+    companion = Companion(config())
+    asked = [requests(output) for output in fly(companion, 5_000)]
+    assert sum(map(len, asked)) == 5
+    (request,) = asked[0]
+    assert (request.target_system, request.target_component, request.param1) == (SYSTEM, 1, 49.0)
+    companion.on_message(from_px4(origin()))
+    assert sum(map(len, map(requests, fly(companion, 35_000, begin_ms=5_010)))) in {3, 4}
+
+
+def test_px4s_mode_and_its_own_phase_are_said_to_the_simulator_under_their_names():
+    companion = Companion(config())
+    companion.on_message(from_px4(attitude(10)))
+    companion.on_message(from_px4(beat(mode=0x03040000)))
+    said = companion.on_timer(()).said
+    named = {(message.get_srcSystem(), message.get_srcComponent()): message.custom_mode for message in said}
+    assert named == {(SYSTEM, 1): 0x03040000, (SYSTEM, 191): int(Phase.WAITING)}
+    # and come out so on the other side
+    encoder = Encoder(system=SYSTEM, component=191)
+    heard = Parser().push_datagram(b"".join(map(encoder.encode, said)))
+    assert {(message.get_srcSystem(), message.get_srcComponent()) for message in heard} == set(named)
+
+
+def test_a_command_for_the_application_that_px4_passes_on_is_answered():
+    companion = Companion(config(hold=True))
+    companion.on_message(from_px4(attitude(10)))
+    release = common.MAVLink_command_long_message(
+        SYSTEM, 191, common.MAV_CMD_USER_1, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    )
+    companion.on_message(from_px4(release, system=255, component=190))
+    acks = [m for m in companion.on_timer(()).mavlink if m.get_type() == "COMMAND_ACK"]
+    assert [(ack.command, ack.result) for ack in acks] == [(common.MAV_CMD_USER_1, 0)]
+
+
+def test_it_calls_px4_with_a_heartbeat_of_its_own():
+    call = Companion(config()).call()
+    assert (call.get_type(), call.get_srcSystem(), call.get_srcComponent()) == ("HEARTBEAT", SYSTEM, 191)
+    assert CALL_PERIOD_S <= 1.0
+
+
+def test_what_px4_says_is_on_record_at_the_instants_of_the_log(tmp_path):
+    companion = Companion(config())
+    path = tmp_path / "uav.bin"
+    log = CompanionLog(config(), str(path), companion.app)
+    for time_ms in range(12, 212, 8):
+        for message in (attitude(time_ms), position(time_ms), beat(mode=0x06000000), origin()):
+            companion.on_message(from_px4(message))
+            log.on_message(from_px4(message))
+        log.on_message(from_px4(beat(mode=1), system=9))
+        log.write(companion.now_us)
+    log.close()
+    rows = read(path, VEHICLE_RECORD)
+    assert rows["time_us"].tolist() == [k * 20_000 for k in range(1, 11)]
+    assert set(rows["mode"].tolist()) == {0x06000000}
+    assert rows["armed"].all()
+    assert rows["estimator_pos_ned_m"][0] == pytest.approx((1.0, 2.0, -3.0), abs=0.02)
+    assert all(map(math.isnan, rows["gps_pos_ned_m"][0]))

@@ -1,0 +1,239 @@
+"""The rendezvous with PX4s, as a stand-in behaves: they are silent at first, late at times."""
+
+import contextlib
+import socket
+import threading
+import time
+
+import pytest
+from px4_stand_in import Manners, StandIn
+from pymavlink.dialects.v20 import common as mavlink
+
+from autopilot.mavlink.codec import Encoder
+from harness.lockstep import FREE_STEP_S, OWN, PX4, Lockstep
+from harness.patience import Patience
+
+STEP_US = 4_000
+LATE_AFTER_S = PX4.late_after_s
+
+
+class Run:
+    """Lockstep with stand-ins in threads, and what it reported."""
+
+    def __init__(self, *manners, limit_s=5.0, kinds=None):
+        self.listeners = [socket.create_server(("127.0.0.1", 0)) for _ in manners]
+        self.messages, self.silent, self.lost = [], [], []
+        self.applications = Patience(limit_s)
+        self.lockstep = Lockstep(
+            self.listeners,
+            patience=Patience(limit_s),
+            on_message=lambda i, message: self.messages.append((i, message.get_type())),
+            on_silent=lambda i, _: self.silent.append(i),
+            on_lost=lambda i, reason: self.lost.append((i, reason)),
+            manners=kinds or [PX4] * len(manners),
+            applications=self.applications,
+        )
+        self.px4s = [StandIn(i, self.port(i), each) for i, each in enumerate(manners)]
+        self.threads = []
+        self.time_us = 0
+
+    def port(self, i):
+        return self.listeners[i].getsockname()[1]
+
+    def connect(self):
+        for px4 in self.px4s:
+            px4.connect()
+            self.threads.append(threading.Thread(target=px4.run, daemon=True))
+            self.threads[-1].start()
+        self.lockstep.connect(5.0, keep_waiting=lambda: True)
+
+    def step(self):
+        self.time_us += STEP_US
+        self.lockstep.send([sensors(self.time_us)] * len(self.px4s))
+        return self.lockstep.answers(self.time_us)
+
+    def start(self):
+        """Step until all have answered; returns how many steps that took, and their wall time."""
+        self.connect()
+        begin_s = time.monotonic()
+        steps = 0
+        while any(seat.alive and seat.is_free for seat in self.lockstep.seats):
+            self.step()
+            steps += 1
+        return steps, time.monotonic() - begin_s
+
+    def close(self):
+        self.lockstep.close()
+        for px4 in self.px4s:
+            px4.close()
+        for thread in self.threads:
+            thread.join(5.0)
+
+
+@pytest.fixture
+def run():
+    with contextlib.ExitStack() as stack:
+        yield lambda *args, **kwargs: stack.enter_context(contextlib.closing(Run(*args, **kwargs)))
+
+
+def sensors(time_us):
+    message = mavlink.MAVLink_hil_sensor_message(time_us, *[0.0] * 13, 0x3F, 0)
+    return Encoder(system=0, component=1).encode(message)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_nobody_waits_for_a_px4_that_starts_and_everybody_afterwards(run, count):
+    px4s = run(*(Manners(seed=seed) for seed in range(count)))
+    steps, wall_s = px4s.start()
+    # it starts by the clock on the wall, so steps must not be spent faster than it is used to; on a machine
+    # under load they are slower, and fewer
+    assert wall_s >= (steps - 1) * FREE_STEP_S
+    assert steps >= 2
+    assert wall_s + FREE_STEP_S >= max(px4.silence_s for px4 in px4s.px4s)
+    for _ in range(50):
+        assert [answer.time_usec for answer in px4s.step()] == [px4s.time_us] * count
+    assert px4s.lockstep.late_answers == dict.fromkeys(range(count), 0)
+    assert px4s.lost == px4s.silent == []
+    # not one HIL_SENSOR was kept from it while it started, or sent twice
+    assert all(px4.sensors == list(range(STEP_US, px4s.time_us + 1, STEP_US)) for px4 in px4s.px4s)
+
+
+def test_its_first_words_are_passed_on_in_either_order(run):
+    both = [(0, "COMMAND_LONG"), (0, "HEARTBEAT")]
+    orders = []
+    for seed in range(4):
+        px4 = run(Manners(seed=seed))
+        px4.start()
+        assert sorted(px4.messages) == both
+        orders.append(px4.messages[0])
+    assert set(orders) == set(both)
+
+
+def test_an_answer_that_takes_a_fifth_of_a_second_is_waited_for(run):
+    px4 = run(Manners(late={20: 0.2}))
+    px4.start()
+    begin_s = time.monotonic()
+    for _ in range(40):
+        (answer,) = px4.step()
+        assert answer.time_usec == px4.time_us
+    assert time.monotonic() - begin_s >= 0.2
+    assert px4.lockstep.late_answers == {0: 0}
+
+
+def test_after_a_lost_answer_the_step_goes_on_with_the_controls_of_before(run):
+    px4 = run(Manners(lost=(20,)))
+    px4.start()
+    stale = []
+    for _ in range(40):
+        begin_s = time.monotonic()
+        (answer,) = px4.step()
+        if answer.time_usec != px4.time_us:
+            stale.append((px4.time_us - answer.time_usec, time.monotonic() - begin_s))
+    ((age_us, wall_s),) = stale
+    assert age_us == STEP_US
+    assert LATE_AFTER_S <= wall_s < LATE_AFTER_S + 0.3
+    assert px4.lockstep.late_answers == {0: 1}
+    assert px4.lost == []
+
+
+def test_an_answer_that_comes_in_the_next_step_sets_the_controls_and_ends_no_wait(run):
+    px4 = run(Manners(late={20: 0.5}, armed_from=20))
+    px4.start()
+    while px4.lockstep.late_answers == {0: 0}:
+        (answer,) = px4.step()
+    assert answer.controls[0] == 0.0  # of before it armed
+    (answer,) = px4.step()  # in which the late one comes, and then its own
+    assert answer.time_usec == px4.time_us
+    assert px4.lockstep.late_answers == {0: 1}
+
+
+def test_one_that_never_answers_again_is_lost_by_name_though_steps_go_on(run):
+    px4s = run(Manners(mute_from=10), Manners(seed=1), limit_s=1.0)
+    px4s.start()
+    begin_s = time.monotonic()
+    while not px4s.lost:
+        answers = px4s.step()
+        assert answers[1].time_usec == px4s.time_us
+        assert time.monotonic() - begin_s < 10.0
+    ((instance, reason),) = px4s.lost
+    assert instance == 0
+    assert "has not answered" in reason
+    assert px4s.silent == [0]
+    # what is left of it is that its steps took as long as an answer is waited for, not as long as patience
+    assert px4s.lockstep.late_answers[0] >= 2
+    assert px4s.step()[0] is None
+
+
+def test_one_that_dies_while_it_starts_or_later_is_lost_at_once(run):
+    px4s = run(Manners(), Manners(seed=1))
+    px4s.connect()
+    px4s.step()
+    px4s.px4s[0].close()
+    deadline_s = time.monotonic() + 5.0
+    while not px4s.lost and time.monotonic() < deadline_s:
+        px4s.step()
+    assert px4s.lost == [(0, "its connection closed")]
+    while px4s.lockstep.seats[1].is_free:
+        px4s.step()
+    px4s.px4s[1].close()
+    px4s.step()
+    assert [instance for instance, _ in px4s.lost] == [0, 1]
+
+
+def test_strangers_get_no_seat_and_hold_up_nobody(run):
+    px4 = run(Manners())
+    strangers = [socket.create_connection(("127.0.0.1", px4.port(0))) for _ in range(12)]
+    try:
+        wrong = Encoder(system=7, component=1).encode(mavlink.MAVLink_heartbeat_message(0, 12, 0, 0, 0, 3))
+        strangers[0].sendall(b"GET / HTTP/1.1\r\n\r\n")
+        strangers[1].sendall(wrong)
+        strangers[2].sendall(sensors(STEP_US))
+        begin_s = time.monotonic()
+        px4.start()
+        assert time.monotonic() - begin_s < 5.0
+        (answer,) = px4.step()
+        assert answer.time_usec == px4.time_us
+        for stranger in strangers:
+            stranger.settimeout(5.0)
+            with contextlib.suppress(ConnectionResetError):
+                assert stranger.recv(1) == b""
+    finally:
+        for stranger in strangers:
+            stranger.close()
+
+
+def test_one_of_coflights_own_beside_a_px4_is_waited_for_from_the_first_step(run):
+    mixed = run(Manners(), Manners(), kinds=[OWN, PX4])
+    mixed.px4s[0].silence_s = 0.0
+    mixed.connect()
+    while mixed.lockstep.seats[1].is_free:
+        assert mixed.step()[0].time_usec == mixed.time_us
+    assert mixed.lockstep.late_answers == {1: 0}
+
+
+def test_a_radio_whose_application_is_gone_falls_silent_and_its_px4_flies_on(run):
+    px4 = run(Manners(), limit_s=0.5)
+    px4.start()
+    (seat,) = px4.lockstep.seats
+    px4.step()
+    deadline_s = time.monotonic() + 5.0
+    while seat.on_air and time.monotonic() < deadline_s:
+        px4.lockstep.judge((0,))
+        time.sleep(0.05)
+    assert not seat.on_air
+    assert seat.alive
+    (answer,) = px4.step()
+    assert answer.time_usec == px4.time_us
+
+
+def test_what_is_overheard_is_passed_on_with_the_answers(run):
+    px4 = run(Manners())
+    px4.start()
+    px4.messages.clear()
+    said = mavlink.MAVLink_heartbeat_message(18, 8, 0, 5, 4, 3)
+    thread = threading.Thread(target=px4.lockstep.overhear, args=(0, said))
+    thread.start()
+    thread.join()
+    assert px4.messages == []
+    px4.step()
+    assert px4.messages == [(0, "HEARTBEAT")]

@@ -1,0 +1,164 @@
+"""Simulated time keeps to the wall clock without leaps; pausing and going on are commands like others."""
+
+import queue
+from itertools import pairwise
+from types import SimpleNamespace
+
+import pytest
+
+from harness.messages import AnyCommand, Pause, Paused, Progress, Resume, RunUntil, SetSpeed
+from harness.physics_server import MOST_LAG_S, Pacer, obey
+from netsim.child import Stop
+
+STEP_US = 4_000
+
+
+class Clock:
+    """Wall time that passes by sleeping and by steps that take long, and by nothing else."""
+
+    def __init__(self) -> None:
+        self.wall_s = 1_000.0
+        self.sleeps_s: list[float] = []
+
+    def monotonic(self) -> float:
+        return self.wall_s
+
+    def sleep(self, seconds: float) -> None:
+        self.sleeps_s.append(seconds)
+        self.wall_s += seconds
+
+
+class World:
+    """A simulation that does nothing but let time pass; step ``slow`` takes so much wall time."""
+
+    def __init__(self, clock: Clock, slow: dict[int, float] | None = None) -> None:
+        self.clock, self.slow = clock, slow or {}
+        self.time_us = STEP_US
+        self.any_alive, self.must_end, self.formed, self.busy_fraction = True, False, False, 0.0
+        self.lockstep = SimpleNamespace(connect=lambda *_, **__: None, living=0, seats=[])
+        self.steps: list[tuple[int, float]] = []
+
+    def step(self) -> None:
+        self.clock.wall_s += 0.001 + self.slow.pop(len(self.steps), 0.0)
+        self.time_us += STEP_US
+        self.steps.append((self.time_us, self.clock.wall_s))
+
+    def settle(self) -> None:
+        pass
+
+    def notice_collisions(self) -> None:
+        pass
+
+    def vehicles(self) -> tuple[()]:
+        return ()
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr("harness.physics_server.time", clock)
+    return clock
+
+
+def flown(world: World, *commands: AnyCommand, during: dict[int, AnyCommand] | None = None) -> list[object]:
+    """Obey commands; those of ``during`` come when so much has been said. Returns what was."""
+    inbox: queue.SimpleQueue[AnyCommand] = queue.SimpleQueue()
+    said: list[object] = []
+    later = dict(during or {})
+
+    def emit(event: object) -> None:
+        said.append(event)
+        for command in [later.pop(k) for k in sorted(later) if len(said) >= k]:
+            inbox.put(command)
+        if isinstance(event, Paused):
+            inbox.put(Stop())
+
+    for command in commands:
+        inbox.put(command)
+    obey(world, inbox, connect_timeout_s=1.0, emit=emit)  # type: ignore[arg-type]
+    return said
+
+
+def test_a_second_at_speed_two_takes_half_a_second_however_inexact_sleeps_are(clock: Clock) -> None:
+    world = World(clock)
+    begin_s = clock.wall_s
+    end = RunUntil(time_us=1_000_000 + STEP_US, speed=2.0)
+    (*_, paused) = [e for e in flown_then_stop(world, end) if isinstance(e, Paused)]
+    assert paused.time_us == end.time_us
+    # the first step begins it; from then on every step has its absolute time
+    assert clock.wall_s - begin_s == pytest.approx(0.001 + 0.5, abs=0.0021)
+
+
+def flown_then_stop(world: World, *commands: AnyCommand) -> list[object]:
+    """Obey commands one after the other, each when the run before is done, and then stop."""
+    inbox: queue.SimpleQueue[AnyCommand] = queue.SimpleQueue()
+    said: list[object] = []
+    waiting = [*commands, Stop()]
+
+    def emit(event: object) -> None:
+        said.append(event)
+        if isinstance(event, Paused):
+            inbox.put(waiting.pop(0))
+
+    inbox.put(waiting.pop(0))
+    obey(world, inbox, connect_timeout_s=1.0, emit=emit)  # type: ignore[arg-type]
+    return said
+
+
+def test_what_a_stall_cost_is_told_and_not_caught_up_with(clock: Clock) -> None:
+    world = World(clock, slow={50: 0.7})
+    said = flown_then_stop(world, RunUntil(time_us=2_000_000, speed=1.0))
+    (last,) = [e for e in said if isinstance(e, Progress)][-1:]
+    assert last.lag_s == pytest.approx(0.7, abs=0.01)
+    after = world.steps[51:]
+    for (earlier_us, earlier_s), (later_us, later_s) in pairwise(after):
+        assert (later_s - earlier_s) == pytest.approx((later_us - earlier_us) * 1e-6, abs=1e-6)
+
+
+def test_a_stall_shorter_than_that_is_made_good(clock: Clock) -> None:
+    world = World(clock, slow={50: 0.9 * MOST_LAG_S})
+    begin_s = clock.wall_s
+    said = flown_then_stop(world, RunUntil(time_us=1_000_000 + STEP_US, speed=1.0))
+    assert clock.wall_s - begin_s == pytest.approx(1.0, abs=0.01)
+    assert all(e.lag_s == 0.0 for e in said if isinstance(e, Progress))
+
+
+def test_a_program_that_thinks_between_two_runs_makes_no_lag() -> None:
+    pacer = Pacer()
+    pacer.begin(1.0, 0, 100.0)
+    assert pacer.ahead_s(4_000, 100.0) == 0.0
+    assert pacer.ahead_s(8_000, 100.001) == pytest.approx(0.003)
+    pacer.begin(1.0, 8_000, 130.0)
+    assert pacer.ahead_s(12_000, 130.0) == 0.0
+    assert pacer.ahead_s(16_000, 130.0) == pytest.approx(0.004)
+    assert pacer.lag_s == 0.0
+    pacer.begin(0.0, 16_000, 130.0)
+    assert pacer.ahead_s(1_000_000, 131.0) == 0.0  # as fast as it goes
+
+
+def test_a_pause_before_and_in_a_run_lets_it_go_on_to_its_end(clock: Clock) -> None:
+    world = World(clock)
+    # the pause comes first; reports of a run that stands go on, and the third brings the end of the pause
+    said = flown(world, Pause(), RunUntil(time_us=400_000, speed=1.0), during={3: Resume()})
+    standing = [e for e in said if isinstance(e, Progress) and e.paused]
+    assert len(standing) >= 2
+    assert {e.time_us for e in standing} == {STEP_US}
+    paused = next(e for e in said if isinstance(e, Paused))
+    assert (paused.reason, paused.time_us) == ("time", 400_000)
+
+
+def test_stop_ends_a_run_that_stands(clock: Clock) -> None:
+    world = World(clock)
+    said = flown(world, Pause(), RunUntil(time_us=400_000), during={2: Stop()})
+    assert isinstance(said[-1], Paused)
+    assert said[-1].reason == "command"
+    assert world.steps == []
+
+
+def test_another_speed_holds_from_then_on(clock: Clock) -> None:
+    world = World(clock)
+    flown(world, RunUntil(time_us=4_000_000, speed=1.0), during={2: SetSpeed(speed=4.0)})
+    first, last = world.steps[:20], world.steps[-20:]
+    for steps, speed in ((first, 1.0), (last, 4.0)):
+        took_s = steps[-1][1] - steps[0][1]
+        assert (steps[-1][0] - steps[0][0]) * 1e-6 / took_s == pytest.approx(speed, rel=0.1)

@@ -1,0 +1,264 @@
+"""What a scenario may say of PX4s, how one is started, and what it is told by the simulator."""
+
+import math
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from autopilot.config import VehicleConfig
+from autopilot.estimation.atmosphere import pressure_pa
+from autopilot.mavlink.codec import Parser
+from harness import esc, px4_seat
+from harness.hil import RC_PERIOD_US, SensorEncoder
+from harness.physics.truth import Truth
+from harness.px4_seat import Px4Error
+from harness.scenario import ScenarioError, load
+from harness.sensors.config import PROFILES, SensorsConfig
+from harness.sensors.suite import SensorSuite
+
+STEP_US = 4_000
+EPOCH_US = 1_767_225_600_000_000
+
+
+@pytest.fixture
+def build(tmp_path):
+    (tmp_path / "build" / "bin").mkdir(parents=True)
+    (tmp_path / "build" / "bin" / "px4").touch()
+    return tmp_path / "build"
+
+
+@pytest.fixture
+def scenario(tmp_path, build):
+    path = tmp_path / "some.toml"
+    path.write_text("agents = 3\n", encoding="ascii")
+
+    def make(*overrides):
+        return load(path, ["autopilot.kind=px4", f"autopilot.px4_build='{build}'", *overrides])
+
+    return make
+
+
+def test_px4_without_a_build_is_one_line(tmp_path):
+    path = tmp_path / "some.toml"
+    path.write_text("agents = 3\n", encoding="ascii")
+    with pytest.raises(ScenarioError, match=r"^[^\n]*autopilot\.px4_build: missing[^\n]*$"):
+        load(path, ["autopilot.kind=px4"])
+
+
+def test_a_build_without_its_program_is_refused_before_anything_starts(scenario, build):
+    (build / "bin" / "px4").unlink()
+    with pytest.raises(Px4Error, match=r"^autopilot\.px4_build: there is no .*/bin/px4; expected[^\n]*$"):
+        px4_seat.check_start(scenario())
+
+
+def test_coflights_own_vehicles_need_nothing_of_it(tmp_path):
+    path = tmp_path / "some.toml"
+    path.write_text("agents = 3\n", encoding="ascii")
+    assert px4_seat.instances(load(path)) == ()
+    px4_seat.check_start(load(path, ["ports.simulator_tcp=0"]))
+
+
+@pytest.mark.parametrize(
+    ("override", "complaint"),
+    [
+        ("autopilot.px4_command=['{build}/px4', '{instance}']", r"px4_command: \{instance\} stands for noth"),
+        ("autopilot.px4_env.X='{'", r"px4_env\.X"),
+        ("autopilot.px4_command=[]", "px4_command"),
+        ("autopilot.px4_vehicles=[0, 3]", "px4_vehicles: there is no UAV 3 among 3"),
+        ("autopilot.params.lower_case=1", "autopilot.params: 'lower_case' is no parameter's name"),
+        ("autopilot.per_uav.3.MIS_TAKEOFF_ALT=1", "autopilot.per_uav: there is no UAV '3'"),
+        ("autopilot.fence=[{shape='circle', radius_m=50}]", "autopilot.fence: a PX4 takes its fence"),
+    ],
+)
+def test_what_no_px4_could_be_started_with_is_refused_with_the_fields_path(scenario, override, complaint):
+    with pytest.raises(ScenarioError, match=complaint):
+        scenario(override)
+
+
+def test_px4_has_parameters_that_coflights_own_autopilot_does_not_know(scenario, tmp_path):
+    swarm = scenario("autopilot.params.EKF2_IMU_POS_X=0.1", "autopilot.px4_vehicles=[0, 1, 2]")
+    seat = px4_seat.seat(swarm, 0, run_folder=tmp_path, simulator_port=4560)
+    assert seat.environment["PX4_PARAM_EKF2_IMU_POS_X"] == "0.1"
+    with pytest.raises(ScenarioError, match="EKF2_IMU_POS_X"):  # of vehicle 2, which is no PX4
+        scenario("autopilot.params.EKF2_IMU_POS_X=0.1", "autopilot.px4_vehicles=[0, 1]")
+
+
+def test_the_command_is_the_one_that_the_issue_names(scenario, build, tmp_path):
+    swarm = scenario()
+    for i in px4_seat.instances(swarm):
+        seat = px4_seat.seat(swarm, i, run_folder=tmp_path, simulator_port=4560 + i)
+        assert seat.command == (
+            f"{build}/bin/px4", "-i", str(i), "-d", f"{build}/etc", "-w", seat.folder,
+        )  # fmt: skip
+        assert seat.environment["PX4_SIM_MODEL"] == "none_iris"
+        assert seat.name == f"uav {i}"
+        assert seat.details == {"gcs_local_udp": 18570 + i, "companion_local_udp": 14580 + i}
+        assert seat.folder.startswith(str(tmp_path))
+
+
+def test_a_user_can_wrap_it(scenario, build, tmp_path):
+    swarm = scenario(
+        "autopilot.px4_command=['nice', '{build}/bin/px4', '-i', '{i}', '{sysid}:{tcp}:{host}']",
+        "autopilot.px4_env={PX4_SIM_MODEL='iris', PORTS='{companion_local}>{companion_remote}'}",
+    )
+    seat = px4_seat.seat(swarm, 2, run_folder=tmp_path, simulator_port=4999)
+    assert seat.command == ("nice", f"{build}/bin/px4", "-i", "2", "3:4999:127.0.0.1")
+    assert seat.environment["PORTS"] == "14582>14542"
+    assert seat.environment["PX4_SIM_MODEL"] == "iris"
+
+
+def test_parameters_go_along_less_coflights_own_and_whole_ones_as_integers(scenario, tmp_path):
+    swarm = scenario(
+        "autopilot.params={CF_DOB_EN=1, COM_RC_IN_MODE=4, MPC_XY_P=0.8}",
+        "autopilot.per_uav.1={MPC_XY_P=0.9, EKF2_GPS_DELAY=50}",
+        "sensors.gps.delay_s=0.2",
+    )
+    told = [
+        {
+            name.removeprefix("PX4_PARAM_"): value
+            for name, value in px4_seat.seat(
+                swarm, i, run_folder=tmp_path, simulator_port=4560
+            ).environment.items()
+            if name.startswith("PX4_PARAM_") and "DRIFT" not in name
+        }
+        for i in (0, 1)
+    ]
+    assert told[0] == {"EKF2_GPS_DELAY": "200", "COM_RC_IN_MODE": "4", "MPC_XY_P": "0.8"}
+    assert told[1] == {"EKF2_GPS_DELAY": "50", "COM_RC_IN_MODE": "4", "MPC_XY_P": "0.9"}
+
+
+def drift_rms_m_s(model, std_m, rng):
+    """Mean drift over 10 s as PX4 takes it, of a Gauss-Markov error that is simulated."""
+    interval_s, filter_s = 1.0 / model.rate_hz, 10.0
+    keep = math.exp(-interval_s / model.bias_time_constant_s)
+    error_m, mean_m_s, squares = std_m * rng.standard_normal(1000), np.zeros(1000), []
+    for k in range(600):
+        before_m = error_m
+        error_m = keep * error_m + math.sqrt(1 - keep**2) * std_m * rng.standard_normal(1000)
+        mean_m_s += interval_s / filter_s * ((error_m - before_m) / interval_s - mean_m_s)
+        if k > 300:
+            squares.append(np.mean(mean_m_s**2))
+    return math.sqrt(np.mean(squares))
+
+
+def test_px4_is_told_of_a_receiver_that_drifts_more_than_it_would_take(scenario, tmp_path):
+    model = PROFILES["consumer"].gps
+    rng = np.random.default_rng(3)
+    told = px4_seat.seat(scenario(), 0, run_folder=tmp_path, simulator_port=4560).environment
+    for axis, std_m in (("H", model.horizontal_bias_std_m), ("V", model.vertical_bias_std_m)):
+        limit_m_s = float(told[f"PX4_PARAM_EKF2_REQ_{axis}DRIFT"])
+        assert limit_m_s == pytest.approx(5 * drift_rms_m_s(model, std_m, rng), rel=0.1)
+    still = px4_seat.seat(
+        scenario("sensors.profile=gazebo"), 1, run_folder=tmp_path, simulator_port=4560
+    ).environment
+    assert not any("DRIFT" in name for name in still)
+
+
+@pytest.mark.parametrize("field", ["simulator_tcp", "gcs_local_udp", "companion_local_udp"])
+def test_ports_that_px4_would_not_have_are_refused_unless_they_are_handed_over(scenario, field):
+    placeholder = {"simulator_tcp": "tcp"}.get(field, field.removesuffix("_udp"))
+    handed = f"autopilot.px4_command=['{{build}}/bin/px4', '{{{placeholder}}}']"
+    px4_seat.check_start(scenario())
+    for base in (0, 21_000):
+        with pytest.raises(Px4Error, match=rf"^ports\.{field}: a PX4 listens on [^\n]*$"):
+            px4_seat.check_start(scenario(f"ports.{field}={base}"))
+    px4_seat.check_start(scenario(f"ports.{field}=21000", handed))
+
+
+def test_the_truth_cannot_be_told_to_an_application_beside_a_px4(scenario):
+    with pytest.raises(Px4Error, match=r"onboard\.localisation"):
+        px4_seat.check_start(scenario("onboard.localisation=truth"))
+
+
+def test_applications_are_bound_to_the_ports_that_px4s_call(scenario):
+    assert px4_seat.application_ports(scenario()) == [14540, 14541, 14542]
+    assert px4_seat.application_ports(scenario("autopilot.px4_vehicles=[1]")) == [14541]
+    assert px4_seat.application_ports(scenario("onboard.enabled=false")) == []
+
+
+def test_the_vehicles_settings_are_read_by_its_application_process(scenario):
+    config = scenario().vehicle(1, run_id="x", radio_endpoint="tcp/127.0.0.1:7447", log_path=None)
+    assert isinstance(config, VehicleConfig)
+    assert (config.ports.companion_local_udp, config.ports.companion_remote_udp) == (14581, 14541)
+
+
+# ---- what the simulator tells it
+
+
+def second_of_sensors(encoder, vehicles, steps=250, *, escs=False):
+    """Messages to each vehicle in a second, by step, of vehicles that rest."""
+    still = np.zeros((vehicles, 3))
+    upright = np.tile([1.0, 0.0, 0.0, 0.0], (vehicles, 1))
+    truth = Truth(
+        pos_ned_m=still, vel_ned_m_s=still, q_ned_frd=upright, omega_frd_rad_s=still,
+        mean_omega_frd_rad_s=still, specific_force_frd_m_s2=np.tile([0.0, 0.0, -9.8066], (vehicles, 1)),
+        rotor_speed_rad_s=np.zeros((vehicles, 4)), acc_ned_m_s2=still,
+    )  # fmt: skip
+    motors = esc.readings(truth.rotor_speed_rad_s) if escs else None
+    suite = SensorSuite(
+        config=SensorsConfig(), site=encoder._site, vehicles=vehicles, step_us=STEP_US,
+        seed=np.random.SeedSequence(1),
+    )  # fmt: skip
+    parsers = [Parser() for _ in range(vehicles)]
+    told = [[] for _ in range(vehicles)]
+    for k in range(1, steps + 1):
+        frame = suite.sample(k * STEP_US, truth)
+        for i, data in enumerate(encoder.encode(k * STEP_US, frame, None if k % 25 else motors)):
+            told[i].append(parsers[i].push(data))
+    assert all(parser.bad_bytes == 0 for parser in parsers)
+    return told
+
+
+def test_a_px4_gets_whole_groups_at_its_rates_with_utc_and_no_escs():
+    (steps,) = second_of_sensors(SensorEncoder(px4=(0,), epoch_us=EPOCH_US), 1)
+    sensors = [messages[-1] for messages in steps]
+    assert [sensor.get_type() for sensor in sensors] == ["HIL_SENSOR"] * 250
+    assert [sensor.time_usec for sensor in sensors] == [k * STEP_US for k in range(1, 251)]
+    assert {sensor.id for sensor in sensors} == {0}
+    groups = {"accel": 0b111, "gyro": 0b111000, "mag": 0b111000000, "baro": 0x1A00}
+    counts = dict.fromkeys(groups, 0)
+    for sensor in sensors:
+        fields = sensor.fields_updated
+        for name, bits in groups.items():
+            assert fields & bits in {0, bits}
+            counts[name] += fields & bits == bits
+        assert fields & ~sum(groups.values()) == 0
+    assert counts == {"accel": 250, "gyro": 250, "mag": 50, "baro": 50}
+    with_baro = next(sensor for sensor in sensors if sensor.fields_updated & 0x1A00)
+    assert with_baro.abs_pressure == pytest.approx(float(pressure_pa(488.0)) / 100, abs=1.0)
+    others = [message for messages in steps for message in messages[:-1]]
+    assert {message.get_type() for message in others} == {"HIL_GPS"}
+    assert len(others) in {4, 5}  # 5 Hz, and none before one is as old as fixes are
+    for messages in steps:
+        for fix in messages[:-1]:
+            assert fix.time_usec == EPOCH_US + messages[-1].time_usec
+            assert (fix.fix_type, fix.satellites_visible) == (3, 10)
+
+
+def test_a_radio_control_is_told_of_if_asked_for_ten_times_a_second():
+    (steps,) = second_of_sensors(SensorEncoder(px4=(0,), px4_rc=True), 1)
+    times_us = [
+        messages[-1].time_usec for messages in steps for m in messages if m.get_type() == "RC_CHANNELS"
+    ]
+    assert times_us == list(range(RC_PERIOD_US, 1_000_001, RC_PERIOD_US))
+    sticks = next(m for messages in steps for m in messages if m.get_type() == "RC_CHANNELS")
+    assert [getattr(sticks, f"chan{k}_raw") for k in (1, 2, 3, 4, 5)] == [1500] * 4 + [65535]
+    sequence = [m.get_seq() for messages in steps for m in messages]
+    assert sequence == [k % 256 for k in range(len(sequence))]  # nothing seems lost
+
+
+def test_in_a_mixed_swarm_own_vehicles_get_the_same_bytes_as_without_px4s():
+    alone = second_of_sensors(SensorEncoder(), 2, escs=True)
+    mixed = second_of_sensors(SensorEncoder(px4=(1,), epoch_us=EPOCH_US), 2, escs=True)
+    raw = [[m.get_msgbuf() for messages in told[0] for m in messages] for told in (alone, mixed)]
+    assert raw[0] == raw[1]
+    kinds = [[m.get_type() for messages in told for m in messages] for told in mixed]
+    assert "ESC_STATUS" in kinds[0]
+    assert kinds[1] == [kind for kind in kinds[0] if kind != "ESC_STATUS"]
+
+
+def test_px4_settings_survive_the_way_to_the_processes(scenario):
+    autopilot = scenario("autopilot.px4_vehicles=[1]").autopilot
+    assert [autopilot.is_px4(i) for i in range(3)] == [False, True, False]
+    assert not replace(autopilot, kind="own").is_px4(1)
