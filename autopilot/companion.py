@@ -30,6 +30,7 @@ from autopilot.onboard.app import NOTHING, OnboardApp
 from autopilot.onboard.messages import heartbeat
 from autopilot.onboard.phases import Phase
 from autopilot.protocol.service import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
+from autopilot.rehearsal import RehearsalError, rehearse
 from netsim.child import Finished, Ready, Stop, commands, emit
 from netsim.wire.messages import RxItem, TxItem
 
@@ -179,7 +180,7 @@ class Process:
             self._socket.bind((ports.host, ports.companion_remote_udp))
             # from here on nobody else is heard
             self._socket.connect((ports.host, ports.companion_local_udp))
-            self._socket.setblocking(False)
+            self._socket.settimeout(0.0)  # non-blocking
         self._radio = stack.enter_context(
             contextlib.closing(
                 CompanionRadio(endpoint=ports.radio_endpoint, run_id=config.run_id, station=config.instance)
@@ -190,7 +191,10 @@ class Process:
         self._heard = 0
 
     def run(self, inbox: "queue.SimpleQueue[Stop]") -> None:
-        """Work until told to stop."""
+        """Work until told to stop. Raises RehearsalError."""
+        if self._companion is not None:
+            # nobody waits for the application: kernels that were loaded in flight would cost it its setpoints
+            rehearse()
         emit(Ready(name=self._name, pid=os.getpid()))
         # what lives now lives to the end: no full collection need walk it in flight
         gc.collect()
@@ -267,7 +271,7 @@ def main() -> int:
             commands(Stop, inbox)
         with contextlib.ExitStack() as stack:
             Process(config, stack).run(inbox)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RehearsalError) as error:
         sys.stderr.write(f"application: {error}\n")
         return 2
     except KeyboardInterrupt:

@@ -5,7 +5,7 @@ flight.parquet radio.parquet ftm.parquet      truth and estimates, every frame, 
 air.parquet                                   channel occupancy over time
 gains.parquet antenna.nec patterns.nc         antenna: gains over time, median instant as NEC deck, patterns
 figures/*.png  logs/*.log  config/*.json       pictures, the processes' messages, their settings
-uav-0.params ...                              parameters that a ground station had saved
+uav-0.params uav-0.ulg ...                    parameters that a ground station had saved, its log
 raw/                                          binary logs while the run lasts
 """
 

@@ -122,7 +122,7 @@ class Flight:
             limit_s=20.0,
         )
         await check("at take-off altitude", self._height(4.0), limit_s=20.0)
-        await check("and holds", self._mode(FlightMode.HOLD), limit_s=15.0)
+        await check("and holds", self._mode(FlightMode.HOLD), limit_s=30.0)
         await check("disarming in the air", refused(action.disarm(), "COMMAND_DENIED"))
 
     async def go_to(self) -> None:
@@ -152,10 +152,10 @@ class Flight:
         await check("offboard", offboard.start())
         await check("which is its mode", self._mode(FlightMode.OFFBOARD))
         await check("offboard place is reached", self._at(0.0, 0.0, -5.0), limit_s=25.0)
-        await check("offboard velocity", self._velocity(VelocityNedYaw(0.0, 1.5, 0.0, 90.0)), limit_s=10.0)
-        await check("velocity of the body", self._body_velocity(), limit_s=10.0)
-        await check("global place", self._global_place(), limit_s=15.0)
-        await check("attitude", self._attitude(), limit_s=10.0)
+        await check("offboard velocity", self._velocity(VelocityNedYaw(0.0, 1.5, 0.0, 90.0)), limit_s=30.0)
+        await check("velocity of the body", self._body_velocity(), limit_s=30.0)
+        await check("global place", self._global_place(), limit_s=30.0)
+        await check("attitude", self._attitude(), limit_s=30.0)
         await check("offboard ends", offboard.stop())
         await check("in hold", self._mode(FlightMode.HOLD))
 
@@ -200,7 +200,7 @@ class Flight:
             first(telemetry.subscribe_landed_state(), lambda s: s == LandedState.ON_GROUND),
             limit_s=40.0,
         )
-        await check("disarmed by itself", self._disarmed(), limit_s=10.0)
+        await check("disarmed by itself", self._disarmed(), limit_s=30.0)
 
     # ---- facts
 
