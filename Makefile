@@ -39,9 +39,10 @@ $(CLIENTS): requirements-clients.lock $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --requirement requirements-clients.lock
 	@touch $@
 
-# one after the other: each keeps pace with the wall clock
+# one after the other, as each keeps pace with the wall clock; in all no longer than this
+CLIENTS_LIMIT_S := 480
 test-clients: $(CLIENTS)
-	COFLIGHT_CLIENTS=required $(BIN)/python -m pytest -m clients tests/clients $(ARGS)
+	COFLIGHT_CLIENTS=required $(BIN)/python -m pytest -m clients --session-timeout=$(CLIENTS_LIMIT_S) tests/clients $(ARGS)
 
 validate: $(STAMP)
 	$(BIN)/python scripts/validate_vehicle.py $(ARGS)

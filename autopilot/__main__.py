@@ -96,6 +96,7 @@ class Process:
         self._simulator = stack.enter_context(
             connect_simulator(ports.host, ports.simulator_tcp, config.connect_timeout_s)
         )
+        self._simulator.sendall(self._host.introduction())
         # the kernel's time limit, for Python's own costs a system call more each time
         self._simulator.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _SILENCE_TIMEVAL)
         self._waiting = stack.enter_context(contextlib.closing(selectors.DefaultSelector()))
@@ -210,7 +211,7 @@ class Process:
 def _open_links(config: VehicleConfig) -> Iterator[UdpLink]:
     """Open the links in the order of their numbers. Raises OSError and SigningKeyError."""
     links, ports = config.links, config.ports
-    key = None
+    key, heard = None, signing.Streams()
     if links.signing_key_file is not None:
         key = signing.key_of(Path(links.signing_key_file).read_bytes())
     remotes = (
@@ -224,7 +225,7 @@ def _open_links(config: VehicleConfig) -> Iterator[UdpLink]:
             remote_host=remote_host,
             remote_port=remote,
             encoder=Encoder(system=config.instance + 1, component=1),
-            signer=None if key is None else signing.Signer(key, link_id=number),
+            signer=None if key is None else signing.Signer(key, link_id=number, heard=heard),
         )
 
 

@@ -38,7 +38,7 @@ TICK_US = 8_000
 """Least time between two looks of the application: PX4's fastest stream is ATTITUDE at 100 Hz, in steps of
 4 ms."""
 LONGEST_LEAP_US = 60_000_000
-"""By which PX4's clock may go on unheard; the application makes up for what it had to say in between."""
+"""By which one message may set PX4's clock forward; further it takes a second one that agrees."""
 ORIGIN_PERIOD_US = 1_000_000
 """Between two requests for the estimator's origin, which PX4 does not stream to a companion."""
 ORIGIN_KNOWN_PERIOD_US = 10_000_000
@@ -93,6 +93,8 @@ class Companion:
             devices=config.devices,
             rng=np.random.default_rng(seed),
         )
+        self._stamp_us = -1
+        """What the last message said of the clock, whether it was believed or not."""
         self._tick_us = 0
         self._origin_us = 0
         self._has_origin = False
@@ -124,8 +126,10 @@ class Companion:
             self._replies += self.app.on_request(message)
 
     def _take_time(self, boot_us: int) -> None:
-        """Let the clock go on; it never goes back, and does not follow a leap."""
-        if self.now_us < 0 or self.now_us < boot_us <= self.now_us + LONGEST_LEAP_US:
+        """Let the clock go on; it never goes back, and leaps only where two messages in a row see it."""
+        before_us, self._stamp_us = self._stamp_us, boot_us
+        agrees = any(boot_us - LONGEST_LEAP_US <= seen_us <= boot_us for seen_us in (self.now_us, before_us))
+        if self.now_us < 0 or (boot_us > self.now_us and agrees):
             self.now_us = boot_us
 
     def on_timer(self, radio_items: Sequence[RxItem]) -> CompanionOutput:

@@ -14,9 +14,9 @@ from pymavlink.dialects.v20 import common
 from autopilot import parameter_file
 from autopilot.config import VehicleConfig
 from autopilot.flight_log import FlightLog
-from autopilot.mavlink.codec import Message
+from autopilot.mavlink.codec import Encoder, Message
 from autopilot.mavlink.hil import HilEncoder, HilParser, HilSensor
-from autopilot.protocol.service import GROUND_STATION, Addressed
+from autopilot.protocol.service import AUTOPILOT_COMPONENT, GROUND_STATION, Addressed
 from autopilot.protocol.status import TEXT_BYTES
 from autopilot.recording import VEHICLE_RECORD, record
 from autopilot.vehicle import Vehicle, is_clock
@@ -61,6 +61,13 @@ class Host:
         self._flight_log: FlightLog | None = None
         self._may_log = config.params_path is not None
 
+    def introduction(self) -> bytes:
+        """What is said to the simulator on connecting, so that no stranger gets the vehicle's seat."""
+        beat = common.MAVLink_heartbeat_message(
+            common.MAV_TYPE_QUADROTOR, common.MAV_AUTOPILOT_PX4, 0, 0, common.MAV_STATE_UNINIT, 3
+        )
+        return Encoder(system=self._config.instance + 1, component=AUTOPILOT_COMPONENT).encode(beat)
+
     def push(self, data: bytes) -> Iterator[list[Message]]:
         """The steps that the next bytes from the simulator complete: a HIL_SENSOR and what came before it."""
         for message in self._parser.push(data):
@@ -101,7 +108,7 @@ class Host:
             self._flight_log.on_step(output, link_active)
         actuators = output.actuators
         if output.save_parameters:
-            self._save_parameters()
+            self._save_parameters()  # how it ended is told in the next step
         if output.radio and self._radio is not None:
             self._radio.send(now_us, output.radio)
             actuators = actuators._replace(flags=actuators.flags | BATCH_HANDED_OVER)
@@ -118,7 +125,12 @@ class Host:
         if not self.vehicle.has_begun:
             self._links_waiting = (self._links_waiting + link_messages)[-MOST_WAITING:]
             return []
-        return self.vehicle.attend(link_messages)
+        answers = self.vehicle.attend(link_messages)
+        messaging = self.vehicle.messaging
+        if messaging.take_save_wanted():
+            self._save_parameters()
+            answers += messaging.take_outgoing()
+        return answers
 
     @property
     def bad_bytes(self) -> int:
@@ -142,14 +154,20 @@ class Host:
             sys.stderr.write(f"{self.name}: no log: {error}\n")
 
     def _save_parameters(self) -> None:
-        """Write the parameter file; a disk that will not have it is no reason to fall out of the sky."""
+        """Write the parameter file and have the askers told.
+
+        A disk that will not have it is no reason to fall out of the sky.
+        """
         path, system = self._config.params_path, self._config.instance + 1
         if path is None:
             return
+        trouble = None
         try:
             parameter_file.save(Path(path), self.vehicle.parameters, system_id=system)
         except OSError as error:
             sys.stderr.write(f"{self.name}: parameters not saved: {error}\n")
+            trouble = error.strerror or str(error)
+        self.vehicle.messaging.on_saved(trouble)
 
 
 def warnings(links: Links) -> Iterator[str]:

@@ -3,16 +3,16 @@
 `Vehicle` feeds it messages and time, and takes what is to be sent once a step. No I/O.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.geofence import Geofence
+from autopilot.commander.geofence import Geofence, Origin
 from autopilot.config import VehicleConfig
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.signing import SIGNATURE_BYTES
 from autopilot.navigation import plan_items
-from autopilot.navigation.plan_store import PlanStore, PlanType
+from autopilot.navigation.plan_store import Plan, PlanStore, PlanType
 from autopilot.params import ParameterSet
 from autopilot.pilot import Pilot
 from autopilot.protocol import metadata
@@ -20,7 +20,7 @@ from autopilot.protocol.actions_flight import FlightActions, FlightCommands
 from autopilot.protocol.actions_system import SystemCommands
 from autopilot.protocol.calibration import Calibration
 from autopilot.protocol.clocks import PingService, TimesyncService
-from autopilot.protocol.command import CommandService
+from autopilot.protocol.command import ACCEPTED, FAILED, CommandService
 from autopilot.protocol.files import FileStore
 from autopilot.protocol.flight_data import FlightData, Home
 from autopilot.protocol.ftp import FtpService
@@ -53,9 +53,11 @@ from autopilot.protocol.streams import (
     Streams,
 )
 from autopilot.protocol.telemetry import Telemetry
-from autopilot.site_plan import SitePlans
+from autopilot.types import Array
 
 _OUTSIDE = (GROUND_STATION, COMPANION)
+_WARN = 1
+"""GF_ACTION up to which a geofence is not kept to."""
 
 
 class Messaging:
@@ -68,27 +70,33 @@ class Messaging:
         flight: FlightData,
         parameters: ParameterSet,
         set_parameter: Callable[[str, float], None],
+        reset_parameters: Callable[[tuple[str, ...]], bool],
         pilot: Pilot,
         geofence: Geofence,
         offboard: OffboardService,
         manual: ManualControlService,
-        plans: SitePlans,
+        plans: Mapping[PlanType, Plan],
     ) -> None:
-        """``set_parameter`` changes one for good and at once; ``plans`` are those to begin with."""
+        """``set_parameter`` changes one for good and at once; ``plans`` are those to begin with.
+
+        ``reset_parameters`` gives those with these beginnings their defaults unless the vehicle is armed.
+        """
         self._config = config
         self._system = config.instance + 1
         self._flight = flight
         self._parameters = parameters
         self._set_parameter = set_parameter
+        self._reset_parameters = reset_parameters
         self._pilot = pilot
         self._geofence = geofence
+        pilot.allows = self._is_allowed
         self.tell_application: Callable[[Message, int], None] | None = None
         """Takes a message for the application in this process, and the time."""
         self.plans = PlanStore()
-        for kind, items in plans.items.items():
-            self.plans.put(kind, items)
         self._plans_taken = dict(self.plans.version)
         """Versions of the plans that are flown and kept to."""
+        for kind, plan in plans.items():
+            self.plans.put(kind, plan.items, made=plan.made)
         self.telemetry = Telemetry(
             flight,
             system=self._system,
@@ -136,6 +144,7 @@ class Messaging:
         self._home_told: Home | None = None
         self._origin_told = False
         self._save_wanted = False
+        self._take_plans()
 
     # ---- what comes in
 
@@ -143,6 +152,7 @@ class Messaging:
         """Take a message that is meant for the autopilot; what it is answered goes out."""
         self.post(self.services.on_message(message, now_us, partner))
         self._take_plans()
+        self._warn()
 
     def on_new_fix(self) -> None:
         """Note that there is a new GPS fix to tell of."""
@@ -153,6 +163,14 @@ class Messaging:
         """Note that a parameter has changed, whoever changed it: all are told."""
         self._parameter_service.on_change(name)
         self.services.look_again()
+
+    def on_saved(self, trouble: str | None) -> None:
+        """Note how the writing has ended that `take_save_wanted` told of; None: the file is there."""
+        result = ACCEPTED if trouble is None else FAILED
+        self.post(self._commands.finish(common.MAV_CMD_PREFLIGHT_STORAGE, result, self._flight.now_us))
+        if trouble is not None:
+            text = f"Parameters not saved: {trouble}"
+            self.post(reply(ALL, status_text(common.MAV_SEVERITY_CRITICAL, text)))
 
     # ---- what goes out
 
@@ -182,6 +200,7 @@ class Messaging:
 
         Where ``link_active`` says that nobody listens, only the heartbeat is formed.
         """
+        self._warn()
         if self.missions.has_news:
             self.services.look_again()
         answered = len(self._outgoing)
@@ -228,23 +247,31 @@ class Messaging:
                 change_speed=pilot.change_speed,
                 set_home=pilot.set_home,
                 set_home_here=pilot.set_home_here,
+                has_mission_item=self.missions.has_item,
                 set_mission_current=self.missions.set_current,
                 takeoff_height_m=lambda: parameters.settings.navigation.takeoff_height_m,
             ),
         )
-        system = SystemCommands(self.streams, calibrate=calibration.command, save_parameters=self._want_save)
+        system = SystemCommands(
+            self.streams,
+            calibrate=calibration.command,
+            save_parameters=self._want_save,
+            reset_parameters=self._reset_parameters,
+        )
+        self._commands = CommandService(flying.table | system.table)
         return Services(
             (
                 offboard,
                 manual,
                 PlanTransfer(
                     self.plans,
-                    check=plan_items.refusal,
+                    make=plan_items.make,
                     system=self._system,
                     current=lambda: runner.current,
+                    time_stands=lambda: self._flight.time_stands,
                 ),
                 self.missions,
-                CommandService(flying.table | system.table),
+                self._commands,
                 *self._clocks,
                 PlacesService(pilot.set_home, self.telemetry.motion.gps_global_origin),
                 calibration,
@@ -265,11 +292,12 @@ class Messaging:
         before, self._plans_taken = self._plans_taken, dict(self.plans.version)
         kinds = {kind for kind, version in self._plans_taken.items() if version != before[kind]}
         self._pilot.load_plans(self.plans, kinds)
-        if PlanType.FENCE in kinds:
-            self._geofence.set_shapes(plan_items.fence_shapes(self.plans[PlanType.FENCE].items))
-        if PlanType.MISSION in kinds and self._pilot.mission_trouble is not None:
-            text = f"Mission rejected: {self._pilot.mission_trouble}"
-            self.post(reply(ALL, status_text(common.MAV_SEVERITY_WARNING, text)))
+
+    def _warn(self) -> None:
+        """Say what is new about the mission."""
+        warnings = self._pilot.warnings
+        while warnings:
+            self.post(reply(ALL, status_text(common.MAV_SEVERITY_CRITICAL, warnings.pop(0))))
 
     def _keep_telemetry(self) -> None:
         """Do what matters only while somebody listens: feel vibration, tell new places at once."""
@@ -286,9 +314,17 @@ class Messaging:
         for link in _OUTSIDE:
             self.streams[link].hasten(message_id, self._flight.now_us)
 
+    def _is_allowed(self, place_ned_m: Array) -> bool:
+        """Whether the geofence, if it does more than warn, lets the vehicle be at a place (3,)."""
+        flight, state = self._flight, self._flight.state
+        if self._parameters.settings.commander.geofence_action <= _WARN:
+            return True
+        home_ned_m = None if flight.home is None else flight.home.pos_ned_m
+        origin = Origin(state.origin_lat_deg, state.origin_lon_deg, state.origin_alt_m)
+        return self._geofence.check(place_ned_m, home_ned_m, origin) is None
+
     def _is_fenced(self) -> bool:
-        params = self._geofence.params
-        return bool(self._geofence.shapes) or max(params.max_horizontal_m, params.max_vertical_m) > 0.0
+        return self._geofence.has_limits
 
     def _on_file_opened(self, path: str, partner: Partner) -> None:
         if path.startswith(metadata.PACKED_PATH):

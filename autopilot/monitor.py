@@ -4,6 +4,8 @@ Gathers them from estimator, sensors, links, battery, geofence and failure detec
 of a second old is looked at ten times a second. Decides nothing.
 """
 
+from collections.abc import Callable
+
 from pymavlink.dialects.v20 import common
 
 from autopilot.commander.battery import BatteryMonitor, BatterySimulator, BatteryWarning
@@ -34,14 +36,15 @@ class Monitor:
         sensors: SensorInput,
         offboard: OffboardService,
         manual: ManualControlService,
+        has_mission: Callable[[], bool],
     ) -> None:
+        """``has_mission`` tells whether there is a mission to fly."""
         self.battery = BatteryMonitor(settings.battery)
         self.geofence = geofence
         self.breach: Breach | None = None
         """What the vehicle breached when it was looked at last."""
         self.failures = FailureDetector(settings.failure_detector)
-        self.mission_valid = False
-        """There is a mission to fly."""
+        self._has_mission = has_mission
         self._pack = BatterySimulator(settings.battery_sim, settings.battery)
         self._sensors = sensors
         self._offboard = offboard
@@ -110,7 +113,7 @@ class Monitor:
             conditions |= _SETPOINTS
         if self._manual.is_fresh(now_us, self._manual_loss_us):
             conditions |= _MANUAL
-        if self.mission_valid:
+        if self._has_mission():
             conditions |= _MISSION
         return conditions
 

@@ -7,6 +7,7 @@ settings' source, so that it is written down once.
 import ast
 import inspect
 import re
+import sys
 from itertools import groupby
 from operator import attrgetter
 
@@ -35,7 +36,9 @@ def group(row: Row) -> str:
     return (PREFIXES | _MORE_PREFIXES)[row.name.partition("_")[0]]
 
 
-_UNIT = r"(1|s|m|rad|s\^2)(/\w+(\^\d)?)?"
+_NAMED = re.compile(r"(\w+)[:,;]?\s*")
+_THERE_IN = re.compile(r"^\(there in [^)]*\)[:,;]?\s*")
+_UNIT = re.compile(r"(1|s|m|rad|s\^2)(/\w+(\^\d)?)?")
 _SUFFIX = re.compile(r"(_(rad|m|s|us|hz|a|v|1|s2|s3|gauss|ohm|mah))+$")
 
 
@@ -46,31 +49,33 @@ def meaning(parameter: Row) -> str:
     *parents, field = parameter.path.split(".")
     owner = attrgetter(".".join(parents))(Settings())
     text = _docstrings(type(owner)).get(field, "")
-    text = re.sub(rf"^{parameter.name}\b[:,;]?\s*", "", " ".join(text.split()))
-    text = re.sub(r"^\(there in [^)]*\)[:,;]?\s*", "", text)
-    if not text or re.fullmatch(_UNIT, text):
+    text = " ".join(text.split())
+    if (named := _NAMED.match(text)) is not None and named[1] == parameter.name:
+        text = text[named.end() :]
+    text = _THERE_IN.sub("", text)
+    if not text or _UNIT.fullmatch(text):
         text = _SUFFIX.sub("", field).replace("_", " ")
     return text[:1].upper() + text[1:]
 
 
-_DOCSTRINGS: dict[type[Struct], dict[str, str]] = {}
-"""What has been read already: it does not change."""
+_DOCSTRINGS: dict[str, dict[str, dict[str, str]]] = {}
+"""What has been read already, by module and class: it does not change."""
 
 
 def _docstrings(kind: type[Struct]) -> dict[str, str]:
     """Docstrings of the fields of a settings struct; none where the program came without its source."""
-    if kind not in _DOCSTRINGS:
+    module = kind.__module__
+    if module not in _DOCSTRINGS:
         try:
-            source = inspect.getsource(kind)
+            source = inspect.getsource(sys.modules[module])
         except OSError:
-            source = "class Unknown:\n    pass"
-        _DOCSTRINGS[kind] = _read_docstrings(source)
-    return _DOCSTRINGS[kind]
+            source = ""
+        classes = (node for node in ast.parse(source).body if isinstance(node, ast.ClassDef))
+        _DOCSTRINGS[module] = {node.name: _read_docstrings(node) for node in classes}
+    return _DOCSTRINGS[module].get(kind.__name__, {})
 
 
-def _read_docstrings(source: str) -> dict[str, str]:
-    (definition,) = ast.parse(source).body
-    assert isinstance(definition, ast.ClassDef)  # noqa: S101  what else would its source be
+def _read_docstrings(definition: ast.ClassDef) -> dict[str, str]:
     texts = {}
     for before, after in zip(definition.body, definition.body[1:], strict=False):
         if isinstance(before, ast.AnnAssign) and isinstance(before.target, ast.Name):

@@ -6,7 +6,7 @@ written down twice. Beside it stand the parameters without effect of `autopilot.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from enum import IntEnum
 from operator import attrgetter
 from typing import NamedTuple, TypeVar
@@ -94,6 +94,7 @@ TABLE = (
     Parameter("CF_DOB_EN", "control.disturbance.enabled", "", 0, 1, is_integer=True),
     Parameter("CF_DOB_I_SHARE", "control.disturbance.integral_share", "", 0.0, 1.0),
     Parameter("COM_ACT_FAIL_ACT", "commander.motor_failure_action", "", 0, 4, is_integer=True),
+    Parameter("COM_ARMABLE", "commander.armable", "", 0, 1, is_integer=True),
     Parameter("COM_ARM_BAT_MIN", "commander.arming_battery_min", "norm", -1.0, 0.9),
     Parameter("COM_DISARM_LAND", "commander.disarm_landed_s", "s", -1.0, 20.0),
     Parameter("COM_DISARM_PRFLT", "commander.disarm_preflight_s", "s", -1.0, 60.0),
@@ -276,7 +277,7 @@ class ParameterSet:
         Pairs that must be in order are looked at when all are changed: the order of ``overrides`` is free.
         ``system`` is the vehicle's number in MAVLink.
         """
-        self.settings = settings
+        self.settings = self._defaults = settings
         self.stated = {row.name: row.default for row in STATED} | {"MAV_SYS_ID": float(system)}
         """Values of the parameters without effect."""
         self.version = 0
@@ -303,6 +304,29 @@ class ParameterSet:
                 self.settings = before
                 raise
         self.version += 1
+
+    def reset(self, names: Iterable[str]) -> list[str]:
+        """Give parameters the values from before all overrides, and return those that had others.
+
+        What is read only stays. Raises ParameterError where the others contradict them, and then nothing has
+        changed.
+        """
+        settings, stated, changed = self.settings, dict(self.stated), []
+        for name in names:
+            if name in stated:
+                if not STATED_OF[name].read_only and stated[name] != STATED_OF[name].default:
+                    stated[name] = STATED_OF[name].default
+                    changed.append(name)
+                continue
+            parameter = _find(name)
+            default = _setting(self._defaults, parameter)
+            if _setting(settings, parameter) != default:
+                settings = _with(settings, parameter.path.split("."), default)
+                changed.append(name)
+        _check_order(settings)
+        self.settings, self.stated = settings, stated
+        self.version += 1
+        return changed
 
     def _change(self, name: str, value: float) -> None:
         """Take one value without a look at the others. Raises ParameterError."""

@@ -1,18 +1,18 @@
 """From the mode to the motors: navigation, control, contact with the ground, and the place to return to."""
 
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import replace
 
 import numpy as np
 
 from autopilot.commander.conditions import Reason
+from autopilot.commander.geofence import Geofence, Origin
 from autopilot.commander.land_detector import LandDetector, Stage
 from autopilot.control import FlightController
 from autopilot.mavlink.modes import FlightMode
-from autopilot.navigation import plan_items
+from autopilot.navigation.feasibility import distance_warning, fence_trouble
 from autopilot.navigation.geodesy import geodetic_to_ned, ned_to_geodetic
-from autopilot.navigation.mission import Mission, distance_trouble
 from autopilot.navigation.orbit import Circle, YawBehaviour
 from autopilot.navigation.plan_store import PlanStore, PlanType
 from autopilot.navigation.setpoints import IDLE, ON_GROUND_M, Navigator, down_demand_m_s
@@ -38,6 +38,7 @@ class Pilot:
         *,
         offboard: OffboardService,
         manual: ManualControlService,
+        geofence: Geofence,
     ) -> None:
         self.controls = _NO_CONTROLS
         """(16,) of HIL_ACTUATOR_CONTROLS, never written to."""
@@ -45,18 +46,25 @@ class Pilot:
         self.controller = FlightController(settings.control)
         control = settings.control
         self.navigator = Navigator(settings.navigation, control.trajectory, control.position)
+        flight.course = lambda: self.navigator.course
+        self.allows: Callable[[Array], bool] = lambda _: True
+        """Whether somebody may have it fly to a place, (3,) from the estimator's origin."""
         self.mission_valid = False
-        """There is a mission that may be begun from home."""
+        """There is a mission that may be flown."""
         self.mission_trouble: str | None = None
-        """Why the mission that there is may not be begun from home."""
+        """Why the mission that there is may not be flown."""
+        self.warnings: list[str] = []
+        """What is to be said of the mission, for whoever says it and takes it away."""
+        self._mission_warning: str | None = None
         self._settings = settings
         self._flight = flight
         self._offboard = offboard
         self._manual = manual
+        self._geofence = geofence
         self._land_detector = LandDetector(settings.land_detector)
         self._setpoint: Setpoint = IDLE
-        self._active: tuple[FlightMode, bool, int, float | None] | None = None
-        """Mode, arming, estimator resets and take-off altitude that navigator and controller work with."""
+        self._active: tuple[FlightMode, bool, int, float | None, bool] | None = None
+        """Mode, arming, estimator resets, take-off altitude and a failsafe's hold that is flown now."""
         self._home_is_manual = False
         """Somebody said where home is: arming elsewhere does not change it."""
 
@@ -68,13 +76,9 @@ class Pilot:
             self.controller.set_params(control)
         if control is not before.control or settings.navigation is not before.navigation:
             self.navigator.set_params(settings.navigation, control.trajectory, control.position)
+        if settings.navigation is not before.navigation or settings.geofence is not before.geofence:
             self._check_mission()
         self._land_detector.params = settings.land_detector
-
-    def load_mission(self, mission: Mission | None) -> None:
-        """Take another mission, or none; in mission mode it begins at once."""
-        self.navigator.mission.load(mission)
-        self._check_mission()
 
     # ---- what is asked for in flight; a refusal gives its reason
 
@@ -89,7 +93,8 @@ class Pilot:
         """Hold at another place, as MAV_CMD_DO_REPOSITION with the flag that changes the mode.
 
         Without latitude and longitude the place stays, without an altitude the height; without any of them it
-        stops here. Without a heading the nose points as on any leg. On the ground it is refused.
+        stops here. Without a heading the nose points as on any leg. On the ground it is refused. A place that
+        is not allowed leaves it in hold here.
         """
         if (lat_deg is None) is not (lon_deg is None) or not _are_usable(lat_deg, lon_deg, alt_amsl_m):
             return Reason.BAD_ARGUMENT
@@ -102,6 +107,9 @@ class Pilot:
             self.navigator.stop(self._flight.state)
         else:
             place_ned_m = self._place_ned_m(self.navigator.place_ned_m, lat_deg, lon_deg, alt_amsl_m)
+            if not self.allows(place_ned_m):
+                self.navigator.stop(self._flight.state)
+                return Reason.OUTSIDE_GEOFENCE
             self.navigator.hold_at(place_ned_m, yaw_rad=_number(yaw_rad))
         return None
 
@@ -179,14 +187,21 @@ class Pilot:
         return None
 
     def load_plans(self, plans: PlanStore, kinds: Collection[PlanType]) -> None:
-        """Fly by what the store has of these types now; a mission begins with the item that is marked."""
+        """Fly by what the store has of these types now; a mission begins with the item that is marked.
+
+        In mission mode it begins at once. One that may not be flown then ends in hold.
+        """
+        if PlanType.RALLY in kinds:
+            self.navigator.set_rally_points(plans[PlanType.RALLY].made.rally_points)
+        if PlanType.FENCE in kinds:
+            self._geofence.set_shapes(plans[PlanType.FENCE].made.fence_shapes)
         if PlanType.MISSION in kinds:
             plan = plans[PlanType.MISSION]
             start = plan.start if plan.start < len(plan.items) else 0
-            self.navigator.mission.load(plan_items.mission(plan.items), start=start)
-            self._check_mission()
-        if PlanType.RALLY in kinds:
-            self.navigator.set_rally_points(plan_items.rally_points(plans[PlanType.RALLY].items))
+            self.navigator.mission.load(plan.made.mission, start=start)
+            self.mission_trouble = self._mission_warning = None
+        if kinds != {PlanType.RALLY}:
+            self._check_mission(flown=True)
 
     @property
     def landed(self) -> bool:
@@ -195,7 +210,9 @@ class Pilot:
 
     @property
     def next_mode(self) -> FlightMode | None:
-        """The mode to go on with, where the present one has done what it is for."""
+        """The mode to go on with, where the present one has done what it is for, or may not go on."""
+        if self.mission_trouble is not None and self._flight.commander.mode is FlightMode.MISSION:
+            return FlightMode.HOLD
         return self.navigator.next_mode(self._flight.state)
 
     def feel(self) -> None:
@@ -260,6 +277,7 @@ class Pilot:
             commander.armed,
             self._flight.state.reset_counter,
             self.takeoff_altitude.amsl_m,
+            commander.failsafe and commander.mode is FlightMode.HOLD,
         )
         if active != self._active:
             self._change(was_armed=self._active is not None and self._active[1])
@@ -283,6 +301,8 @@ class Pilot:
             takeoff_down_m=self._takeoff_down_m(),
             home_ned_m=flight.home.pos_ned_m if flight.home is not None else None,
         )
+        if flight.commander.failsafe and flight.commander.mode is FlightMode.HOLD:
+            self.navigator.stop(flight.state)  # a hold that was on its way to a place would go on
 
     # ---- pieces
 
@@ -331,18 +351,35 @@ class Pilot:
         self._flight.home = self._here()
         self._check_mission()
 
-    def _check_mission(self) -> None:
-        """Find out whether there is a mission that may be begun from home."""
-        mission, home = self.navigator.mission.runner.mission, self._flight.home
-        self.mission_trouble = None
+    def _check_mission(self, *, flown: bool = False) -> None:
+        """Find out whether there is a mission that may be flown.
+
+        Like PX4 it lets one that is being flown alone unless ``flown``: when mission or geofence are others.
+        """
+        mission, home, commander = (
+            self.navigator.mission.runner.mission,
+            self._flight.home,
+            self._flight.commander,
+        )
+        if commander.mode is FlightMode.MISSION and commander.armed and not self.landed and not flown:
+            return
+        trouble = warning = None
         if mission is not None and home is not None:
-            self.mission_trouble = distance_trouble(
+            state = self._flight.state
+            origin = Origin(state.origin_lat_deg, state.origin_lon_deg, state.origin_alt_m)
+            trouble = fence_trouble(mission, self._geofence, home_ned_m=home.pos_ned_m, origin=origin)
+            warning = distance_warning(
                 mission,
                 home_lat_deg=home.lat_deg,
                 home_lon_deg=home.lon_deg,
                 max_m=self._settings.navigation.first_place_max_m,
             )
-        self.mission_valid = mission is not None and self.mission_trouble is None
+        if trouble is not None and trouble != self.mission_trouble:
+            self.warnings.append(f"Mission rejected: {trouble}")
+        if warning is not None and warning != self._mission_warning:
+            self.warnings.append(warning)
+        self.mission_trouble, self._mission_warning = trouble, warning
+        self.mission_valid = mission is not None and trouble is None
 
     def _here(self) -> Home:
         state = self._flight.state

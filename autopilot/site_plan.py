@@ -3,8 +3,7 @@
 They are stated in metres of the site or in a plan file, of each sort in one of the two.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
 
 from autopilot import plan_file
 from autopilot.commander.geofence import FenceCircle, FencePolygon, FenceShape, Origin
@@ -19,25 +18,15 @@ from autopilot.config import (
 from autopilot.navigation import plan_items
 from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.navigation.mission import Mission, MissionCommand, MissionError, MissionItem, make_mission
-from autopilot.navigation.plan_items import RallyPoint
-from autopilot.navigation.plan_store import PlanType, WireItem
+from autopilot.navigation.plan_store import Plan, PlanType, Refused, WireItem, make_plan
 
 
 class PlanError(ValueError):
     """A fence or a mission that cannot be flown; the text is one line."""
 
 
-class SitePlans(NamedTuple):
-    """What a scenario gives a vehicle: what is flown and kept to, and the same as stations read it."""
-
-    mission: Mission | None
-    fence_shapes: Sequence[FenceShape]
-    rally_points: tuple[RallyPoint, ...]
-    items: Mapping[PlanType, tuple[WireItem, ...]]
-
-
-def plans(config: AutopilotConfig, site: Site) -> SitePlans:
-    """All plans of a scenario. Raises PlanError."""
+def plans(config: AutopilotConfig, site: Site) -> dict[PlanType, Plan]:
+    """Plans of a scenario, as if a station had written them. Raises PlanError."""
     try:
         file = plan_file.loads(config.plan) if config.plan is not None else plan_file.Plans()
     except plan_file.PlanFileError as error:
@@ -49,15 +38,13 @@ def plans(config: AutopilotConfig, site: Site) -> SitePlans:
     ):
         if in_file and in_scenario:
             raise PlanError(f"{name}: there is one in the plan file, too; expected one of the two")
-    flown = plan_items.mission(file.mission) if file.mission else mission(config.mission, site)
-    shapes = plan_items.fence_shapes(file.fence) if file.fence else fence_shapes(config.fence, site)
-    rally = file.rally or tuple(_rally_item(point, site) for point in config.rally)
+    flown = mission(config.mission, site)
     items = {
-        PlanType.MISSION: file.mission or (plan_items.mission_items(flown) if flown is not None else ()),
-        PlanType.FENCE: file.fence or plan_items.fence_items(shapes),
-        PlanType.RALLY: rally,
+        PlanType.MISSION: file.mission or (() if flown is None else plan_items.mission_items(flown)),
+        PlanType.FENCE: file.fence or plan_items.fence_items(fence_shapes(config.fence, site)),
+        PlanType.RALLY: file.rally or tuple(_rally_item(point, site) for point in config.rally),
     }
-    return SitePlans(flown, shapes, plan_items.rally_points(rally), items)
+    return {kind: _made_plan(kind, of_kind) for kind, of_kind in items.items()}
 
 
 def fence_shapes(config: Sequence[CircleConfig | PolygonConfig], site: Site) -> list[FenceShape]:
@@ -103,6 +90,13 @@ def _item(item: MissionItemConfig, site: Site) -> MissionItem:
         jump_to=item.jump_to,
         jump_count=item.jump_count,
     )
+
+
+def _made_plan(kind: PlanType, items: Sequence[WireItem]) -> Plan:
+    made = plan_items.make(kind, items)
+    if isinstance(made, Refused):
+        raise PlanError(f"{kind.name.lower()}: {made.text}")
+    return make_plan(items, made=made)
 
 
 def _rally_item(point: RallyPointConfig, site: Site) -> WireItem:

@@ -6,12 +6,21 @@ one copies it. What is made at every step is a msgspec Struct, which costs a fra
 """
 
 from dataclasses import dataclass, field
+from enum import Enum
 
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+
+class Course(Enum):
+    """What a mode that flies by itself is about, as far as the ground is concerned."""
+
+    TAKE_OFF = "take off"
+    LANDING = "landing"
+    OTHER = "other"
 
 
 class ImuSample(Struct, frozen=True, kw_only=True):

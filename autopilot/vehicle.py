@@ -23,7 +23,7 @@ from autopilot.mavlink.modes import FlightMode
 from autopilot.messaging import Messaging
 from autopilot.monitor import Monitor
 from autopilot.onboard.app import NOTHING, OnboardApp
-from autopilot.params import ParameterError, ParameterSet, Problem, Settings
+from autopilot.params import ROWS, ParameterError, ParameterSet, Problem, Settings
 from autopilot.pilot import Pilot
 from autopilot.protocol.flight_data import FlightData
 from autopilot.protocol.manual_control import ManualControlService
@@ -51,6 +51,8 @@ _TRUTH_INTERVAL_US = 5_000.0
 _MODE_DISARMED = common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 _MODE_ARMED = _MODE_DISARMED | common.MAV_MODE_FLAG_SAFETY_ARMED
 _LOCKSTEP_FLAG = 1
+_OF_THE_START = frozenset({"EKF2_GPS_DELAY"})
+"""Parameters that cannot change later: the GPS delay is the length of the estimator's memory."""
 _HIL_STATE_QUATERNION = common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
 _TO_GROUND_TOO = frozenset({common.MAVLINK_MSG_ID_HEARTBEAT, common.MAVLINK_MSG_ID_NAMED_VALUE_INT})
 """What the application tells simulator and ground station of itself."""
@@ -104,29 +106,34 @@ class Vehicle:
         self.offboard = OffboardService(self.flight)
         self.manual = ManualControlService(self.commander)
         self.site = SiteFrame(config.site)
-        plans = site_plan.plans(config.autopilot, config.site)
         self._sensors = SensorInput(self.estimator)
         self.monitor = Monitor(
             settings,
-            geofence=Geofence(settings.geofence, plans.fence_shapes),
+            geofence=Geofence(settings.geofence),
             sensors=self._sensors,
             offboard=self.offboard,
             manual=self.manual,
+            has_mission=lambda: self.pilot.mission_valid,
         )
         self.flight.battery = self.monitor.battery
-        self.pilot = Pilot(settings, self.flight, offboard=self.offboard, manual=self.manual)
-        self.pilot.load_mission(plans.mission)
-        self.pilot.navigator.set_rally_points(plans.rally_points)
+        self.pilot = Pilot(
+            settings,
+            self.flight,
+            offboard=self.offboard,
+            manual=self.manual,
+            geofence=self.monitor.geofence,
+        )
         self.messaging = Messaging(
             config,
             flight=self.flight,
             parameters=self.parameters,
             set_parameter=self.set_parameter,
+            reset_parameters=self.reset_parameters,
             pilot=self.pilot,
             geofence=self.monitor.geofence,
             offboard=self.offboard,
             manual=self.manual,
-            plans=plans,
+            plans=site_plan.plans(config.autopilot, config.site),
         )
         self._before_conditions = self.offboard.takes | self.manual.takes
         """Messages that conditions depend on, so that a mode is not asked for in vain."""
@@ -192,11 +199,13 @@ class Vehicle:
         if self._last_us is None:
             return []
         now_us = self._last_us
+        self.flight.time_stands = True
         to_answer = self._take_in(link_messages, now_us)
         self.monitor.update(self.flight)  # for a mode may be asked for just after what it needs
         self._decide()
         for received in to_answer:
             self._on_link_message(received, now_us)
+        self.flight.time_stands = False
         return self.messaging.take_outgoing()
 
     @property
@@ -213,23 +222,37 @@ class Vehicle:
         return self._last_us is not None and now_us <= self._last_us
 
     def set_parameter(self, name: str, value: float) -> None:
-        """Change a parameter, which acts at once. Raises ParameterError, also for what cannot change now.
-
-        The GPS delay is the length of the estimator's memory and so is one of the start.
-        """
-        if name == "EKF2_GPS_DELAY":
+        """Change a parameter, which acts at once. Raises ParameterError, also for what cannot change now."""
+        if name in _OF_THE_START:
             raise ParameterError(f"{name} can only be set at the start", Problem.READ_ONLY)
         before = self.parameters.settings
         self.parameters.set(name, value)
         self.messaging.on_parameter(name)
+        self._apply_settings(before)
+
+    def reset_parameters(self, beginnings: tuple[str, ...]) -> bool:
+        """Give all parameters whose names begin so their defaults; armed it is refused, as by PX4."""
+        if self.commander.armed:
+            return False
+        before = self.parameters.settings
+        names = [
+            row.name for row in ROWS if row.name.startswith(beginnings) and row.name not in _OF_THE_START
+        ]
+        for name in self.parameters.reset(names):
+            self.messaging.on_parameter(name)
+        self._apply_settings(before)
+        return True
+
+    def _apply_settings(self, before: Settings) -> None:
+        """Have all parts go by what has become of the settings of before."""
         settings = self.parameters.settings
         if settings is before:
             return
         if settings.estimation is not before.estimation:
             self.estimator.set_params(settings.estimation)
         self.commander.params = settings.commander
+        self.monitor.set_params(settings)  # of the geofence, too, by which the pilot looks at the mission
         self.pilot.set_params(settings)
-        self.monitor.set_params(settings)
 
     def troubles(self) -> dict[str, int]:
         """Counts of what went wrong so far and was coped with."""
@@ -260,7 +283,6 @@ class Vehicle:
                 self.estimator.on_landed()
         if self.estimator.numerical_failure and not self.commander.armed:
             self.estimator.restart()
-        self.monitor.mission_valid = self.pilot.mission_valid
         self.monitor.update(flight)
 
     def _take_in(self, link_messages: Sequence[Addressed], now_us: int) -> list[Addressed]:
@@ -293,8 +315,7 @@ class Vehicle:
         elif self.app is not None and is_addressed_to(
             message, system=system, component=APPLICATION_COMPONENT
         ):
-            self.app.on_mavlink(message, now_us)
-            answers = self.app.on_request(message)
+            answers = self.app.on_request(message)  # what its autopilot tells it comes another way
             for answer in answers:
                 stamp(answer, system=system, component=APPLICATION_COMPONENT)
             messaging.post(reply(partner, *answers))

@@ -94,9 +94,15 @@ def _check_px4(config: AutopilotConfig, agents: int) -> None:
         raise ValueError(
             "autopilot.px4_build: missing; expected the folder of a PX4 SITL build, for autopilot.kind is px4"
         )
-    if config.fence or config.mission:
-        field = "fence" if config.fence else "mission"
-        raise ValueError(f"autopilot.{field}: a PX4 takes its {field} from a ground station alone")
+    given = (
+        ("fence", config.fence),
+        ("mission", config.mission),
+        ("rally", config.rally),
+        ("plan_file", config.plan),
+    )
+    for field, value in given:
+        if value:
+            raise ValueError(f"autopilot.{field}: a PX4 takes its plans from a ground station alone")
     texts = [("px4_command", part) for part in config.px4_command]
     texts += [(f"px4_env.{name}", value) for name, value in config.px4_env.items()]
     for field, text in texts:

@@ -24,6 +24,8 @@ from harness.scenario import Scenario, ScenarioError, load
 from harness.swarm import Swarm, SwarmTimeoutError
 
 FINE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+SLOWEST, FASTEST = 1.0 / 64.0, 64.0
+"""Speeds that keys lead to: at the first a step takes 0.25 s; few machines keep the other."""
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -109,10 +111,7 @@ def fly(
         factor = _speed(speed or ("1" if waits else "max"))
         display = display_for(messages)
         swarm = _swarm(plan, factor, out, port_offset, display, one_process=one_process)
-        with Keyboard(lambda key: _on_key(key, swarm, display)) as keyboard:
-            if keyboard.listening:
-                display.note("space pauses and goes on; + and - change the speed")
-            broken_off = _fly(swarm, display, until_interrupted=waits and duration is None)
+        broken_off = _fly(swarm, display, until_interrupted=waits and duration is None)
         display.close()
         _report(swarm, broken_off, messages, as_json=json, interruption_is_fine=waits and duration is None)
     except BaseException as error:  # noqa: BLE001  every end has its status
@@ -161,7 +160,10 @@ def _on_key(key: str, swarm: Swarm, display: Display) -> None:
             (swarm.resume if swarm.stands else swarm.pause)()
             display.note(f"paused at t = {swarm.simulated_s:.2f} s" if swarm.stands else "going on")
         elif key in "+-" and swarm.speed != "max":
-            swarm.set_speed(swarm.speed * (2.0 if key == "+" else 0.5))
+            speed = swarm.speed
+            # not past what keys are for, but from beyond it only towards it
+            faster, slower = max(speed, min(2.0 * speed, FASTEST)), min(speed, max(0.5 * speed, SLOWEST))
+            swarm.set_speed(faster if key == "+" else slower)
             display.note(f"speed {swarm.speed:g}")
 
 
@@ -176,9 +178,12 @@ def _fly(swarm: Swarm, display: Display, *, until_interrupted: bool) -> SwarmErr
     for line in swarm.addresses if waits else ():
         display.note(line)
     try:
-        if swarm.scenario.onboard.enabled and not waits:  # else the ground station flies
-            swarm.run_until_formed(timeout_s=run.reach_timeout_s)
-        swarm.run_for(MOST_TIME_S if until_interrupted else run.duration_s)
+        with Keyboard(lambda key: _on_key(key, swarm, display)) as keyboard:  # there is something to tell now
+            if keyboard.listening:
+                display.note("space pauses and goes on; + and - change the speed")
+            if swarm.scenario.onboard.enabled and not waits:  # else the ground station flies
+                swarm.run_until_formed(timeout_s=run.reach_timeout_s)
+            swarm.run_for(MOST_TIME_S if until_interrupted else run.duration_s)
     except (SwarmError, KeyboardInterrupt) as error:
         return error
     finally:

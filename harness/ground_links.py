@@ -3,9 +3,12 @@
 import os
 from collections.abc import Mapping
 from ipaddress import IPv4Address
+from pathlib import Path
 from typing import Any
 
-from autopilot.config import VehiclePorts
+from autopilot.config import LinksConfig, VehiclePorts
+from autopilot.mavlink import dialect  # noqa: F401  # a connection knows all that a vehicle says
+from autopilot.mavlink.signing import key_of
 
 
 def link_line(instance: int, local: Mapping[str, Any], ports: VehiclePorts) -> str:
@@ -21,11 +24,13 @@ def link_line(instance: int, local: Mapping[str, Any], ports: VehiclePorts) -> s
     return f"uav {instance}, system {instance + 1}: {', '.join(links)}"
 
 
-def connect(host: str, port: int) -> Any:  # noqa: ANN401  pymavlink has no types
+def connect(links: LinksConfig, port: int) -> Any:  # noqa: ANN401  pymavlink has no types
     """A pymavlink connection (`mavutil`) to a vehicle's port, as a ground station that has said hello.
 
-    ``host`` is what the vehicle's links are bound to.
+    ``links`` are the vehicle's; where these have a key it signs, and hears only what is signed.
+    Raises OSError for a key file that is gone, SigningKeyError for one that has no key any more.
     """
+    host = links.host
     if IPv4Address(host).is_unspecified:
         host = "127.0.0.1"
     os.environ.setdefault("MAVLINK20", "1")  # read when pymavlink is imported: it would send MAVLink 1
@@ -34,6 +39,9 @@ def connect(host: str, port: int) -> Any:  # noqa: ANN401  pymavlink has no type
     link = mavutil.mavlink_connection(
         f"udpout:{host}:{port}", source_system=255, source_component=190, dialect="common"
     )
+    if links.signing_key_file is not None:
+        # pymavlink gives each connection a link id of its own
+        link.setup_signing(key_of(Path(links.signing_key_file).read_bytes()), sign_outgoing=True)
     link.mav.heartbeat_send(
         mavutil.mavlink.MAV_TYPE_GCS,
         mavutil.mavlink.MAV_AUTOPILOT_INVALID,

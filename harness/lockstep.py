@@ -7,7 +7,6 @@ stays silent. What a silence means is told from outside by `harness.patience`, a
 `harness.reception`'s.
 """
 
-import contextlib
 import socket
 import struct
 import time
@@ -38,8 +37,6 @@ CLOSED = "its connection closed"
 class Manners:
     """What is to be expected of a sort of vehicle at its simulator's link."""
 
-    introduces_itself: bool = False
-    """It says who it is on connecting, before it gets sensors."""
     starts_silent: bool = False
     """It takes sensors for a while before its first answer: until then nobody waits for it."""
     late_after_s: float | None = None
@@ -48,7 +45,7 @@ class Manners:
 
 OWN = Manners()
 """coflight's own vehicles: one answer to each HIL_SENSOR, from the first on."""
-PX4 = Manners(introduces_itself=True, starts_silent=True, late_after_s=0.3)
+PX4 = Manners(starts_silent=True, late_after_s=0.3)
 """A real PX4: silent for its first 13 to 54 steps; under load an answer takes 0.2 s now and then, and after
 one that was lost there are others only if sensors go on."""
 
@@ -134,6 +131,7 @@ class Lockstep:
         manners = manners or [OWN] * len(listeners)
         self.seats = [Seat(i, manners[i]) for i in range(len(listeners))]
         self._listeners = list(listeners)
+        self._reception = Reception(dict(enumerate(listeners)))
         self._patience, self._applications = patience, applications
         self._on_message, self._on_silent, self._on_lost = on_message, on_silent, on_lost
         self._pending: list[Seat] = []
@@ -159,19 +157,16 @@ class Lockstep:
 
         Returns early if told not to keep waiting; called again it waits for those who are missing.
         """
-        missing = [seat for seat in self.seats if not seat.alive]
-        reception = Reception(
-            {seat.instance: self._listeners[seat.instance] for seat in missing},
-            {seat.instance: seat.manners.introduces_itself for seat in missing},
-        )
+        reception = self._reception
         wall_deadline_s = time.monotonic() + wall_timeout_s
-        with contextlib.closing(reception):
-            while reception.waiting_for and keep_waiting():
-                for newcomer in reception.look(POLL_S):
-                    self._seat(newcomer)
-                if time.monotonic() > wall_deadline_s and reception.waiting_for:
-                    absent = ", ".join(map(str, reception.waiting_for))
-                    raise ConnectTimeout(f"no connection from uav {absent} within {wall_timeout_s:g} s")
+        while reception.waiting_for and keep_waiting():
+            for newcomer in reception.look(POLL_S):
+                self._seat(newcomer)
+            if time.monotonic() > wall_deadline_s and reception.waiting_for:
+                absent = ", ".join(map(str, reception.waiting_for))
+                raise ConnectTimeout(f"no connection from uav {absent} within {wall_timeout_s:g} s")
+        if not reception.waiting_for:
+            reception.close()
 
     def _seat(self, newcomer: Newcomer) -> None:
         connection, seat = newcomer.connection, self.seats[newcomer.instance]
@@ -182,7 +177,7 @@ class Lockstep:
             # steps go on without it, so it may leave megabytes unread, and must not hold up the others then
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _POLL_TIMEVAL)
         seat.connection, seat.parser = connection, newcomer.parser
-        for message in newcomer.said:
+        for message in newcomer.said[1:]:  # the first was its introduction, which is no news of a flight
             self._on_message(seat.instance, message)
 
     def overhear(self, instance: int, message: Message) -> None:
@@ -272,6 +267,7 @@ class Lockstep:
             if seat.connection is not None:
                 seat.connection.close()
                 seat.connection = None
+        self._reception.close()
         for listener in self._listeners:
             listener.close()
 

@@ -101,6 +101,8 @@ class Progress(Event, frozen=True, kw_only=True):
     """Wall time by which the run has fallen behind the speed asked for, in all: it is not caught up with."""
     paused: bool = False
     """Simulated time stands, for that was asked for."""
+    wall_paused_s: float = 0.0
+    """Wall time for which the present `RunUntil` has stood on request so far."""
 
 
 class Paused(Event, frozen=True, kw_only=True):

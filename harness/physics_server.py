@@ -43,6 +43,8 @@ from netsim.transport import Question, Transport, TransportError
 PROGRESS_PERIOD_S = 0.2
 MOST_LAG_S = 0.1
 """A run that is later than this is not hurried to catch up: who watches or flies would see it leap."""
+NAP_S = 0.02
+"""Wall time for which a step that is too early may be slept away; in a longer wait commands are heard."""
 
 
 class Pacer:
@@ -94,6 +96,11 @@ class _Commands:
         self.paused = False
         self.speed: float | None = None
         """As it was changed since it was last looked at."""
+
+    @property
+    def quiet(self) -> bool:
+        """Whether nothing has come that a run must look at."""
+        return self.empty() and not self.paused and self.speed is None
 
     def get(self) -> AnyCommand:
         """Take the next command that is none about the pace, waiting for it."""
@@ -185,20 +192,26 @@ def _run(
                 vehicles=simulation.vehicles(),
                 lag_s=pacer.lag_s,
                 paused=line.paused,
+                wall_paused_s=wall_paused_s,
             )
         )
 
     def stand() -> None:
         nonlocal wall_paused_s
         simulation.settle()
-        wall_begin_s = time.monotonic()
+        wall_begin_s, before_s = time.monotonic(), wall_paused_s
+
+        def look() -> None:
+            nonlocal wall_paused_s
+            wall_s = time.monotonic()
+            wall_paused_s = before_s + wall_s - wall_begin_s
+            tell(wall_s)
+
         while line.paused and line.empty():
-            tell(time.monotonic())
+            look()
             line.wait(PROGRESS_PERIOD_S)
         pacer.stand()
-        wall_s = time.monotonic()
-        wall_paused_s += wall_s - wall_begin_s
-        tell(wall_s)
+        look()
 
     def interrupted() -> bool:
         idle = line.empty()
@@ -213,10 +226,20 @@ def _run(
     def keep_pace() -> None:
         wall_s = time.monotonic()
         ahead_s = pacer.ahead_s(simulation.time_us, wall_s)
-        if ahead_s > 0.0:
-            time.sleep(ahead_s)
         if wall_s - wall_progress_s >= PROGRESS_PERIOD_S:
             tell(wall_s)
+        if 0.0 < ahead_s <= NAP_S:
+            time.sleep(ahead_s)
+        elif ahead_s > NAP_S:
+            wait(wall_s + ahead_s)
+
+    def wait(wall_until_s: float) -> None:
+        """Wait long, so that the air, the launcher and its user do not have to."""
+        simulation.settle()
+        while line.quiet and (wall_s := time.monotonic()) < wall_until_s:
+            if wall_s - wall_progress_s >= PROGRESS_PERIOD_S:
+                tell(wall_s)
+            line.wait(min(wall_until_s - wall_s, PROGRESS_PERIOD_S))
 
     paused = run(simulation, command, interrupted=interrupted, on_step=keep_pace)
     return msgspec.structs.replace(paused, wall_paused_s=wall_paused_s)

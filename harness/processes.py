@@ -124,6 +124,8 @@ class Processes:
         self.happenings: list[Happening] = []
         """What the processes said and how they ended, less progress and answers."""
         self.simulated_us = 0
+        self.wall_paused_s = 0.0
+        """Wall time for which the run that lasts, or was the last, has stood on request."""
         self.formed_us: int | None = None
         self.failure: str | None = None
         """Why no command can be carried out any more."""
@@ -258,7 +260,7 @@ class Processes:
 
     def send(self, command: AnyCommand) -> None:
         """Give the physics server a command. Raises SwarmError if it cannot take one."""
-        if not self._running:
+        if not self._running or PHYSICS not in self.ready:  # too early is no reason to give the run up
             raise SwarmError("the swarm is not running")
         try:
             self._supervisor.send(PHYSICS, command)
@@ -316,6 +318,7 @@ class Processes:
             case Progress() | Paused():
                 self._met = True
                 self.simulated_us = message.time_us
+                self.wall_paused_s = message.wall_paused_s
             case _:
                 self.happenings.append(message)
         if isinstance(message, Formed):

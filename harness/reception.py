@@ -1,9 +1,8 @@
-"""Who is let into a vehicle's seat at the simulator: whoever connects first, or whoever says who it is.
+"""Who is let into a vehicle's seat at the simulator: whoever says who it is.
 
-An edge: accepts TCP connections on the seats' listeners. coflight's own vehicles are silent until they get
-sensors, so the first connection is theirs. A PX4 introduces itself on connecting, with a HEARTBEAT and a
-COMMAND_LONG of its system number, in either order; who says anything else, or nothing, is sent away, and
-holds up nobody.
+An edge: accepts TCP connections on the seats' listeners. A PX4 introduces itself on connecting, with a
+HEARTBEAT and a COMMAND_LONG of its system number, in either order; coflight's own vehicles do so with a
+HEARTBEAT. Who says anything else, or nothing, is sent away, and holds up nobody.
 """
 
 import selectors
@@ -35,17 +34,16 @@ class Newcomer:
     wall_deadline_s: float
     parser: HilParser
     said: list[Message]
-    """So far; its parser has the rest."""
+    """So far, its introduction first; its parser has the rest."""
 
 
 class Reception:
     """Listens for the vehicles of empty seats. Close it.
 
-    ``listeners`` are the empty seats' by instance, ``introduced`` says whose vehicles introduce themselves.
+    ``listeners`` are the empty seats' by instance.
     """
 
-    def __init__(self, listeners: Mapping[int, socket.socket], introduced: Mapping[int, bool]) -> None:
-        self._introduced = introduced
+    def __init__(self, listeners: Mapping[int, socket.socket]) -> None:
         self._selector = selectors.DefaultSelector()
         self._listeners = dict(listeners)
         self._newcomers: dict[int, list[Newcomer]] = {instance: [] for instance in listeners}
@@ -65,20 +63,20 @@ class Reception:
                 if newcomer in self._newcomers.get(newcomer.instance, ()):  # else sent away a moment ago
                     yield from self._hear(newcomer)
             elif key.data in self._listeners:
-                yield from self._accept(key.data)
+                self._accept(key.data)
         wall_s = time.monotonic()
         for newcomers in self._newcomers.values():
             for newcomer in [each for each in newcomers if wall_s > each.wall_deadline_s]:
                 self._send_away(newcomer)
 
     def close(self) -> None:
-        """Send away who has not been let in; the listeners stay open."""
+        """Send away who has not been let in; the listeners stay open. Harmless when repeated."""
         for newcomers in self._newcomers.values():
             for newcomer in list(newcomers):
                 self._send_away(newcomer)
         self._selector.close()
 
-    def _accept(self, instance: int) -> Iterator[Newcomer]:
+    def _accept(self, instance: int) -> None:
         connection, _ = self._listeners[instance].accept()
         newcomer = Newcomer(
             instance=instance,
@@ -87,9 +85,6 @@ class Reception:
             parser=HilParser(HilActuatorControls),
             said=[],
         )
-        if not self._introduced[instance]:
-            yield self._let_in(newcomer)
-            return
         newcomers = self._newcomers[instance]
         if len(newcomers) == MOST_NEWCOMERS:
             self._send_away(newcomers[0])

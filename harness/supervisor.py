@@ -260,8 +260,14 @@ class Supervisor:
             return None
 
     def send(self, name: str, command: AnyCommand) -> None:
-        """Write a command to a child's stdin. If it has ended, that is what comes out of `hear`."""
-        self._children[name].write(_encoder.encode(command) + b"\n")
+        """Write a command to a child's stdin. If it has ended, that is what comes out of `hear`.
+
+        Raises SupervisorError for a child that was never started.
+        """
+        child = self._children.get(name)
+        if child is None:
+            raise SupervisorError(f"{name} has not been started")
+        child.write(_encoder.encode(command) + b"\n")
 
     def kill(self, name: str) -> None:
         """SIGKILL a child and return when it is gone."""

@@ -254,17 +254,18 @@ class Swarm:
         if processes.failure is not None:
             raise SwarmError(processes.failure)
         processes.send(command)
-        wall_begin_s, wall_paused_s = time.monotonic(), 0.0
+        wall_begin_s = time.monotonic()
+        processes.wall_paused_s = 0.0
         try:
             paused = self._await_paused()
-            wall_paused_s = paused.wall_paused_s
         except BaseException as error:
             # where simulated time stands is the machine's doing: nothing can be flown on from here
             self._broken_off = f"a run was broken off: {str(error) or type(error).__name__}"
             processes.note_failure(self._broken_off)
             raise
         finally:
-            self._wall_running_s += time.monotonic() - wall_begin_s - wall_paused_s
+            # where it was broken off, as the physics server told last
+            self._wall_running_s += time.monotonic() - wall_begin_s - processes.wall_paused_s
         self._truth = Truth(time_us=paused.time_us, vehicles=paused.vehicles)
         if paused.reason == "no_vehicles":
             left = f"no vehicle is left at {self._truth.t_s:.3f} s"
@@ -326,10 +327,10 @@ class Swarm:
 
         The vehicle answers whoever has spoken to it, so a first heartbeat is sent along; it does so whether
         simulated time passes or not, but streams go on with time. Such a run depends on more than scenario
-        and seed; its manifest says so.
+        and seed; its manifest says so. It signs if the scenario has a key.
         """
         port = self._processes.ready[uav(instance)].details["gcs_local_udp"]
-        link = ground_links.connect(self.scenario.links.host, port)
+        link = ground_links.connect(self.scenario.links, port)
         self._links.callback(link.close)
         return link
 

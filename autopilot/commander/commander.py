@@ -84,7 +84,9 @@ class Commander:
 
     def arming_refusals(self) -> list[Reason]:
         """Give everything for which arming in the present mode would be refused, the most basic first."""
-        reasons = [] if self.mode in MODES_TO_ARM_IN else [Reason.MODE_CANNOT_ARM]
+        reasons = [] if self.params.armable else [Reason.NOT_ARMABLE]
+        if self.mode not in MODES_TO_ARM_IN:
+            reasons.append(Reason.MODE_CANNOT_ARM)
         if self.mode in MODE_NEEDS:
             reasons += all_missing(arming_needs(self.mode), self._conditions)
         for cause, reason in ARMING_CAUSES:

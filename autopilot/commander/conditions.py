@@ -59,6 +59,7 @@ class Reason(Enum):
     IN_AIR = ("not landed", common.MAV_RESULT_TEMPORARILY_REJECTED)
     TERMINATED = ("flight was terminated", common.MAV_RESULT_DENIED)
     ON_GROUND = ("on the ground", common.MAV_RESULT_TEMPORARILY_REJECTED)
+    NOT_ARMABLE = ("COM_ARMABLE is 0", common.MAV_RESULT_TEMPORARILY_REJECTED)
     MODE_CANNOT_ARM = ("this mode does not take off", common.MAV_RESULT_TEMPORARILY_REJECTED)
     MODE_UNAVAILABLE = ("this mode is not available", common.MAV_RESULT_DENIED)
     BAD_ARGUMENT = ("wrong parameter", common.MAV_RESULT_DENIED)

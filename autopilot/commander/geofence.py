@@ -148,6 +148,12 @@ class Geofence:
         self.shapes = tuple(shapes)
         self._origin = None
 
+    @property
+    def has_limits(self) -> bool:
+        """Whether there is any place where the vehicle may not be."""
+        params = self.params
+        return bool(self.shapes) or max(params.max_horizontal_m, params.max_vertical_m) > 0.0
+
     def margin_m(
         self,
         pos_ned_m: Vector,
@@ -166,6 +172,26 @@ class Geofence:
     ) -> Breach | None:
         """Find what a finite position breaches; None is nothing."""
         return _breach(self._worst(_floats(pos_ned_m), _home(home_pos_ned_m), origin))
+
+    def first_beyond(
+        self, places: Sequence[Vertex], down_m: Array, home_pos_ned_m: Vector, origin: Origin
+    ) -> int | None:
+        """Index of the first place that a vehicle may not be at, or None.
+
+        Takes n latitudes and longitudes in degrees and ``down_m`` (n,) from the origin. Upon a polygon's
+        border, to the last bit, is either way.
+        """
+        params, home_m = self.params, _floats(home_pos_ned_m)
+        north_m, east_m = np.ascontiguousarray(_local_m(places, origin).T)
+        beyond = np.zeros(len(places), bool)
+        if params.max_horizontal_m > 0.0:
+            beyond |= np.hypot(north_m - home_m[0], east_m - home_m[1]) >= params.max_horizontal_m
+        if params.max_vertical_m > 0.0:
+            beyond |= home_m[2] - down_m >= params.max_vertical_m
+        self._localise(origin)
+        for shape, local in zip(self.shapes, self._local, strict=True):
+            beyond |= local.contains(north_m, east_m) != shape.inclusion
+        return int(beyond.argmax()) if beyond.any() else None
 
     def check_braking(
         self,
@@ -210,15 +236,18 @@ class Geofence:
             if params.max_vertical_m > 0.0:
                 height_m = home_ned_m[2] - down_m
                 yield _Margin(params.max_vertical_m - height_m, BreachKind.MAX_ALTITUDE, None)
-        if origin != self._origin:
-            self._origin = origin
-            self._local = tuple(_localise(shape, origin) for shape in self.shapes)
+        self._localise(origin)
         for i, (shape, local) in enumerate(zip(self.shapes, self._local, strict=True)):
             inside_m = local.inside_m(north_m, east_m)
             if shape.inclusion:
                 yield _Margin(inside_m, BreachKind.LEFT_INCLUSION, i)
             else:
                 yield _Margin(-inside_m, BreachKind.ENTERED_EXCLUSION, i)
+
+    def _localise(self, origin: Origin) -> None:
+        if origin != self._origin:
+            self._origin = origin
+            self._local = tuple(_localise(shape, origin) for shape in self.shapes)
 
 
 def _floats(vector: Vector) -> _Ned:
@@ -252,6 +281,10 @@ class _Circle(NamedTuple):
         """Distance to the border, negative outside."""
         return self.radius_m - hypot(north_m - self.north_m, east_m - self.east_m)
 
+    def contains(self, north_m: Array, east_m: Array) -> NDArray[np.bool_]:
+        """(n,) whether places lie inside, not upon the border."""
+        return np.asarray(np.hypot(north_m - self.north_m, east_m - self.east_m) < self.radius_m)
+
 
 class _Polygon:
     """Edges as arrays, each (n,): where they begin, where they lead, how long they are."""
@@ -278,6 +311,19 @@ class _Polygon:
         south_of = (from_north_m * self._to_east_m < from_east_m * self._to_north_m) == self._eastward
         inside = int(np.count_nonzero(passes & south_of)) % 2 == 1
         return distance_m if inside else -distance_m
+
+    def contains(self, north_m: Array, east_m: Array) -> NDArray[np.bool_]:
+        """(n,) whether places lie inside, by the same rays; edge by edge, for places may be many."""
+        inside = np.zeros(len(north_m), bool)
+        edges = zip(
+            self._north_m.tolist(), self._east_m.tolist(), self._to_north_m.tolist(),
+            self._to_east_m.tolist(), self._end_east_m.tolist(), self._eastward.tolist(), strict=True,
+        )  # fmt: skip
+        for from_north_m, from_east_m, to_north_m, to_east_m, end_east_m, eastward in edges:
+            passes = (from_east_m <= east_m) != (end_east_m <= east_m)
+            south_of = (north_m - from_north_m) * to_east_m < (east_m - from_east_m) * to_north_m
+            inside ^= passes & (south_of == eastward)
+        return inside
 
 
 def _localise(shape: FenceShape, origin: Origin) -> _Circle | _Polygon:

@@ -8,6 +8,8 @@ from msgspec import Meta, Struct
 class CommanderParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Time limits, and what is done about what goes wrong (values as in `autopilot.commander.failsafe`)."""
 
+    armable: Annotated[int, Meta(ge=0, le=1)] = 1
+    """COM_ARMABLE: 0 denies every arming that is not forced"""
     disarm_landed_s: Annotated[float, Meta(ge=-1.0, le=60.0)] = 2.0
     """COM_DISARM_LAND: from landing to disarming; negative never"""
     disarm_preflight_s: Annotated[float, Meta(ge=-1.0, le=60.0)] = 10.0

@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass
 class Counters:
     """Counts of one port since its start."""
 
+    datagrams_too_long: int = 0
+    """Datagrams that are longer than any sender of MAVLink makes them; nothing of them was read."""
     bytes_bad: int = 0
     """Bytes that belonged to no whole frame of a message of the dialect with a right checksum."""
     frames_bad_checksum: int = 0

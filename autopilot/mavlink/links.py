@@ -24,9 +24,14 @@ MAX_PARTNERS = 8
 """The partner that was silent longest gives way to a ninth, but never the default one."""
 EVERYBODY = -1
 """In place of a partner's number: all of them."""
+MAX_RECEIVED_DATAGRAM_BYTES = 2_048
+"""What is longer is dropped unread: senders of MAVLink keep to what fits one Ethernet frame."""
 MAX_DATAGRAMS_PER_CALL = 64
+MAX_BYTES_PER_CALL = 16_384
+MAX_FRAMES_PER_CALL = 256
+"""Whichever is reached first ends a call of `UdpLink.receive`, for a swarm must not fly late because somebody
+talks much. The rest waits in the kernel, which drops what it has no room for."""
 _IP_RECVERR = 11  # linux/in.h; the socket module of CPython 3.11 does not name it
-_LARGEST_DATAGRAM_BYTES = 65_535
 _NS_PER_S = 1_000_000_000
 _SETUP_SIGNING = common.MAVLINK_MSG_ID_SETUP_SIGNING
 
@@ -108,17 +113,26 @@ class UdpLink:
     def receive(self) -> list[tuple[int, Message]]:
         """Messages that have arrived, without waiting, with the numbers of the partners that they are from.
 
-        Whoever sends one becomes a partner, and keeps its number until it is forgotten.
+        Whoever sends one becomes a partner, and keeps its number until it is forgotten. What is too much for
+        one call is left for the next.
         """
         messages: list[tuple[int, Message]] = []
         now = self._now()
+        left_bytes, last_frame = MAX_BYTES_PER_CALL, self._parser.looked_at + MAX_FRAMES_PER_CALL
         for _ in range(MAX_DATAGRAMS_PER_CALL):
+            if left_bytes <= 0 or self._parser.looked_at >= last_frame:
+                break
             try:
-                data, address = self._socket.recvfrom(_LARGEST_DATAGRAM_BYTES)
+                # the kernel cuts off the rest, so one byte more tells what was too long
+                data, address = self._socket.recvfrom(MAX_RECEIVED_DATAGRAM_BYTES + 1)
             except BlockingIOError:
                 break
             except OSError:  # a datagram that was sent came back as an error, which names its address
                 self._forget_refusing()
+                continue
+            left_bytes -= len(data)
+            if len(data) > MAX_RECEIVED_DATAGRAM_BYTES:
+                self.counters.datagrams_too_long += 1
                 continue
             received = self._parser.push_datagram(data, now)
             if received:

@@ -42,13 +42,46 @@ class Verdict(Enum):
     REPLAYED = "replayed"
 
 
+class Streams:
+    """Last timestamps of the senders that a vehicle has heard, by link id and source.
+
+    Its ports share them, or what was recorded at one could be played to another.
+    """
+
+    def __init__(self) -> None:
+        self._last: dict[tuple[int, bytes], int] = {}
+
+    def take(self, stream: tuple[int, bytes], timestamp: int, now: int) -> bool:
+        """Note the timestamp of a frame, unless the frame is not later than one before."""
+        last = self._last.get(stream)
+        if last is None:
+            if timestamp + OLDEST_NEW_STREAM < now or not self._has_room(now):
+                return False
+        elif timestamp <= last:
+            return False
+        self._last[stream] = timestamp
+        return True
+
+    def _has_room(self, now: int) -> bool:
+        """Whether one more stream can be remembered.
+
+        One whose last frame is a minute old can be forgotten: what was recorded of it is no new stream.
+        """
+        if len(self._last) >= MAX_STREAMS:
+            self._last = {
+                stream: last for stream, last in self._last.items() if last + OLDEST_NEW_STREAM >= now
+            }
+        return len(self._last) < MAX_STREAMS
+
+
 class Signer:
     """Signs what one port sends and judges what it hears, with one key.
 
-    ``link_id`` tells the streams of a vehicle's ports apart, for each has timestamps of its own.
+    ``link_id`` tells the streams that a vehicle's ports send apart, for each has timestamps of its own.
+    ``heard`` are the streams that the vehicle hears; without it the port has its own.
     """
 
-    def __init__(self, key: bytes, *, link_id: int) -> None:
+    def __init__(self, key: bytes, *, link_id: int, heard: Streams | None = None) -> None:
         """Raise SigningKeyError for a key that is not of 32 bytes."""
         if len(key) != KEY_BYTES:
             raise SigningKeyError(f"a signing key has {KEY_BYTES} bytes, not {len(key)}")
@@ -56,8 +89,7 @@ class Signer:
         self._link_id = link_id
         self._sent = 0
         """Timestamp of the last frame that was signed, or of a later one that was heard."""
-        self._heard: dict[tuple[int, bytes], int] = {}
-        """Last timestamp by link id and source."""
+        self._heard = Streams() if heard is None else heard
 
     def sign(self, frame: bytes, now: int) -> bytes:
         """Append the signature to a frame whose header already says that it is signed.
@@ -79,30 +111,14 @@ class Signer:
             return Verdict.BAD
         stream = (frame[-SIGNATURE_BYTES], bytes(frame[_SOURCE]))
         timestamp = int.from_bytes(frame[-SIGNATURE_BYTES + 1 : -_DIGEST_BYTES], "little")
-        last = self._heard.get(stream)
-        if last is None:
-            if timestamp + OLDEST_NEW_STREAM < now or not self._has_room(now):
-                return Verdict.REPLAYED
-        elif timestamp <= last:
+        if not self._heard.take(stream, timestamp, now):
             return Verdict.REPLAYED
-        self._heard[stream] = timestamp
         # whoever is ahead of this clock would take what is signed by it for old
         self._sent = max(self._sent, timestamp)
         return Verdict.GOOD
 
     def _digest(self, signed: bytes | bytearray) -> bytes:
         return hashlib.sha256(self._key + signed).digest()[:_DIGEST_BYTES]
-
-    def _has_room(self, now: int) -> bool:
-        """Whether one more stream can be remembered.
-
-        One whose last frame is a minute old can be forgotten: what was recorded of it is no new stream.
-        """
-        if len(self._heard) >= MAX_STREAMS:
-            self._heard = {
-                stream: last for stream, last in self._heard.items() if last + OLDEST_NEW_STREAM >= now
-            }
-        return len(self._heard) < MAX_STREAMS
 
 
 def key_of(text: bytes) -> bytes:

@@ -11,8 +11,6 @@ from enum import Enum, IntEnum
 from msgspec import Struct
 from pymavlink.dialects.v20 import common
 
-from autopilot.navigation.geodesy import geodetic_to_ned
-
 
 class MissionError(ValueError):
     """A mission that cannot be flown; the text is one line."""
@@ -116,27 +114,6 @@ class Mission(Struct, frozen=True):
 def make_mission(items: Iterable[MissionItem]) -> Mission:
     """Make a checked mission. Raises MissionError."""
     return Mission(tuple(items))
-
-
-def distance_trouble(
-    mission: Mission, *, home_lat_deg: float, home_lon_deg: float, max_m: float
-) -> str | None:
-    """Say why the first place is too far from home to start there (MIS_DIST_1WP), or None."""
-    first = mission.first_place()
-    if first is None or first.lat_deg is None or first.lon_deg is None or max_m <= 0.0:
-        return None
-    north_m, east_m, _ = geodetic_to_ned(
-        first.lat_deg,
-        first.lon_deg,
-        0.0,
-        origin_lat_deg=home_lat_deg,
-        origin_lon_deg=home_lon_deg,
-        origin_alt_m=0.0,
-    )
-    distance_m = math.hypot(north_m, east_m)
-    if distance_m <= max_m:
-        return None
-    return f"the first place is {distance_m:.0f} m from home, allowed are {max_m:.0f} m"
 
 
 # ---- what is wrong with a mission

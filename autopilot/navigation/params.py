@@ -17,10 +17,10 @@ Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
 class ReturnParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The way home."""
 
-    height_m: NonNegative = 60.0
-    """RTL_RETURN_ALT: above home; whoever is higher stays as high"""
-    descend_height_m: NonNegative = 30.0
-    """RTL_DESCEND_ALT: above home, where it waits before it lands"""
+    height_m: NonNegative = 30.0
+    """RTL_RETURN_ALT: above home; whoever is higher stays as high (PX4: 60, and 30 on multicopters)"""
+    descend_height_m: NonNegative = 10.0
+    """RTL_DESCEND_ALT: above home, where it waits before it lands (PX4: 30, and 10 on multicopters)"""
     land_delay_s: Annotated[float, Meta(ge=-1.0)] = 0.0
     """RTL_LAND_DELAY: wait before landing; 0 lands without going by the waiting height, negative never"""
     cone_half_angle_rad: Annotated[float, Meta(ge=0.0, le=radians(90.0))] = radians(45.0)
@@ -69,8 +69,8 @@ class NavigationParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """NAV_MC_ALT_RAD: likewise in height"""
     yaw_acceptance_rad: Positive = radians(12.0)
     """MIS_YAW_ERR: likewise in heading, for places with a heading"""
-    first_place_max_m: float = 900.0
-    """MIS_DIST_1WP: from home to a mission's first place; 0 or less: any distance"""
+    first_place_max_m: float = 10_000.0
+    """MIS_DIST_1WP: from home to a mission's first place, beyond it is warned; 0 or less: any distance"""
     yaw_mode: Annotated[int, Meta(ge=0, le=3)] = 0
     """MPC_YAW_MODE: towards the place (0), towards home (1), away from home (2), along the path (3)"""
     land_speed_m_s: Positive = 0.7

@@ -1,13 +1,11 @@
 """What stations write is made into what is flown and kept to, and back.
 
-`refusal` says of a list of items whether it is taken; of one that is, `mission`, `fence_shapes` and
-`rally_points` make what flies. The other way round, `mission_items` and `fence_items` make items of what a
-scenario says, so that stations read that, too.
+`make` makes of a list of items what flies, or says why the list is not taken. The other way round,
+`mission_items` and `fence_items` make items of what a scenario says, so that stations read that, too.
 """
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from pymavlink.dialects.v20 import common
@@ -29,38 +27,36 @@ from autopilot.navigation.plan_checks import (
     require_place,
     wrong,
 )
-from autopilot.navigation.plan_store import PlanType, Refused, WireItem
+from autopilot.navigation.plan_store import Made, PlanType, RallyPoint, Refused, WireItem
 
 __all__ = [
-    "RallyPoint", "circle_item", "fence_items", "fence_shapes", "float32", "mission", "mission_items",
-    "polygon_items", "rally_item", "rally_points", "refusal", "return_point_item",
+    "RallyPoint", "circle_item", "fence_items", "fence_shapes", "float32", "make", "mission",
+    "mission_items", "polygon_items", "rally_item", "rally_points", "refusal", "return_point_item",
 ]  # fmt: skip
-
-
-class RallyPoint(NamedTuple):
-    """A place to return to instead of home."""
-
-    lat_deg: float
-    lon_deg: float
-    height_m: float
-    frame: HeightFrame
 
 
 # ---- what is asked
 
 
-def refusal(kind: PlanType, items: Sequence[WireItem]) -> Refused | None:
-    """Say why a list is not taken, naming its first wrong item; None: it is. An empty list is taken."""
+def make(kind: PlanType, items: Sequence[WireItem]) -> Made | Refused:
+    """Make of a list what is flown or kept to, or say why it is not taken, naming its first wrong item.
+
+    An empty list is taken.
+    """
     try:
         if kind is PlanType.MISSION:
-            mission(items)
-        elif kind is PlanType.FENCE:
-            fence_shapes(items)
-        else:
-            rally_points(items)
+            return Made(mission=mission(items))
+        if kind is PlanType.FENCE:
+            return Made(fence_shapes=tuple(fence_shapes(items)))
+        return Made(rally_points=rally_points(items))
     except RefusalError as error:
         return error.refused
-    return None
+
+
+def refusal(kind: PlanType, items: Sequence[WireItem]) -> Refused | None:
+    """Say why a list is not taken; None: it is."""
+    made = make(kind, items)
+    return made if isinstance(made, Refused) else None
 
 
 def fence_shapes(items: Sequence[WireItem]) -> list[FenceShape]:

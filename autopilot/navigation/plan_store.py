@@ -1,6 +1,7 @@
 """Plans as ground stations know them: the items of mission, geofence and rally points, bit for bit.
 
-What is flown and kept to is made of them by `plan_items`; what is read back over MAVLink is what was written.
+What is flown and kept to is made of them by `plan_items` and kept beside them; what is read back over MAVLink
+is what was written.
 """
 
 import struct
@@ -10,7 +11,9 @@ from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common
 
+from autopilot.commander.geofence import FenceShape
 from autopilot.crc import crc32
+from autopilot.navigation.mission import HeightFrame, Mission
 
 
 class PlanType(IntEnum):
@@ -47,6 +50,26 @@ class WireItem(NamedTuple):
     autocontinue: int = 1
 
 
+class RallyPoint(NamedTuple):
+    """A place to return to instead of home."""
+
+    lat_deg: float
+    lon_deg: float
+    height_m: float
+    frame: HeightFrame
+
+
+class Made(NamedTuple):
+    """What items are made into: of one type of plan, so the others are empty."""
+
+    mission: Mission | None = None
+    fence_shapes: tuple[FenceShape, ...] = ()
+    rally_points: tuple[RallyPoint, ...] = ()
+
+
+NOTHING = Made()
+
+
 class Plan(NamedTuple):
     """Items of one type."""
 
@@ -55,6 +78,8 @@ class Plan(NamedTuple):
     """Of the items' contents; 0 without any. Stations know by it whether what they have is what is here."""
     start: int = 0
     """Of a mission: the item to begin with, which its writer marked as current."""
+    made: Made = NOTHING
+    """What is flown and kept to."""
 
 
 class Refused(NamedTuple):
@@ -79,12 +104,12 @@ class PlanStore:
     def __getitem__(self, kind: PlanType) -> Plan:
         return self._plans[kind]
 
-    def put(self, kind: PlanType, items: Iterable[WireItem], *, start: int = 0) -> bool:
-        """Take other items in place of all of a type; tells whether they are others at all.
+    def put(self, kind: PlanType, items: Iterable[WireItem], *, start: int = 0, made: Made = NOTHING) -> bool:
+        """Take other items, and what was made of them, in place of all of a type; tells whether they differ.
 
         Where they are the same nothing changes, so that a mission that is written again is flown on (PX4).
         """
-        plan = make_plan(items, start=start)
+        plan = make_plan(items, start=start, made=made)
         if plan.opaque_id == self._plans[kind].opaque_id:
             return False
         self._plans[kind] = plan
@@ -95,10 +120,10 @@ class PlanStore:
 _CONTENT = struct.Struct("<BHB4fiif")
 
 
-def make_plan(items: Iterable[WireItem], *, start: int = 0) -> Plan:
+def make_plan(items: Iterable[WireItem], *, start: int = 0, made: Made = NOTHING) -> Plan:
     """Give items their opaque id."""
     kept = tuple(items)
-    return Plan(kept, opaque_id(kept), start)
+    return Plan(kept, opaque_id(kept), start, made)
 
 
 def opaque_id(items: Sequence[WireItem]) -> int:

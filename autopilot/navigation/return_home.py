@@ -2,12 +2,15 @@
 
 It climbs on the spot, flies to the nearest of home and the rally points on a straight line with the nose
 towards it, comes to rest there and lands; with a delay it first waits at the waiting height. Heights count
-from the place returned to. Without a home it lands where it is.
+from the place returned to. Without a home it lands where it is. As with PX4 the place is chosen at the start
+of a return: a home or rally points that are set later are for the next one.
 """
 
 import math
 from collections.abc import Sequence
 from enum import Enum
+
+from msgspec.structs import replace
 
 from autopilot.navigation.geodesy import geodetic_to_ned
 from autopilot.navigation.guide import Guide, HomePosition, Moment, heading_rad, is_near
@@ -57,6 +60,8 @@ TRANSITIONS: dict[tuple[Phase, Event], Phase] = {
     (Phase.DONE, Event.LIFTED): Phase.LAND,
 } | {(phase, Event.LANDED): Phase.DONE for phase in Phase if phase is not Phase.DONE}
 """What is not in the table changes nothing."""
+_ON_THE_SPOT = {Phase.CLIMB, Phase.LAND}
+"""Phases that keep the place that the way led to last."""
 
 
 def return_height_m(distance_m: float, params: NavigationParams) -> float:
@@ -114,8 +119,10 @@ class ReturnHome:
         self.phase = Phase.DONE
         self.rally_points: tuple[RallyPoint, ...] = ()
         """Where to return to as well; chosen among at the start of a return."""
-        self.goal: RallyPoint | None = None
-        """What is returned to; None: home."""
+        self._home_ned_m: HomePosition | None = None
+        """Home as it was at the start."""
+        self._goal_ned_m: HomePosition | None = None
+        """What is returned to; None without a home."""
         self._guide = guide
         self._landing = landing
         self._return_down_m = 0.0
@@ -125,32 +132,38 @@ class ReturnHome:
         """Set out from where the vehicle is."""
         state = moment.state
         self._waited_s = 0.0
-        self.goal = nearest_rally_point(self.rally_points, moment)
-        goal_ned_m = self._goal_ned_m(moment)
+        home_ned_m = goal_ned_m = self._home_ned_m = moment.home_ned_m
+        point = nearest_rally_point(self.rally_points, moment)
+        if point is not None and home_ned_m is not None:
+            goal_ned_m = _rally_ned_m(point, moment, home_ned_m)
+        self._goal_ned_m = goal_ned_m
         if moment.landed:
             self.phase = Phase.DONE
         elif goal_ned_m is None:
             self.phase = Phase.LAND
         else:
             down_m = float(state.pos_ned_m[2])
-            wanted_m = goal_ned_m[2] - return_height_m(self.distance_m(moment), params)
+            distance_m = math.dist(state.pos_ned_m[:2], goal_ned_m[:2])
+            wanted_m = goal_ned_m[2] - return_height_m(distance_m, params)
             self._return_down_m = min(down_m, wanted_m)
             self.phase = Phase.FLY_HOME if down_m <= wanted_m else Phase.CLIMB
-        self.resume(moment, params)
+        self._guide.restart(state)
+        self._begin(moment, params)
 
     def resume(self, moment: Moment, params: NavigationParams) -> None:
         """Begin the present phase again from the present motion, for the estimate jumped."""
-        self._guide.restart(moment.state)
+        guide = self._guide
+        place_ned_m = guide.target_ned_m.copy()
+        guide.restart(moment.state)
+        if self.phase is Phase.LAND:
+            place_ned_m[2] = guide.target_ned_m[2]
+            guide.go_to(place_ned_m)
         self._begin(moment, params)
-
-    def distance_m(self, moment: Moment) -> float:
-        """Horizontal distance to what is returned to; 0 without a home."""
-        goal = self._goal_ned_m(moment)
-        pos = moment.state.pos_ned_m
-        return 0.0 if goal is None else math.hypot(pos[0] - goal[0], pos[1] - goal[1])
 
     def update(self, moment: Moment, params: NavigationParams) -> TrajectorySetpoint:
         """Give the next setpoint."""
+        if moment.home_ned_m is not self._home_ned_m:
+            moment = replace(moment, home_ned_m=self._home_ned_m)
         event = self._event(moment, params)
         if event is not None and (self.phase, event) in TRANSITIONS:
             self.phase = TRANSITIONS[self.phase, event]
@@ -193,13 +206,13 @@ class ReturnHome:
 
     def _begin(self, moment: Moment, params: NavigationParams) -> None:
         """Set the guide on the present phase's way."""
-        guide, goal_ned_m = self._guide, self._goal_ned_m(moment)
+        guide, goal_ned_m = self._guide, self._goal_ned_m
         if self.phase is Phase.DONE:
             return
         if self.phase is Phase.LAND:
             self._landing.start(moment.state)
         target_ned_m = guide.target_ned_m.copy()
-        if goal_ned_m is not None and self.phase is not Phase.CLIMB:
+        if goal_ned_m is not None and self.phase not in _ON_THE_SPOT:
             target_ned_m[:2] = goal_ned_m[:2]
         if self.phase in {Phase.CLIMB, Phase.FLY_HOME}:
             target_ned_m[2] = self._return_down_m
@@ -207,9 +220,3 @@ class ReturnHome:
             target_ned_m[2] = max(self._return_down_m, goal_ned_m[2] - params.return_home.descend_height_m)
         # up and down lines are plumb, so that stopping on the way costs no height
         guide.go_to(target_ned_m, along_ned=None if self.phase is Phase.FLY_HOME else UP)
-
-    def _goal_ned_m(self, moment: Moment) -> HomePosition | None:
-        """Give where the way leads; None without a home."""
-        if self.goal is None or moment.home_ned_m is None:
-            return moment.home_ned_m
-        return _rally_ned_m(self.goal, moment, moment.home_ned_m)

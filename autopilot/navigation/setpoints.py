@@ -17,6 +17,7 @@ from autopilot.navigation.guide import Guide, HomePosition, Moment, heading_rad
 from autopilot.navigation.landing import IDLE, Landing, TakeOff, descend
 from autopilot.navigation.manual import CENTRED, ManualFlight, ManualInput
 from autopilot.navigation.mission_flight import MissionFlight
+from autopilot.navigation.mission_flight import Stage as MissionStage
 from autopilot.navigation.orbit import Orbit, default_circle
 from autopilot.navigation.params import NavigationParams
 from autopilot.navigation.plan_items import RallyPoint
@@ -24,6 +25,7 @@ from autopilot.navigation.return_home import Phase, ReturnHome
 from autopilot.types import (
     Array,
     AttitudeSetpoint,
+    Course,
     EstimatorState,
     RateSetpoint,
     Setpoint,
@@ -38,6 +40,12 @@ _HAVE_LEGS = {FlightMode.HOLD, FlightMode.RETURN}
 """Modes besides Mission in which a speed may be asked for."""
 _ENDS_IN_HOLD = {FlightMode.TAKEOFF, FlightMode.MISSION}
 """Modes whose end is the place to hold."""
+_COURSE_OF_MODE = {
+    FlightMode.TAKEOFF: Course.TAKE_OFF,
+    FlightMode.LAND: Course.LANDING,
+    FlightMode.DESCEND: Course.LANDING,
+}
+_COURSE_OF_STAGE = {MissionStage.TAKE_OFF: Course.TAKE_OFF, MissionStage.LAND: Course.LANDING}
 
 
 class _Errand(NamedTuple):
@@ -80,6 +88,15 @@ class Navigator:
     def return_phase(self) -> Phase | None:
         """Where on the way home the vehicle is; None outside Return mode."""
         return self._return.phase if self._mode is FlightMode.RETURN else None
+
+    @property
+    def course(self) -> Course:
+        """Whether the ground is being left or come to, be it by a mode, a mission's item or a return."""
+        if self._mode is FlightMode.MISSION:
+            return _COURSE_OF_STAGE.get(self.mission.stage, Course.OTHER)
+        if self._mode is FlightMode.RETURN and self._return.phase is Phase.LAND:
+            return Course.LANDING
+        return _COURSE_OF_MODE.get(self._mode, Course.OTHER)
 
     @property
     def target_ned_m(self) -> Array | None:

@@ -118,6 +118,8 @@ class RangingSchedule:
         if not self._begun:
             self._begun = True
             self.next_us = now_us + self._phase * self._slot_us
+        if now_us - self.next_us > GIVE_UP_US:  # the clock has leapt: those would have been answered by now
+            self.next_us += (now_us - self.next_us) // self._slot_us * self._slot_us
         self._outstanding.forget_old(now_us)
         requests = []
         while self.next_us < until_us:

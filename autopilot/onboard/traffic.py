@@ -152,6 +152,13 @@ class Traffic:
         if self._slot_us is None:
             self._slot_us = now_us + self._rng.uniform() * self._period_us
             self._beacon_us = int(self._slot_us)
+        if (
+            now_us - self._slot_us > WAIT_US
+        ):  # the clock has leapt, and what was not said by then counts as lost
+            missed = (now_us - self._slot_us) // self._period_us
+            self._beacon_seq = (self._beacon_seq + int(missed)) % wire.SEQ_MODULUS
+            self._slot_us += missed * self._period_us
+            self._beacon_us = int(self._slot_us)
         while self._beacon_us < until_us:
             error = gps_error() if gps_error is not None else None
             payload = wire.encode(self._beacon(own, now_us, phase, motion_start_ms, error))

@@ -39,6 +39,9 @@ ALTITUDE_MAX_M = 100_000.0
 _TELL_RAISED_M = 0.1
 """A take-off that is raised by less than this is not worth a word."""
 _GROUND_SPEED, _AIR_SPEED = 1, 0
+_FRAMES = AMSL_FRAMES | RELATIVE_FRAMES
+"""Of heights above terrain nothing is known here, and places are on the globe."""
+_OUTSIDE_FENCE = "Reposition is outside geofence"
 
 Spot = tuple[float | None, float | None, float | None]
 """Latitude and longitude, both or neither, in degrees; altitude in metres above mean sea level."""
@@ -62,6 +65,7 @@ class FlightActions:
     """Fly at a speed until the mode ends; None: at the usual one."""
     set_home: Callable[[float, float, float], Reason | None]
     set_home_here: Callable[[], Reason | None]
+    has_mission_item: Callable[[int], bool]
     set_mission_current: Callable[[int], bool]
     """Go on with an item of the mission; False if there is none of this number."""
     takeoff_height_m: Callable[[], float]
@@ -128,6 +132,8 @@ class FlightCommands:
         The application is left its own height: it knows where the ground is, and its place may be lower.
         """
         home, place = self._flight.home, request.place
+        if place.frame not in _FRAMES:
+            return Answer(UNSUPPORTED)
         altitude_m = given(request.params[6])
         if altitude_m is not None and place.frame in RELATIVE_FRAMES:
             altitude_m = None if home is None else altitude_m + home.alt_m
@@ -174,10 +180,13 @@ class FlightCommands:
         spot = self._spot(place)
         if isinstance(spot, Answer):
             return spot
-        return answer_for("Reposition", self._do.reposition(*spot, yaw_rad, speed_m_s))
+        refusal = self._do.reposition(*spot, yaw_rad, speed_m_s)
+        if refusal is Reason.OUTSIDE_GEOFENCE:  # accepted and not flown to: PX4's commander asks nobody
+            return Answer(messages=(status_text(common.MAV_SEVERITY_CRITICAL, _OUTSIDE_FENCE),))
+        return answer_for("Reposition", refusal)
 
     def _orbit(self, request: Request) -> Answer:
-        spot = self._spot(request.place)
+        spot = self._spot(_above_the_sea(request.place))
         if isinstance(spot, Answer):
             return spot
         radius_m, speed_m_s, yaw_behaviour = map(given, request.params[:3])
@@ -194,7 +203,7 @@ class FlightCommands:
     def _set_home(self, request: Request) -> Answer:
         if request.params[0] > 0.5:
             return answer_for("Home", self._do.set_home_here())
-        spot = self._spot(request.place)
+        spot = self._spot(_above_the_sea(request.place))
         if isinstance(spot, Answer):
             return spot
         lat_deg, lon_deg, alt_m = spot
@@ -205,8 +214,8 @@ class FlightCommands:
     def _spot(self, place: Place) -> Spot | Answer:
         """Bring a command's place above mean sea level, or refuse it."""
         lat_deg, lon_deg, alt_m = place[1:]
-        if place.frame not in AMSL_FRAMES | RELATIVE_FRAMES:
-            return Answer(UNSUPPORTED)  # of heights above terrain nothing is known here
+        if place.frame not in _FRAMES:
+            return Answer(UNSUPPORTED)
         if (lat_deg is None) is not (lon_deg is None):
             return answer_for("Place", Reason.BAD_ARGUMENT)
         if (
@@ -232,10 +241,14 @@ class FlightCommands:
         first = request.params[0]
         if not math.isfinite(first) or first < -1.0:
             return answer_for("Mission start", Reason.BAD_ARGUMENT)
-        if first >= 0.0 and not self._do.set_mission_current(int(first)):
+        if first >= 0.0 and not self._do.has_mission_item(int(first)):
             return answer_for("Mission start", Reason.BAD_ARGUMENT)
         answer = self._enter(FlightMode.MISSION, "Mission", request)
-        return answer if answer.result else answer_for("Arming", self._commander.arm(request.now_us))
+        if not answer.result:
+            answer = answer_for("Arming", self._commander.arm(request.now_us))
+        if not answer.result and first >= 0.0:
+            self._do.set_mission_current(int(first))
+        return answer
 
     def _set_mission_current(self, request: Request) -> Answer:
         """Go on with an item, whose jumps count anew; -1 leaves the item as it is."""
@@ -279,6 +292,14 @@ class FlightCommands:
             return Answer(common.MAV_RESULT_TEMPORARILY_REJECTED)
         refusals = self._commander.arming_refusals()
         return Answer(messages=tuple(refusal_text("Arming", refusal) for refusal in refusals))
+
+
+def _above_the_sea(place: Place) -> Place:
+    """Take an altitude for one above mean sea level whatever its frame says, as PX4 does.
+
+    MAVSDK's do_orbit and set_home count on it: they send altitudes above the sea in a relative frame.
+    """
+    return place._replace(frame=common.MAV_FRAME_GLOBAL) if place.frame in RELATIVE_FRAMES else place
 
 
 def _positive(value: float) -> float | None:

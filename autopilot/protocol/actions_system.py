@@ -8,24 +8,47 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.dialect import ProtocolVersion
 from autopilot.protocol.available_modes import AVAILABLE_MODES_ID, available_modes
-from autopilot.protocol.command import ACCEPTED, DENIED, REJECTED, UNSUPPORTED, Action, Answer, Request, whole
+from autopilot.protocol.command import (
+    ACCEPTED,
+    DENIED,
+    IN_PROGRESS,
+    REJECTED,
+    UNSUPPORTED,
+    Action,
+    Answer,
+    Request,
+    whole,
+)
+from autopilot.protocol.status import status_text
 from autopilot.protocol.streams import Streams
 
 _HEARTBEAT = common.MAVLINK_MSG_ID_HEARTBEAT
 _MESSAGE_INTERVAL = common.MAVLINK_MSG_ID_MESSAGE_INTERVAL
-_WRITE = 1.0
-"""First parameter of MAV_CMD_PREFLIGHT_STORAGE."""
+_WRITE, _RESET, _RESET_SENSORS, _RESET_ALL = 1, 2, 3, 4
+"""First parameter of MAV_CMD_PREFLIGHT_STORAGE; the fourth spares nothing, of what there is not here."""
+_OF_SENSORS = ("CAL_ACC", "CAL_GYRO", "CAL_MAG")
+"""How the parameters begin that are reset with the sensors, as in PX4."""
 
 
 class SystemCommands:
     """Actions upon links and files; ``table`` has them by MAV_CMD."""
 
     def __init__(
-        self, streams: Mapping[int, Streams], *, calibrate: Action, save_parameters: Callable[[], bool]
+        self,
+        streams: Mapping[int, Streams],
+        *,
+        calibrate: Action,
+        save_parameters: Callable[[], bool],
+        reset_parameters: Callable[[tuple[str, ...]], bool],
     ) -> None:
-        """``streams`` are by the links' numbers; ``save_parameters`` tells whether there is a file."""
+        """``streams`` are by the links' numbers.
+
+        ``save_parameters`` begins to write them and tells whether there is a file, ``reset_parameters`` gives
+        those with these beginnings their defaults and tells whether that may be now.
+        """
         self._streams = streams
         self._save_parameters = save_parameters
+        self._reset_parameters = reset_parameters
         self.table: dict[int, Action] = {
             common.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_message_interval,
             common.MAV_CMD_GET_MESSAGE_INTERVAL: self._get_message_interval,
@@ -40,6 +63,7 @@ class SystemCommands:
             common.MAV_CMD_PREFLIGHT_STORAGE: self._store,
             common.MAV_CMD_PREFLIGHT_CALIBRATION: calibrate,
             common.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _restart,
+            common.MAV_CMD_DO_SET_ACTUATOR: lambda _: Answer(),  # PX4 accepts it with no actuator set up
         }
 
     def _set_message_interval(self, request: Request) -> Answer:
@@ -78,9 +102,16 @@ class SystemCommands:
         return Answer(ACCEPTED if sent else REJECTED, sent)
 
     def _store(self, request: Request) -> Answer:
-        """Write the parameters to their file; reading and resetting are done by a new start."""
-        if request.params[0] != _WRITE or not self._save_parameters():
+        """Write the parameters to their file, or give them their defaults; a new start reads the file."""
+        what = request.params[0]
+        what = int(what) if math.isfinite(what) else -1
+        if what == _WRITE:
+            return Answer(IN_PROGRESS if self._save_parameters() else UNSUPPORTED)
+        if what not in {_RESET, _RESET_SENSORS, _RESET_ALL}:
             return Answer(UNSUPPORTED)
+        if not self._reset_parameters(_OF_SENSORS if what == _RESET_SENSORS else ("",)):
+            text = "Parameter reset denied: armed"
+            return Answer(REJECTED, (status_text(common.MAV_SEVERITY_CRITICAL, text),))
         return Answer()
 
 

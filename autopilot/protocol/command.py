@@ -1,14 +1,15 @@
 """MAVLink's command service: COMMAND_LONG, COMMAND_INT and the older SET_MODE, by a table of actions.
 
 Every message is acknowledged once, so a sender that repeats a lost one gets its answer; one that is marked as
-a repetition is answered from memory, and nothing is done twice. A refusal carries a MAV_RESULT for the
+a repetition is answered from memory, and nothing is done twice. What is done elsewhere is acknowledged as in
+progress, and once more when it has ended. A refusal carries a MAV_RESULT for the
 program and a STATUSTEXT for the person. The actions are in `actions_flight` and `actions_system`.
 """
 
 import math
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from pymavlink.dialects.v20 import common
 
@@ -19,6 +20,8 @@ from autopilot.protocol.status import status_text
 
 ACCEPTED: int = common.MAV_RESULT_ACCEPTED
 DENIED: int = common.MAV_RESULT_DENIED
+FAILED: int = common.MAV_RESULT_FAILED
+IN_PROGRESS: int = common.MAV_RESULT_IN_PROGRESS
 REJECTED: int = common.MAV_RESULT_TEMPORARILY_REJECTED
 UNSUPPORTED: int = common.MAV_RESULT_UNSUPPORTED
 
@@ -81,6 +84,7 @@ class _Done(NamedTuple):
     result: int
 
 
+_Value = TypeVar("_Value")
 _Key = tuple[Partner, int, int, int, bytes]
 """Partner, its system and component, the command, the parameters' bytes."""
 
@@ -99,6 +103,8 @@ class CommandService(Listener):
     def __init__(self, actions: Mapping[int, Action]) -> None:
         self._actions = actions
         self._done: dict[_Key, _Done] = {}
+        self._in_progress: dict[_Key, None] = {}
+        """Who waits for an end. As many as are remembered."""
 
     def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
         """Do what a command message asks and acknowledge it."""
@@ -130,8 +136,10 @@ class CommandService(Listener):
             return reply(partner, _acknowledgement(command, done.result, source))
         action = self._actions.get(command)
         answer = Answer(UNSUPPORTED) if action is None else action(Request(params, place, now_us, partner))
+        if answer.result == IN_PROGRESS:
+            _put(self._in_progress, key, None)
         if kind == common.MAVLINK_MSG_ID_COMMAND_LONG:
-            self._remember(key, _Done(now_us, answer.result))
+            _put(self._done, key, _Done(now_us, answer.result))
         # an answer is the asker's alone; what is said in words, and what was asked to be sent, is for all
         return [
             *reply(partner, _acknowledgement(command, answer.result, source)),
@@ -141,11 +149,23 @@ class CommandService(Listener):
             ),
         ]
 
-    def _remember(self, key: _Key, done: _Done) -> None:
-        self._done.pop(key, None)
-        self._done[key] = done  # the newest last
-        if len(self._done) > REMEMBERED_MAX:
-            del self._done[next(iter(self._done))]
+    def finish(self, command: int, result: int, now_us: int) -> list[Addressed]:
+        """End what is in progress of a command: the second acknowledgement, to whoever asked for it."""
+        ended = [key for key in self._in_progress if key[3] == command]
+        answers: list[Addressed] = []
+        for key in ended:
+            del self._in_progress[key]
+            _put(self._done, key, _Done(now_us, result))
+            answers += reply(key[0], _acknowledgement(command, result, (key[1], key[2])))
+        return answers
+
+
+def _put(memory: dict[_Key, _Value], key: _Key, value: _Value) -> None:
+    """Keep something as the newest of what is remembered."""
+    memory.pop(key, None)
+    memory[key] = value
+    if len(memory) > REMEMBERED_MAX:
+        del memory[next(iter(memory))]
 
 
 def given(value: float) -> float | None:

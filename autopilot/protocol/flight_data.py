@@ -1,5 +1,6 @@
 """What telemetry can speak of: the vehicle's present values, written by `autopilot.vehicle`."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,7 +10,7 @@ from autopilot.commander.battery import BatteryMonitor, BatteryParams
 from autopilot.commander.commander import Commander
 from autopilot.estimation.estimator import Estimator
 from autopilot.mavlink.codec import Message
-from autopilot.types import AttitudeSetpoint, EstimatorState, TrajectorySetpoint
+from autopilot.types import AttitudeSetpoint, Course, EstimatorState, TrajectorySetpoint
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,6 +53,10 @@ class FlightData:
     origin_known: bool = False
     """The local frame's place on the globe is known, since the position was valid once."""
     home: Home | None = None
+    time_stands: bool = False
+    """What comes now comes between two steps, while simulated time stands."""
+    course: Callable[[], Course] = lambda: Course.OTHER
+    """What the present mode is about; asked only when it is told."""
     setpoint: TrajectorySetpoint | None = None
     """What the controller follows; None when idle."""
     attitude_setpoint: AttitudeSetpoint | None = None

@@ -81,6 +81,11 @@ class MissionProgress:
         """MISSION_CURRENT."""
         return MissionCurrent(*self._content())
 
+    def has_item(self, seq: int) -> bool:
+        """Whether there is an item of this number."""
+        mission = self._runner.mission
+        return mission is not None and 0 <= seq < len(mission.items)
+
     def set_current(self, seq: int) -> bool:
         """Go on with another item; False: there is no such item, and nothing has changed."""
         try:

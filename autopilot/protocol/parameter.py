@@ -20,7 +20,7 @@ from autopilot.protocol.status import status_text
 
 LIST_PERIOD_US = 20_000
 LIST_BATCH = 16
-"""Values of a list go out in batches, so that it takes a third of a second and not one burst."""
+"""Values go out in batches, so that a list takes a third of a second and is not one burst."""
 MOST_LISTS = 16
 """At a time; the oldest ends for one more."""
 TEXT_PERIOD_US = 1_000_000
@@ -66,10 +66,11 @@ class ParameterService:
         self._put = put
         self._next_index: dict[Partner, int] = {}
         self._list_due_us = NEVER_US
-        self._changed: list[str] = []
+        self._changed: dict[str, None] = {}
+        self._news_due_us = 0
         self._text_us = -TEXT_PERIOD_US
         self._hash: tuple[int, int] | None = None
-        self._typeless: set[Partner] = set()
+        self._typeless: dict[Partner, None] = {}
 
     def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
         """Answer a request; a list is sent by `on_timer`, and asking for it again starts it anew."""
@@ -83,9 +84,11 @@ class ParameterService:
     def on_timer(self, now_us: int) -> Sequence[Addressed]:
         """Tell what was changed by others than the links, and send the next batch of each list."""
         messages: list[Addressed] = []
-        changed, self._changed = self._changed, []
-        for name in dict.fromkeys(changed):
-            messages += reply(ALL, self._value(ROW_INDEX_OF[name]))
+        if self._changed and now_us >= self._news_due_us:
+            for name in list(self._changed)[:LIST_BATCH]:
+                del self._changed[name]
+                messages += reply(ALL, self._value(ROW_INDEX_OF[name]))
+            self._news_due_us = now_us + LIST_PERIOD_US if self._changed else 0
         if now_us < self._list_due_us:
             return messages
         for partner, begin in list(self._next_index.items()):
@@ -101,19 +104,21 @@ class ParameterService:
 
     def next_deadline_us(self) -> int:
         """When the next batch is due; at once when a change is to be told."""
-        return 0 if self._changed else self._list_due_us
+        return min(self._news_due_us, self._list_due_us) if self._changed else self._list_due_us
 
     def on_change(self, name: str) -> None:
         """Have everybody told of a parameter that was changed otherwise than by PARAM_SET."""
-        self._changed.append(name)
+        self._changed[name] = None
 
     def take_by_value(self, partner: Partner) -> None:
         """Take whole numbers as floats from a partner that has them from param.pck.
 
         MAVProxy then forgets the types and sends every value as the float that it is.
         """
-        if len(self._typeless) < MOST_LISTS:
-            self._typeless.add(partner)
+        self._typeless.pop(partner, None)
+        self._typeless[partner] = None  # the newest last
+        if len(self._typeless) > MOST_LISTS:
+            del self._typeless[next(iter(self._typeless))]
 
     def _begin_list(self, partner: Partner, now_us: int) -> Sequence[Addressed]:
         again = self._next_index.pop(partner, None) is not None
@@ -121,7 +126,7 @@ class ParameterService:
             del self._next_index[next(iter(self._next_index))]
         self._next_index[partner] = 0 if again else _HASH
         self._list_due_us = min(self._list_due_us, now_us)
-        self._typeless.discard(partner)
+        self._typeless.pop(partner, None)
         return ()
 
     def _read(self, message: Message, partner: Partner) -> Sequence[Addressed]:
@@ -150,7 +155,7 @@ class ParameterService:
                 self._text_us = now_us
                 answers += reply(ALL, status_text(common.MAV_SEVERITY_WARNING, str(error)))
             return answers
-        self._changed = [other for other in self._changed if other != name]
+        self._changed.pop(name, None)
         return reply(ALL, self._value(index))
 
     def _value(self, index: int) -> Message:

@@ -8,6 +8,8 @@ there and checked do they take the place of the old ones. Anybody may read at an
 - A MAVSDK that hears a late copy of a request goes back to that item and ignores requests in front of it. So
   the vehicle, when it asks in vain, asks from further back.
 - The last acknowledgement is said again while the station is silent: MAVSDK and QGroundControl only wait.
+- While simulated time stands no upload can time out. One whose station has said nothing between two tries of
+  another gives way to it, and one that its station begins again begins again.
 - Reading needs no turns. PX4 serves one at a time, items in their order.
 """
 
@@ -17,7 +19,7 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.dialect import MissionCount
-from autopilot.navigation.plan_store import CAPACITY, Plan, PlanStore, PlanType, Refused, WireItem
+from autopilot.navigation.plan_store import CAPACITY, Made, Plan, PlanStore, PlanType, Refused, WireItem
 from autopilot.protocol.plan_upload import (
     COPY_US,
     MOST_BACK,
@@ -39,24 +41,32 @@ _MAX_READERS = 32
 _ACCEPTED = common.MAV_MISSION_ACCEPTED
 _ERROR = common.MAV_MISSION_ERROR
 
-Check = Callable[[PlanType, Sequence[WireItem]], Refused | None]
+Make = Callable[[PlanType, Sequence[WireItem]], Made | Refused]
 
 
 class PlanTransfer:
     """All plans of a vehicle towards all stations."""
 
     def __init__(
-        self, store: PlanStore, *, check: Check, system: int, current: Callable[[], int] = lambda: 0
+        self,
+        store: PlanStore,
+        *,
+        make: Make,
+        system: int,
+        current: Callable[[], int] = lambda: 0,
+        time_stands: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Write to ``store`` what ``check`` has nothing against.
+        """Write to ``store`` items, and what ``make`` makes of them if it does not refuse them.
 
         ``current`` tells where in its mission the vehicle is, ``system`` is the vehicle's own number: a
-        message to all vehicles is for none of them, as at PX4.
+        message to all vehicles is for none of them, as at PX4. ``time_stands`` tells whether messages come
+        between two steps.
         """
         self._store = store
-        self._check = check
+        self._make = make
         self._system = system
         self._current = current
+        self._time_stands = time_stands
         self._upload: Upload | None = None
         self._finished: Finished | None = None
         self._cleared: tuple[Station, int, int] | None = None
@@ -87,9 +97,11 @@ class PlanTransfer:
         if message.target_system != self._system:
             return ()
         station = Station(partner, message.get_srcSystem(), message.get_srcComponent())
-        finished = self._finished
+        finished, upload = self._finished, self._upload
         if finished is not None and station == finished.station and not finished.is_meant_by(message):
             finished.repeats_us = []  # it goes on, so it knows
+        if upload is not None and station == upload.station:
+            upload.refused = None
         return self._handlers[message.get_msgId()](message, now_us, station)
 
     def on_timer(self, now_us: int) -> Sequence[Addressed]:
@@ -157,13 +169,22 @@ class PlanTransfer:
         if upload is None:
             return None
         if upload.station != station:
-            return station.acknowledge(message.mission_type, _ERROR)
+            return self._refusal(upload, message, station)
+        if self._time_stands():
+            return None
         asked = (message.mission_type, span.start, span.stop - 1)
         late = (upload.kind, upload.first, upload.last) == asked and bool(upload.items)
         late = late and now_us - upload.heard_us < STALE_US
         if finished is not None and finished.station == station and now_us - finished.ended_us < STALE_US:
             late = late or (finished.kind, finished.first, finished.last) == asked
         return () if late else None
+
+    def _refusal(self, upload: Upload, message: Message, station: Station) -> Sequence[Addressed] | None:
+        """Answer to another station than the one that writes; None: that one has given up."""
+        if self._time_stands() and upload.refused == station:
+            return None
+        upload.refused = station
+        return station.acknowledge(message.mission_type, _ERROR)
 
     def _begin(
         self, station: Station, kind: PlanType, span: range, *, before: Plan | None, now_us: int
@@ -235,19 +256,16 @@ class PlanTransfer:
         self._upload = None
         station, kind, before = upload.station, upload.kind, upload.before
         items = upload.items
-        refused = None
-        if before is not None and before is not self._store[kind]:
-            refused = Refused(_ERROR, upload.first, "the plan has been changed meanwhile")
-        elif before is not None:
+        if before is not None:
             items = [*before.items[: upload.first], *items, *before.items[upload.last + 1 :]]
-        refused = refused or self._check(kind, items)
-        if refused is None:
-            self._store.put(kind, items, start=upload.start)
-            answer = station.acknowledge(kind, _ACCEPTED, self._store[kind].opaque_id)
+        made = self._make(kind, items)
+        if isinstance(made, Refused):
+            answer, text = station.acknowledge(kind, made.result), _tell(made.text)
         else:
-            answer = station.acknowledge(kind, refused.result)
+            self._store.put(kind, items, start=upload.start, made=made)
+            answer, text = station.acknowledge(kind, _ACCEPTED, self._store[kind].opaque_id), []
         self._finish(upload, answer, now_us)
-        return answer if refused is None else [*answer, *_tell(refused.text)]
+        return [*answer, *text]
 
     def _finish(self, upload: Upload, answer: Sequence[Addressed], now_us: int) -> None:
         self._upload = None
@@ -332,8 +350,11 @@ class PlanTransfer:
 
     def _on_clear(self, message: Message, now_us: int, station: Station) -> Sequence[Addressed]:
         """Empty a plan, or all; but a late copy does not end what its station writes meanwhile."""
-        if self._upload is not None and station != self._upload.station:
-            return station.acknowledge(message.mission_type, _ERROR)
+        upload = self._upload
+        if upload is not None and station != upload.station:
+            refusal = self._refusal(upload, message, station)
+            if refusal is not None:
+                return refusal
         kind = _plan_type(message.mission_type)
         if kind is None and message.mission_type != common.MAV_MISSION_TYPE_ALL:
             return station.acknowledge(message.mission_type, common.MAV_MISSION_UNSUPPORTED)

@@ -67,6 +67,8 @@ class Upload(Struct, kw_only=True):
     """Since then"""
     heard_us: int
     """When the station last said something of it"""
+    refused: Station | None = None
+    """Who else has been refused since then"""
     stray: int
     """Number of the last item that came though another was asked for"""
     stray_us: int = 0

@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.commander.commander import Commander
 from autopilot.commander.conditions import Condition
 from autopilot.mavlink.codec import Message
-from autopilot.mavlink.modes import FlightMode
+from autopilot.types import Course
 
 TEXT_BYTES = 50
 """That a STATUSTEXT has room for."""
@@ -60,17 +60,14 @@ def heartbeat(commander: Commander, conditions: int) -> Message:
     )
 
 
-def landed_state(commander: Commander) -> int:
-    """MAV_LANDED_STATE: ground, take-off, air, landing."""
-    state: int = common.MAV_LANDED_STATE_ON_GROUND
-    if not commander.landed:
-        state = _LANDED_STATE_IN_MODE.get(commander.mode, common.MAV_LANDED_STATE_IN_AIR)
-    return state
+def landed_state(course: Course, *, landed: bool) -> int:
+    """MAV_LANDED_STATE: ground, take-off, air, landing; those of missions and returns count, as in PX4."""
+    return common.MAV_LANDED_STATE_ON_GROUND if landed else _LANDED_STATE_OF_COURSE[course]
 
 
 _ATTITUDE = int(Condition.ATTITUDE)
-_LANDED_STATE_IN_MODE = {
-    FlightMode.TAKEOFF: common.MAV_LANDED_STATE_TAKEOFF,
-    FlightMode.LAND: common.MAV_LANDED_STATE_LANDING,
-    FlightMode.DESCEND: common.MAV_LANDED_STATE_LANDING,
+_LANDED_STATE_OF_COURSE: dict[Course, int] = {
+    Course.TAKE_OFF: common.MAV_LANDED_STATE_TAKEOFF,
+    Course.LANDING: common.MAV_LANDED_STATE_LANDING,
+    Course.OTHER: common.MAV_LANDED_STATE_IN_AIR,
 }

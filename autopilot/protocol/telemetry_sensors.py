@@ -45,13 +45,16 @@ class Sensors(Part):
         }
 
     def gps_raw_int(self) -> Message | None:
-        """GPS_RAW_INT: the last fix as it came, at the time of its arrival by the vehicle's own clock."""
+        """GPS_RAW_INT: the last fix as it came, at the time of its arrival by the vehicle's own clock.
+
+        HIL_GPS has no height above the ellipsoid; it is taken for the one above the sea, as by PX4.
+        """
         gps = self._flight.gps
         if gps is None:
             return None
         return common.MAVLink_gps_raw_int_message(
             self._flight.gps_us, gps.fix_type, gps.lat, gps.lon, gps.alt, gps.eph, gps.epv, gps.vel, gps.cog,
-            gps.satellites_visible, h_acc=_mm(gps.eph), v_acc=_mm(gps.epv),
+            gps.satellites_visible, alt_ellipsoid=gps.alt, h_acc=_mm(gps.eph), v_acc=_mm(gps.epv),
         )  # fmt: skip
 
     def highres_imu(self) -> Message | None:

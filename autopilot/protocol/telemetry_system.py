@@ -65,8 +65,9 @@ class SystemState(Part):
 
     def extended_sys_state(self) -> Message:
         """EXTENDED_SYS_STATE."""
+        flight = self._flight
         return common.MAVLink_extended_sys_state_message(
-            common.MAV_VTOL_STATE_UNDEFINED, landed_state(self._flight.commander)
+            common.MAV_VTOL_STATE_UNDEFINED, landed_state(flight.course(), landed=flight.commander.landed)
         )
 
     def sys_status(self) -> Message:
@@ -81,6 +82,7 @@ class SystemState(Part):
         healthy |= sum(bit for cause, bit in _HEALTH_BITS if not flight.causes & cause)
         if flight.commander.armed or not flight.commander.arming_refusals():
             healthy |= common.MAV_SYS_STATUS_PREARM_CHECK
+        healthy &= present | _HEALTHY_UNSEEN
         voltage_mv, current_ca, remaining_percent = UNKNOWN_U16, -1, -1
         battery = flight.battery
         if battery.sampled_us is not None:
@@ -88,7 +90,7 @@ class SystemState(Part):
             current_ca = -1 if battery.current_a is None else whole(1e2 * battery.current_a, I16)
             remaining_percent = whole(math.ceil(1e2 * battery.remaining), I8)
         return common.MAVLink_sys_status_message(
-            present, present, healthy & present, 0, voltage_mv, current_ca, remaining_percent,
+            present, present, healthy, 0, voltage_mv, current_ca, remaining_percent,
             0, 0, 0, 0, 0, 0,
         )  # fmt: skip
 
@@ -177,6 +179,8 @@ _HEALTH_BITS = (
         common.MAV_SYS_STATUS_SENSOR_BATTERY,
     ),
 )
+_HEALTHY_UNSEEN = common.MAV_SYS_STATUS_GEOFENCE
+"""Without a fence none is breached: MAVProxy reads its health alone."""
 _NOT_ALWAYS_THERE = common.MAV_SYS_STATUS_GEOFENCE | common.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 _ALWAYS_THERE = (
     sum(bit for _, bit in (*_SENSOR_BITS, *_HEALTH_BITS)) & ~_NOT_ALWAYS_THERE

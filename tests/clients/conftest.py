@@ -1,5 +1,6 @@
 """Clients are processes of their own, and so are the swarms that they fly; none outlives its test."""
 
+import contextlib
 import importlib.util
 import os
 import subprocess
@@ -21,8 +22,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     absent = [name for module, name in PACKAGES.items() if importlib.util.find_spec(module) is None]
     if absent and not REQUIRED:
         reason = f"{', '.join(absent)} not installed: make test-clients does so"
-        for item in items:
-            item.add_marker(pytest.mark.skip(reason=reason))
+        for item in items:  # those of the whole session, not of this folder alone
+            if item.get_closest_marker("clients") is not None:
+                item.add_marker(pytest.mark.skip(reason=reason))
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -33,15 +35,15 @@ def kernels() -> None:
 @pytest.fixture
 def hold(tmp_path: Path) -> Iterator[Callable[..., Held]]:
     """Give a factory of swarms; none outlives the test."""
-    started: list[Held] = []
+    with contextlib.ExitStack() as stack:
 
-    def make(port_offset: int, *options: str) -> Held:
-        started.append(Held(tmp_path / f"run{len(started)}", port_offset, *options))
-        return started[-1]
+        def make(*options: str) -> Held:
+            swarm = Held(tmp_path / f"run{len(list(tmp_path.iterdir()))}", *options)
+            stack.callback(swarm.kill)  # known before it is started: that may fail
+            swarm.start()
+            return swarm
 
-    yield make
-    for swarm in started:
-        swarm.kill()
+        yield make
 
 
 @pytest.fixture

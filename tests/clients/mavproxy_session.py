@@ -22,6 +22,10 @@ MISSION = """QGC WPL 110
 """
 
 
+PATIENCE = 2.0
+"""How much slower than the clock a swarm may fly on a busy machine."""
+
+
 class Session:
     """MAVProxy's prompt and what it has printed."""
 
@@ -58,10 +62,13 @@ class Session:
         self._process.stdin.flush()
 
     def check(self, name: str, pattern: str, *, limit_s: float = 15.0, asking: str | None = None) -> bool:
-        """Wait until something is printed that the pattern is found in, asking every second, and tell."""
+        """Wait until something is printed that the pattern is found in, asking every second, and tell.
+
+        It has ``limit_s`` of the vehicle's time, which MAVProxy does not print: so much more of the clock's.
+        """
         wall_begin_s = time.monotonic()
-        found = False
-        while not found and time.monotonic() < wall_begin_s + limit_s:
+        found, seen = False, ""
+        while not found and time.monotonic() < wall_begin_s + PATIENCE * limit_s:
             if asking is not None:
                 self.say(asking)
             with self._news:
@@ -110,7 +117,7 @@ def main(port: int, folder: Path, latitude_deg: float, longitude_deg: float, alt
     session.say(f"wp save {folder / 'back.txt'}")
     session.check("and comes back", r"Saved 5 waypoints", limit_s=20.0)
     session.say("arm throttle")
-    session.check("it arms", r"ARMED", limit_s=20.0)
+    session.check("it arms", r"\bARMED", limit_s=20.0)
     session.say("takeoff 5")  # which a PX4 takes for a height above the sea, and raises
     session.check("it takes off", r"Mode TAKEOFF", limit_s=10.0)
     session.check("and hovers", r"Mode LOITER", limit_s=25.0)

@@ -42,9 +42,9 @@ NEAR_M = 1.0
 class Flight:
     """The checks, which share one vehicle and what was learned of it."""
 
-    def __init__(self, system: Any) -> None:
+    def __init__(self, system: Any, checks: Checks) -> None:
         self.system = system
-        self.checks = Checks()
+        self.checks = checks
         self.action, self.telemetry = ActionAsync(system), TelemetryAsync(system)
         self.param, self.info, self.offboard = ParamAsync(system), InfoAsync(system), OffboardAsync(system)
         self.mission, self.geofence = MissionAsync(system), GeofenceAsync(system)
@@ -316,8 +316,8 @@ def _item(latitude_deg: float, longitude_deg: float, east_m: float, *, height_m:
 
 
 async def main() -> None:
-    async with vehicle(int(sys.argv[1])) as system:
-        await Flight(system).run()
+    async with vehicle(int(sys.argv[1])) as (system, checks):
+        await Flight(system, checks).run()
 
 
 if __name__ == "__main__":

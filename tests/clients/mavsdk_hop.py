@@ -6,7 +6,7 @@ import sys
 from mavsdk.asyncio.plugins.action import ActionAsync
 from mavsdk.asyncio.plugins.offboard import OffboardAsync, PositionNedYaw
 from mavsdk.asyncio.plugins.telemetry import LandedState, TelemetryAsync
-from mavsdk_support import Checks, first, vehicle
+from mavsdk_support import first, vehicle
 
 HEIGHT_M = 3.0
 SIDE_M = 3.0
@@ -14,8 +14,7 @@ NEAR_M = 0.7
 
 
 async def main(port: int, system_id: int) -> None:
-    checks = Checks()
-    async with vehicle(port) as system:
+    async with vehicle(port) as (system, checks):
         action, telemetry, offboard = ActionAsync(system), TelemetryAsync(system), OffboardAsync(system)
 
         async def is_mine() -> bool:

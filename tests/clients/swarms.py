@@ -1,8 +1,11 @@
 """Swarms that hold, at the pace of the wall clock, and what clients found on them."""
 
+import contextlib
 import json
+import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -10,22 +13,57 @@ import time
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
+from harness.scenario import PortsConfig
+from harness.supervisor import PortError, bind
+
 ROOT = Path(__file__).parents[2]
+AGENTS = 3
 START_S = 150.0
 END_S = 60.0
+KILL_S = 10.0
+OFFSETS = range(1_000, 14_000, 50)
+"""With them all ports are below those that Linux gives to whoever asks for any."""
+
+
+def free_offset() -> int:
+    """Give an offset with which all ports of a swarm are free; processes begin to look at different ones."""
+    begin = os.getpid() % len(OFFSETS)
+    for offset in (*OFFSETS[begin:], *OFFSETS[:begin]):
+        with contextlib.ExitStack() as stack, contextlib.suppress(PortError):
+            for name, base in msgspec.structs.asdict(PortsConfig()).items():
+                kind = socket.SOCK_STREAM if name.endswith("tcp") else socket.SOCK_DGRAM
+                for i in range(AGENTS) if name != "host" else ():
+                    stack.enter_context(bind(kind, "127.0.0.1", base + offset + i))
+            return offset
+    raise AssertionError("no free ports for a swarm")
 
 
 class Held:
-    """A swarm of the command line that waits for ground stations; its ports are PX4's plus the offset."""
+    """A swarm of the command line that waits for ground stations; its ports are PX4's plus an offset."""
 
-    def __init__(self, folder: Path, port_offset: int, *options: str) -> None:
+    def __init__(self, folder: Path, *options: str) -> None:
         self.folder = folder
-        self.ground_station_port, self.companion_port = 14550 + port_offset, 14540 + port_offset
-        command = [sys.executable, str(ROOT / "scripts" / "launch_swarm.py")]
-        command += [str(ROOT / "scenarios" / "article.toml"), "--agents", "3", "--speed", "1", "--hold"]
-        command += ["--port-offset", str(port_offset), "--out", str(folder), *options]
+        self._options = options
         self.said: list[str] = []
         self._ready = threading.Event()
+        self._process: subprocess.Popen[str] | None = None
+
+    def start(self) -> None:
+        """Start it; returns when its vehicles wait."""
+        port_offset = free_offset()
+        self.ground_station_port, self.companion_port = 14550 + port_offset, 14540 + port_offset
+        command = [sys.executable, str(ROOT / "scripts" / "launch_swarm.py")]
+        command += [
+            str(ROOT / "scenarios" / "article.toml"),
+            "--agents",
+            str(AGENTS),
+            "--speed",
+            "1",
+            "--hold",
+        ]
+        command += ["--port-offset", str(port_offset), "--out", str(self.folder), *self._options]
         self._process = subprocess.Popen(
             command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True
         )
@@ -35,7 +73,7 @@ class Held:
         assert self._process.poll() is None, self.said
 
     def _read(self) -> None:
-        assert self._process.stderr is not None
+        assert self._process is not None and self._process.stderr is not None  # noqa: PT018
         for line in self._process.stderr:
             self.said.append(line.rstrip())
             if line.startswith("uav 0, system 1:"):  # the first of the addresses: all have started
@@ -44,16 +82,22 @@ class Held:
 
     def end(self) -> dict[str, Any]:
         """End the run as its user does; returns its manifest."""
+        assert self._process is not None
         self._process.send_signal(signal.SIGINT)
         assert self._process.wait(END_S) == 0, self.said
         self._reader.join(END_S)
         return json.loads((self.folder / "manifest.json").read_text())
 
     def kill(self) -> None:
-        """Make sure that it is gone."""
+        """Make sure that it is gone: its processes end when it does, however that is."""
+        if self._process is None:
+            return
         if self._process.poll() is None:
             self._process.terminate()
-            self._process.wait(END_S)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(END_S)
+            self._process.kill()
+            self._process.wait(KILL_S)
         self._reader.join(END_S)
         if self._process.stderr is not None:
             self._process.stderr.close()
@@ -82,4 +126,8 @@ def findings(process: subprocess.Popen[str], *, wall_limit_s: float) -> list[dic
 
 def failures(found: list[dict[str, Any]]) -> list[str]:
     """A line for each check that failed."""
-    return [f"{one['check']}: {one['trouble']}" for one in found if not one["ok"]]
+    return [
+        f"{one['check']}: {one['trouble']} ({one.get('wall_s')} s, of the vehicle's {one.get('vehicle_s')} s)"
+        for one in found
+        if not one["ok"]
+    ]

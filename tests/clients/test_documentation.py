@@ -13,7 +13,7 @@ pytestmark = [pytest.mark.clients, pytest.mark.timeout(200)]
 def test_the_blocks_of_the_ground_stations_page(hold, tmp_path) -> None:
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "ground-control.md").read_text(), re.DOTALL)
     assert len(blocks) == 2
-    swarm = hold(3400)
+    swarm = hold()
     # the last first: it flies a vehicle that waits, and the formation is released afterwards
     for number, block in enumerate(reversed(blocks)):
         script = tmp_path / f"block{number}.py"

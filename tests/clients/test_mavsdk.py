@@ -1,5 +1,8 @@
 """MAVSDK flies vehicles of a swarm that holds, as it flies PX4's."""
 
+import statistics
+
+import psutil
 import pytest
 from swarms import failures, findings
 
@@ -7,7 +10,7 @@ pytestmark = [pytest.mark.clients, pytest.mark.timeout(400)]
 
 
 def test_everything_that_a_user_of_px4_does_on_one_vehicle_while_the_others_hold(hold, client) -> None:
-    swarm = hold(3100)
+    swarm = hold()
     found = findings(client("mavsdk_flight.py", swarm.companion_port), wall_limit_s=280.0)
     assert failures(found) == []
     assert len(found) >= 64
@@ -19,12 +22,20 @@ def test_everything_that_a_user_of_px4_does_on_one_vehicle_while_the_others_hold
     assert not any("touched" in line or "lost" in line for line in swarm.said)
 
 
+LEAST_IDLE = 0.1
+"""Part of the machine's time; with less it is others' doing if a swarm does not keep pace."""
+
+
 def test_three_clients_on_three_vehicles_at_once(hold, client) -> None:
-    swarm = hold(3200)
+    swarm = hold()
+    before = psutil.cpu_times()
     clients = [client("mavsdk_hop.py", swarm.companion_port + i, i + 1) for i in range(3)]
     for process in clients:
         found = findings(process, wall_limit_s=150.0)
         assert failures(found) == []
         assert found
+    passed = [after - then for after, then in zip(psutil.cpu_times(), before, strict=True)]
+    idle = passed[before._fields.index("idle")] / sum(passed)
     swarm.end()
-    assert max(swarm.pace) > 0.9, swarm.pace  # the clock's pace can be kept with all that
+    # the clock's pace is kept with all that, where the machine has the time
+    assert statistics.median(swarm.pace) > 0.9 or idle < LEAST_IDLE, f"{swarm.pace}, {idle:.0%} idle"

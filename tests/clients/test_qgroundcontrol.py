@@ -8,15 +8,19 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink import dialect
+from autopilot.navigation.geodesy import ned_to_geodetic
 from harness.swarm import Swarm
 
 pytestmark = [pytest.mark.clients, pytest.mark.timeout(200)]
 
 LIMIT_S = 5.0
+DEG_M = 1.0 / 111_319.5
+"""Latitude of a metre."""
 HASH_INDEX = 65_535
 PX4_MODES = {
     "Hold": (4, 3), "Mission": (4, 4), "Return": (4, 5), "Land": (4, 6), "Takeoff": (4, 2),
@@ -146,9 +150,17 @@ def _loads_plans(station: Station) -> None:
 
 
 def _gets_home(station: Station) -> None:
-    params = (float(common.MAVLINK_MSG_ID_HOME_POSITION), *(0.0,) * 6)
-    answers = station.ask(
-        lambda mav: mav.command_long_send(1, 1, common.MAV_CMD_REQUEST_MESSAGE, 0, *params),
-        "COMMAND_ACK HOME_POSITION",
+    answers = station.request(common.MAVLINK_MSG_ID_HOME_POSITION, "COMMAND_ACK HOME_POSITION", 2)
+    said = {message.get_type(): message for message in answers}
+    ack, home = said["COMMAND_ACK"], said["HOME_POSITION"]
+    assert (ack.command, ack.result) == (common.MAV_CMD_REQUEST_MESSAGE, common.MAV_RESULT_ACCEPTED)
+    site = station.swarm.scenario.site
+    place = ned_to_geodetic(
+        np.array(station.swarm.truth.vehicles[0].pos_ned_m),
+        origin_lat_deg=site.latitude_deg,
+        origin_lon_deg=site.longitude_deg,
+        origin_alt_m=site.altitude_m,
     )
-    assert answers
+    # where it stands, which it has from its receiver: to metres, and twice as much in height
+    assert (1e-7 * home.latitude, 1e-7 * home.longitude) == pytest.approx(place[:2], abs=6.0 * DEG_M)
+    assert 1e-3 * home.altitude == pytest.approx(place[2], abs=12.0)

@@ -36,21 +36,34 @@ def held() -> Iterator[Callable[..., Swarm]]:
         swarm.stop()
 
 
-def heard(link: Any, kind: str, *, within_s: float, component: int = 1) -> list[tuple[float, Any]]:
-    """Messages of a kind that arrive within so much wall time, each with when it did."""
-    messages, wall_end_s = [], time.monotonic() + within_s
-    while (wall_s := time.monotonic()) < wall_end_s:
-        message = link.recv_match(type=kind, blocking=True, timeout=wall_end_s - wall_s)
+def heard(
+    link: Any, kind: str, *, until: Callable[[list[tuple[float, Any]]], bool] = bool, component: int = 1
+) -> list[tuple[float, Any]]:
+    """Messages of a kind, each with the wall time of its arrival, up to that with which they are enough.
+
+    By default that is the first; fails if they are not after `WALL_LIMIT_S`.
+    """
+    messages: list[tuple[float, Any]] = []
+    wall_end_s = time.monotonic() + WALL_LIMIT_S
+    while not until(messages):
+        message = link.recv_match(type=kind, blocking=True, timeout=max(0.0, wall_end_s - time.monotonic()))
+        assert time.monotonic() < wall_end_s, f"{len(messages)} {kind}, not enough"
         if message is not None and message.get_srcComponent() == component:
             messages.append((time.monotonic(), message))
     return messages
 
 
-def command(link: Any, number: int, *params: float, component: int = 1) -> int | None:
-    """Send a COMMAND_LONG; its result, None if no answer comes within a second of wall time."""
+def command(link: Any, number: int, *params: float, component: int = 1) -> int:
+    """Send a COMMAND_LONG; its result."""
     link.mav.command_long_send(1, component, number, 0, *params, *(0.0,) * (7 - len(params)))
-    answers = heard(link, "COMMAND_ACK", within_s=1.0, component=component)
-    return answers[0][1].result if answers else None
+    answers = heard(
+        link, "COMMAND_ACK", until=lambda acks: any(m.command == number for _, m in acks), component=component
+    )
+    return answers[-1][1].result
+
+
+def is_armed(beat: Any) -> bool:
+    return bool(beat.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED)
 
 
 def test_while_time_stands_heartbeats_go_on_and_commands_are_answered(held) -> None:
@@ -59,15 +72,17 @@ def test_while_time_stands_heartbeats_go_on_and_commands_are_answered(held) -> N
     swarm.run_for(8.0)  # until it may be armed
     while link.recv_msg() is not None:
         pass
-    # nobody runs it: time stands
-    beats = heard(link, "HEARTBEAT", within_s=3.6)
-    gaps_s = [later - earlier for (earlier, _), (later, _) in pairwise(beats)]
-    assert len(beats) >= 3
-    assert max(gaps_s) < 1.4  # one second and a look around; stations wait for three
-    assert all(not beat.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED for _, beat in beats)
+
+    def shortest_gap_s(beats: list[tuple[float, Any]]) -> float:
+        gaps_s = (later - earlier for (earlier, _), (later, _) in pairwise(beats))
+        return min(gaps_s, default=float("inf"))
+
+    # nobody runs it: time stands. A second and a look around, if the machine lets it; stations wait for three
+    beats = heard(link, "HEARTBEAT", until=lambda beats: len(beats) >= 4 and shortest_gap_s(beats) < 1.4)
+    assert beats[-1][0] - beats[0][0] > (len(beats) - 1) * 0.9 - 0.5  # and no more often than that
+    assert not any(is_armed(beat) for _, beat in beats)
     assert command(link, common.MAV_CMD_COMPONENT_ARM_DISARM, 1.0) == common.MAV_RESULT_ACCEPTED
-    beats = heard(link, "HEARTBEAT", within_s=1.5)
-    assert beats[-1][1].base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED
+    heard(link, "HEARTBEAT", until=lambda beats: bool(beats) and is_armed(beats[-1][1]))
     assert command(link, common.MAV_CMD_COMPONENT_ARM_DISARM, 0.0) == common.MAV_RESULT_ACCEPTED
     # a thousand setpoints are taken from the socket, the last of which is what counts
     for i in range(1_000):
@@ -133,20 +148,22 @@ def test_the_pace_is_steady_and_what_is_late_is_not_caught_up_with(held) -> None
     assert time.monotonic() - wall_begin_s > 3.0 / 2.0 - 0.02
     threading.Timer(0.5, swarm.pause).start()
     threading.Timer(1.5, swarm.resume).start()
+    first_run = progress.copy()
+    progress.clear()  # nobody keeps a pace between two runs
     swarm.run_for(3.0)
-    moving = [p for p in progress if not p.paused]
-    for a, b in pairwise(moving):
-        if b.time_us > a.time_us and not any(p.paused and a.wall_s < p.wall_s < b.wall_s for p in progress):
+    assert any(p.paused for p in progress)
+    for a, b in (*pairwise(first_run), *pairwise(progress)):
+        if b.time_us > a.time_us and not a.paused and not b.paused:
             late_s = (b.wall_s - a.wall_s) - (b.time_us - a.time_us) * 1e-6 / 2.0
             # what it lost it told, and what it did not tell is at most the lateness that it makes good
             assert -MOST_LAG_S - 0.02 < late_s - (b.lag_s - a.lag_s) < MOST_LAG_S + 0.02
 
 
 def test_a_speed_can_be_changed_in_a_run(held) -> None:
-    swarm = held(agents=1, speed=0.2)
-    assert swarm.speed == 0.2
+    swarm = held(agents=1, speed=0.02)
+    assert swarm.speed == 0.02
     wall_begin_s = time.monotonic()
     threading.Timer(0.5, swarm.set_speed, ["max"]).start()
     swarm.run_for(3.0)
-    assert time.monotonic() - wall_begin_s < 10.0  # at 0.2 it would be 15 s
+    assert time.monotonic() - wall_begin_s < WALL_LIMIT_S  # at 0.02 it would be 150 s
     assert swarm.speed == "max"

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -43,3 +44,21 @@ def test_ground_station_hears_its_vehicle(swarm: Factory) -> None:
             kinds.add(message.get_type())
         assert kinds >= {"HEARTBEAT", "ATTITUDE", "LOCAL_POSITION_NED", "GLOBAL_POSITION_INT"}
     assert flight.summary(draw=False)["deterministic"] is False
+
+
+def test_a_ground_station_of_a_swarm_with_a_key_signs_and_is_heard(swarm: Factory, tmp_path: Path) -> None:
+    key = tmp_path / "key"
+    key.write_text("correct horse\n")
+    overrides = [f"links.signing_key_file={key}", "onboard.hold=true"]
+    flight = swarm("scenarios/article.toml", agents=1, overrides=overrides)
+    links = [flight.mavlink(0) for _ in range(2)]  # each with a stream of its own
+    flight.run_for(1.0)
+    for link in reversed(links):
+        while link.recv_match(blocking=False) is not None:
+            pass
+        link.mav.param_request_read_send(1, 1, b"MPC_XY_VEL_MAX", -1)
+    flight.run_for(0.5)
+    for link in links:
+        value = link.recv_match(type="PARAM_VALUE", blocking=False)
+        assert value.param_id == "MPC_XY_VEL_MAX"
+        assert value.get_signed()

@@ -4,7 +4,7 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import stamp
 from autopilot.mavlink.dialect import MissionAck, MissionCount
-from autopilot.navigation.plan_store import PlanStore, PlanType
+from autopilot.navigation.plan_store import NOTHING, PlanStore, PlanType
 from autopilot.protocol.plan_transfer import PlanTransfer
 from autopilot.protocol.plan_wire import encode_item
 from autopilot.protocol.service import ALL, Partner
@@ -18,11 +18,11 @@ INVALID_SEQUENCE = common.MAV_MISSION_INVALID_SEQUENCE
 TO_ALL_TYPES = common.MAV_MISSION_TYPE_ALL
 
 
-def machine(*, check=lambda _kind, _items: None, current=lambda: 0, **plans):
+def machine(*, make=lambda _kind, _items: NOTHING, current=lambda: 0, **plans):
     store = PlanStore()
     for name, items in plans.items():
         store.put(PlanType[name.upper()], items)
-    return store, PlanTransfer(store, check=check, system=1, current=current)
+    return store, PlanTransfer(store, make=make, system=1, current=current)
 
 
 def count(number, kind=MISSION):

@@ -72,6 +72,7 @@ class Commanded:
                 change_speed=self._note("change_speed"),
                 set_home=self._note("set_home"),
                 set_home_here=self._note("set_home_here"),
+                has_mission_item=lambda seq: seq < self.mission_items,
                 set_mission_current=lambda seq: (
                     not self.done.append(("seq", seq)) and seq < self.mission_items
                 ),
@@ -79,7 +80,10 @@ class Commanded:
             ),
         )
         system = SystemCommands(
-            {0: self.streams}, calibrate=self.calibration.command, save_parameters=lambda: self.has_file
+            {0: self.streams},
+            calibrate=self.calibration.command,
+            save_parameters=lambda: self.has_file,
+            reset_parameters=self._reset,
         )
         self.table = flying.table | system.table
         self.service = CommandService(self.table)
@@ -116,6 +120,10 @@ class Commanded:
             return self.refusal
 
         return act
+
+    def _reset(self, beginnings):
+        self.done.append(("reset", beginnings))
+        return not self.commander.armed
 
     def _wake(self):
         self.woken += 1

@@ -180,17 +180,52 @@ def test_a_refusal_is_acknowledged_with_its_reason_in_words():
         (common.MAV_CMD_DO_CHANGE_SPEED, (2.0, 3.0), UNSUPPORTED),  # of climbing
         (common.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, (1.0,), DENIED),
         (common.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, (0.0,), ACCEPTED),
-        (common.MAV_CMD_PREFLIGHT_STORAGE, (1.0,), ACCEPTED),
-        (common.MAV_CMD_PREFLIGHT_STORAGE, (2.0,), UNSUPPORTED),
+        (common.MAV_CMD_PREFLIGHT_STORAGE, (0.0,), UNSUPPORTED),
+        (common.MAV_CMD_PREFLIGHT_STORAGE, (1.0,), common.MAV_RESULT_IN_PROGRESS),
+        (common.MAV_CMD_PREFLIGHT_STORAGE, (2.0,), ACCEPTED),
+        (common.MAV_CMD_PREFLIGHT_STORAGE, (3.0,), ACCEPTED),
+        (common.MAV_CMD_PREFLIGHT_STORAGE, (4.0,), ACCEPTED),
+        (common.MAV_CMD_PREFLIGHT_STORAGE, (5.0,), UNSUPPORTED),
+        (common.MAV_CMD_PREFLIGHT_STORAGE, (NAN,), UNSUPPORTED),
         (common.MAV_CMD_IMAGE_START_CAPTURE, (), UNSUPPORTED),
         (common.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW, (), UNSUPPORTED),
-        (common.MAV_CMD_DO_SET_ACTUATOR, (), UNSUPPORTED),
         (common.MAV_CMD_INJECT_FAILURE, (), UNSUPPORTED),
         (common.MAV_CMD_DO_FENCE_ENABLE, (1.0,), UNSUPPORTED),
     ],
 )
 def test_results(command, params, result):
     assert Commanded().long(command, *params)[0] == result
+
+
+def test_who_waits_for_an_end_hears_it_once_and_from_memory_again():
+    vehicle = Commanded()
+    storage, in_progress = common.MAV_CMD_PREFLIGHT_STORAGE, common.MAV_RESULT_IN_PROGRESS
+    assert vehicle.long(storage, 1.0)[0] == in_progress
+    assert vehicle.long(storage, 1.0, confirmation=1)[0] == in_progress
+    assert vehicle.service.finish(common.MAV_CMD_PREFLIGHT_CALIBRATION, ACCEPTED, 10) == []
+    ((to, ack),) = vehicle.service.finish(storage, common.MAV_RESULT_FAILED, 10)
+    assert to == ASKER
+    assert (ack.command, ack.result, ack.target_system, ack.target_component) == (
+        storage, common.MAV_RESULT_FAILED, 255, 190,
+    )  # fmt: skip
+    assert vehicle.service.finish(storage, ACCEPTED, 20) == []
+    assert vehicle.long(storage, 1.0, confirmation=2, now_us=20)[0] == common.MAV_RESULT_FAILED
+    assert vehicle.long(storage, 1.0, confirmation=2, now_us=11 + REMEMBERED_US)[0] == in_progress
+
+
+def test_those_who_wait_for_an_end_do_not_pile_up():
+    vehicle = Commanded()
+    for number in range(10 * REMEMBERED_MAX):
+        vehicle.long(common.MAV_CMD_PREFLIGHT_STORAGE, 1.0, float(number))
+    assert len(vehicle.service.finish(common.MAV_CMD_PREFLIGHT_STORAGE, ACCEPTED, 0)) == REMEMBERED_MAX
+
+
+def test_an_armed_vehicle_keeps_its_parameters():
+    vehicle = Commanded()
+    assert vehicle.long(ARM, 1.0)[0] == ACCEPTED
+    result, (text,) = vehicle.long(common.MAV_CMD_PREFLIGHT_STORAGE, 2.0)
+    assert result == REFUSED
+    assert text.text == "Parameter reset denied: armed"
 
 
 def test_offboard_is_asked_for_the_partner_before_the_commander_is():
@@ -235,6 +270,19 @@ def test_a_mission_is_started_at_an_item_and_only_if_there_is_one():
     assert vehicle.done == [("seq", 3)]  # goes on where it stands
 
 
+def test_a_mission_that_is_not_started_keeps_its_item():
+    vehicle = Commanded()
+    assert vehicle.long(common.MAV_CMD_MISSION_START, 99.0)[0] == DENIED
+    assert vehicle.commander.mode is not FlightMode.MISSION
+    vehicle.commander.update(0, conditions=EVERYTHING & ~Condition.CHARGE, landed=True)
+    assert vehicle.long(common.MAV_CMD_MISSION_START, 3.0)[0] == REFUSED  # it does not arm
+    vehicle.hold(EVERYTHING)
+    assert vehicle.long(ARM, 1.0)[0] == ACCEPTED
+    vehicle.commander.update(0, conditions=EVERYTHING & ~Condition.POSITION, landed=False)
+    assert vehicle.long(common.MAV_CMD_MISSION_START, 3.0)[0] == REFUSED  # nor enters the mode
+    assert vehicle.done == []
+
+
 # ---- take-off
 
 
@@ -269,6 +317,22 @@ def test_a_take_off_altitude_counts_from_what_the_frame_says():
     ]:
         assert vehicle.int(TAKE_OFF, 0, 0, 0, NAN, frame=frame, z=z)[0] == ACCEPTED
         assert vehicle.altitude.amsl_m == amsl_m
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        common.MAV_FRAME_LOCAL_NED,
+        common.MAV_FRAME_BODY_FRD,
+        common.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT,
+        common.MAV_FRAME_MISSION,
+    ],
+)
+def test_a_take_off_altitude_from_elsewhere_is_not_taken_for_one_above_the_sea(frame):
+    vehicle = Commanded()
+    before = vehicle.commander.mode
+    assert vehicle.int(TAKE_OFF, 0, 0, 0, NAN, frame=frame, z=10.0)[0] == UNSUPPORTED
+    assert (vehicle.commander.mode, vehicle.altitude.amsl_m) == (before, None)
 
 
 # ---- places
@@ -328,6 +392,13 @@ def test_reposition_needs_its_flag_and_gives_the_pilots_reason():
     assert (result, text.text) == (REFUSED, "Reposition denied: no position estimate")
 
 
+def test_a_place_outside_the_fence_is_accepted_and_said_not_to_be_flown_to():
+    vehicle = Commanded()
+    vehicle.refusal = Reason.OUTSIDE_GEOFENCE
+    result, (text,) = vehicle.long(REPOSITION, -1.0, 1.0, 0.0, NAN, 47.0, 8.0, 500.0)
+    assert (result, text.text) == (ACCEPTED, "Reposition is outside geofence")
+
+
 def test_altitude_orbit_speed_and_home_reach_the_pilot():
     vehicle = Commanded()
     vehicle.long(common.MAV_CMD_DO_CHANGE_ALTITUDE, 30.0, float(common.MAV_FRAME_GLOBAL_RELATIVE_ALT))
@@ -345,6 +416,22 @@ def test_altitude_orbit_speed_and_home_reach_the_pilot():
         ("set_home", pytest.approx(47.0), pytest.approx(8.0), 410.0),
     ]
     assert vehicle.int(SET_HOME, 0.0, x=470_000_000, y=80_000_000, z=NAN)[0] == DENIED
+
+
+@pytest.mark.parametrize("home", [HOME, None])
+def test_orbit_and_home_are_above_the_sea_whatever_the_frame_as_mavsdk_sends_them(home):
+    vehicle = Commanded()
+    vehicle.flight.home = home
+    place = {"frame": common.MAV_FRAME_GLOBAL_RELATIVE_ALT, "x": 470_000_000, "y": 80_000_000, "z": 495.0}
+    assert vehicle.int(ORBIT, 12.0, 2.0, 0.0, NAN, **place)[0] == ACCEPTED
+    assert vehicle.int(SET_HOME, 0.0, **place)[0] == ACCEPTED
+    assert [order[-1] for order in vehicle.done] == [495.0, 495.0]
+
+
+def test_an_actuator_may_be_set_though_none_is_there():
+    vehicle = Commanded()
+    assert vehicle.long(common.MAV_CMD_DO_SET_ACTUATOR, 0.5, *[NAN] * 5, 0.0) == (ACCEPTED, [])
+    assert not vehicle.done
 
 
 # ---- messages on request

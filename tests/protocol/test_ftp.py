@@ -206,6 +206,21 @@ def test_the_same_ending_twice_has_the_same_answer_twice():
     assert served.one(Opcode.TERMINATE, seq=10).failure is Failure.SESSION
 
 
+def test_an_ending_is_remembered_no_longer_than_a_session():
+    """After that equal bytes are a new request: a number that a station has come to use again."""
+    served = Served()
+    served.open()
+    end = request(Opcode.TERMINATE, seq=9)
+    served.ask(end)
+    served.open(now_us=IDLE_US)
+    (answer,) = served.ask(end, now_us=IDLE_US)
+    assert answer.opcode == Opcode.ACK
+    assert served.one(Opcode.READ, now_us=IDLE_US).failure is None  # it was the answer of before
+    (answer,) = served.ask(end, now_us=IDLE_US + 1)
+    assert answer.opcode == Opcode.ACK
+    assert served.one(Opcode.READ, now_us=IDLE_US + 1).failure is Failure.SESSION
+
+
 def bursts(served):
     """Packets with the times at which they are sent."""
     packets = []

@@ -178,6 +178,33 @@ def test_messages_that_say_anything_at_all_to_a_vehicle_neither_raise_nor_pile_u
     assert np.isfinite(flight.vehicle.flight.state.pos_ned_m).all()
 
 
+@pytest.mark.parametrize("flying", [False, True])
+def test_messages_that_say_anything_at_all_in_a_pause_neither_raise_nor_pile_up(flying):
+    """The same without a step in between: nothing that only time would end may grow."""
+    flight, fuzz = Attacked(), Fuzz(7)
+    if flying:
+        flight.take_off(3.0)
+    else:
+        flight.run(1.0)
+    vehicle = flight.vehicle
+    kinds = sorted({*vehicle.messaging.services._of_kind, common.MAVLINK_MSG_ID_HEARTBEAT})
+    encoder, grown = Encoder(system=1, component=1), []
+    rounds = 60
+    for i in range(rounds):
+        for kind in kinds:
+            message = fuzz.message_to(kind)
+            for addressed in vehicle.attend([Addressed(Partner(i % 2, i % 11), message)]):
+                encoder.encode(addressed.message)
+        if i >= rounds // 2:
+            gc.collect(0)
+            grown.append(sys.getallocatedblocks())
+    assert max(grown) - grown[0] < MOST_BLOCKS
+    for addressed in flight.step(streams=True).links:
+        encoder.encode(addressed.message)
+    flight.run(0.5)
+    assert np.isfinite(vehicle.flight.state.pos_ned_m).all()
+
+
 def test_garbage_at_the_sockets_of_a_running_vehicle_is_counted_and_changes_nothing(tmp_path):
     with contextlib.ExitStack() as stack:
         vehicle = stack.enter_context(VehicleProcess(tmp_path))

@@ -11,7 +11,7 @@ from autopilot.protocol.manual_control import ManualControlService
 from autopilot.protocol.service import Partner
 
 ALL = sum(Condition)
-ASKER = Partner(0, 3)
+ASKER, OTHER = Partner(0, 3), Partner(1, 3)
 
 
 def sticks(*, x=0, y=0, z=500, r=0):
@@ -98,6 +98,45 @@ def test_released_channels_are_no_sticks_and_wild_ones_stay_within_their_range()
     assert (got.roll, got.pitch, got.throttle, got.yaw) == (1.0, -1.0, 0.0, 0.0)
     service.on_message(channels(0, 0, 0, 0), 8_000, ASKER)
     assert service.sticks.time_us == 4_000  # and so they get lost, as those of a radio that is switched off
+
+
+@pytest.mark.parametrize("moved", [sticks(x=1000, y=1000), channels(2_000, 2_000, 2_000, 2_000)])
+def test_one_partners_sticks_count_while_they_are_fresh(moved):
+    commander, service = flying(FlightMode.HOLD)
+    timeout_us = round(commander.params.manual_loss_s * 1e6)
+    service.on_message(sticks(), 0, ASKER)
+    assert service.on_message(moved, timeout_us, OTHER) == ()  # nor do they take over
+    assert (service.sticks.time_us, service.sticks.pitch, commander.mode) == (0, 0.0, FlightMode.HOLD)
+    service.on_message(sticks(), timeout_us, ASKER)
+    service.on_message(moved, 2 * timeout_us, OTHER)
+    assert service.sticks.time_us == timeout_us
+    service.on_message(moved, 2 * timeout_us + 1, OTHER)  # those of before are gone
+    assert (service.sticks.pitch, commander.mode) == (1.0, FlightMode.POSITION)
+    service.on_message(sticks(), 3 * timeout_us, ASKER)
+    assert service.sticks.pitch == 1.0
+
+
+def test_channels_are_their_partners_own_and_do_not_outlive_it():
+    commander, service = flying(FlightMode.POSITION)
+    timeout_us = round(commander.params.manual_loss_s * 1e6)
+    service.on_message(channels(2_000, 2_000, 2_000, 1_500), 0, ASKER)
+    throttle_alone = channels(65_535, 65_535, 1_750, 65_535)
+    service.on_message(throttle_alone, timeout_us + 1, OTHER)
+    got = service.sticks
+    assert (got.roll, got.pitch, got.throttle, got.yaw) == (0.0, 0.0, 0.75, 0.0)
+    service.on_message(throttle_alone, 3 * timeout_us, ASKER)  # whose own are too old by now
+    got = service.sticks
+    assert (got.time_us, got.roll, got.pitch, got.throttle) == (3 * timeout_us, 0.0, 0.0, 0.75)
+    service.on_message(channels(1_750, 65_535, 65_535, 65_535), 4 * timeout_us, ASKER)
+    got = service.sticks
+    assert (got.roll, got.throttle) == (0.5, 0.75)
+
+
+def test_partners_with_channels_do_not_pile_up():
+    _, service = flying(FlightMode.POSITION)
+    for number in range(1_000):
+        service.on_message(channels(2_000, 2_000, 2_000, 2_000), number, Partner(0, number))
+    assert len(service._channels) <= 8
 
 
 def test_an_override_takes_over_as_a_joystick_does():

@@ -277,6 +277,37 @@ def test_what_is_changed_otherwise_is_told_once():
     assert served.service.next_deadline_us() == NEVER_US
 
 
+def test_what_one_sets_is_told_once_although_it_counts_as_changed():
+    """As in a vehicle: whoever puts a value there has the service told of it."""
+    served = Served()
+
+    def put(name, value):
+        served.parameters.set(name, value)
+        served.service.on_change(name)
+
+    served.service = ParameterService(served.parameters, put)
+    served.service.on_change("MPC_Z_P")
+    assert len(served.ask(set_message("MPC_XY_P", 1.2))) == 1
+    assert [told.param_id for _, told in served.service.on_timer(STEP_US)] == ["MPC_Z_P"]
+    assert served.service.next_deadline_us() == NEVER_US
+
+
+def test_all_that_changes_at_once_is_told_in_batches():
+    served = Served()
+    for _ in range(3):
+        for row in ROWS:
+            served.service.on_change(row.name)
+    told, now_us = [], STEP_US
+    while (due_us := served.service.next_deadline_us()) < NEVER_US:
+        now_us = max(now_us, due_us)
+        batch = served.service.on_timer(now_us)
+        assert 0 < len(batch) <= LIST_BATCH
+        assert served.service.on_timer(now_us) == []
+        told += [message.param_index for _, message in batch]
+    assert told == list(range(len(ROWS)))
+    assert now_us == STEP_US + LIST_PERIOD_US * ((len(ROWS) - 1) // LIST_BATCH)
+
+
 @pytest.mark.parametrize(
     ("message", "error", "text"),
     [
@@ -323,6 +354,17 @@ def test_whole_numbers_as_floats_are_taken_from_whoever_has_the_packed_file_unti
     assert served.ask(as_float, partner=OTHER)[0].message.error == 7
     served.listed()
     assert served.ask(as_float)[0].message.error == 7
+
+
+def test_a_new_station_with_the_packed_file_is_understood_however_many_came_before():
+    served = Served()
+    for number in range(1_000):
+        served.service.take_by_value(Partner(0, number))
+        served.service.take_by_value(Partner(1, 0))  # who fetches it again and again stays
+    as_float = set_message("EKF2_REQ_NSATS", 8.0, REAL32)
+    for partner in (Partner(0, 999), Partner(1, 0)):
+        assert served.ask(as_float, partner=partner)[0].message.get_type() == "PARAM_VALUE"
+    assert served.ask(as_float, partner=Partner(0, 0))[0].message.error == 7
 
 
 def test_many_partners_lists_stay_bounded():

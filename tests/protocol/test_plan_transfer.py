@@ -113,11 +113,11 @@ def test_opaque_ids_tell_the_station_what_is_there(kind):
 
 
 def test_a_plan_that_is_refused_leaves_the_old_one_and_says_why():
-    def check(kind, items):
+    def make(kind, items):
         assert (kind, bits(items)) == (MISSION, bits(PLAN[:3]))
         return Refused(common.MAV_MISSION_INVALID_PARAM2, 1, "Item 1: radius")
 
-    store, service = machine(check=check, mission=PLAN[:2])
+    store, service = machine(make=make, mission=PLAN[:2])
     answers = write(service, PLAN[:3])
     assert results(answers) == [common.MAV_MISSION_INVALID_PARAM2]
     assert [m.text for m in answers if m.get_type() == "STATUSTEXT"] == ["Item 1: radius"]

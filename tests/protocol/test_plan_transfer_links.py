@@ -8,7 +8,7 @@ from lossy import play
 from plan_clients import Job, MavProxy, Mavsdk, OldStation, QGroundControl, bits, drawn_plan
 from pymavlink.dialects.v20 import common
 
-from autopilot.navigation.plan_store import PlanStore, PlanType
+from autopilot.navigation.plan_store import NOTHING, PlanStore, PlanType
 from autopilot.protocol.plan_transfer import PlanTransfer
 from autopilot.protocol.service import NEVER_US
 
@@ -21,7 +21,7 @@ BAD_LINK = {"loss": 0.05, "delays_us": (0, 100_000), "after_us": 12_000_000}
 
 def machine():
     store = PlanStore()
-    return store, PlanTransfer(store, check=lambda _kind, _items: None, system=1)
+    return store, PlanTransfer(store, make=lambda _kind, _items: NOTHING, system=1)
 
 
 def up_and_down(client_type, seed, **link):

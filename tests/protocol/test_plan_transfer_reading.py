@@ -104,15 +104,6 @@ def test_part_of_a_plan_that_cannot_be_is_refused(start, end):
     assert not service.receiving
 
 
-def test_part_of_a_plan_that_has_become_another_is_refused():
-    store, service = machine(mission=PLAN[:9])
-    write_part(service, 3, 4)
-    say(service, item(PLAN, 3))
-    store.put(MISSION, PLAN[:2])
-    assert results(say(service, item(PLAN, 4))) == [ERROR]
-    assert len(store[MISSION].items) == 2
-
-
 # ---- old stations
 
 

@@ -25,6 +25,7 @@ from autopilot.mavlink.signing import (
     TICKS_PER_S,
     Signer,
     SigningKeyError,
+    Streams,
     Verdict,
     key_of,
 )
@@ -147,6 +148,16 @@ def test_streams_are_bounded_and_those_a_minute_old_make_room():
         assert signer.judge(signed(**stream), NOW + OLDEST_NEW_STREAM + 1) is Verdict.REPLAYED
 
 
+def test_what_one_port_of_a_vehicle_has_heard_no_other_takes():
+    heard = Streams()
+    ports = [Signer(KEY, link_id=i, heard=heard) for i in range(2)]
+    frames = [signed(now=NOW + i) for i in range(4)]
+    assert ports[0].judge(frames[1], NOW) is Verdict.GOOD
+    assert [ports[1].judge(frame, NOW) for frame in frames[:2]] == [Verdict.REPLAYED] * 2
+    assert ports[1].judge(frames[2], NOW) is Verdict.GOOD
+    assert ports[0].judge(frames[2], NOW) is Verdict.REPLAYED
+
+
 def test_random_bytes_with_a_key_never_raise():
     rng, parser = np.random.default_rng(4), Parser(Signer(KEY, link_id=0))
     for _ in range(2_000):
@@ -216,7 +227,7 @@ def test_a_link_with_a_key_hears_and_answers_only_signed_partners():
 
 
 def test_a_vehicle_with_a_key_does_nothing_that_is_not_signed_and_tells_what_it_heard(tmp_path):
-    """One parameter is asked to be set: unsigned, by another's key, and rightly, which is then replayed."""
+    """A parameter is set: unsigned, by another's key, and rightly, which is then replayed to both ports."""
     key_file = tmp_path / "key"
     key_file.write_text("correct horse\n")
     name = b"MPC_XY_VEL_MAX"
@@ -239,6 +250,8 @@ def test_a_vehicle_with_a_key_does_nothing_that_is_not_signed_and_tells_what_it_
         wrong = setting(3.0, unsigned), setting(4.0, stranger), setting(6.0, unsigned)
         for frame in (*wrong, right, right, read):
             sock.sendto(frame, ("127.0.0.1", vehicle.ports["gcs_local_udp"]))
+        # ports are looked at in their order
+        sock.sendto(right, ("127.0.0.1", vehicle.ports["companion_local_udp"]))
         values = []
         for _ in range(500):  # of simulated time, two seconds
             if len(values) == 2:
@@ -253,4 +266,4 @@ def test_a_vehicle_with_a_key_does_nothing_that_is_not_signed_and_tells_what_it_
         assert values == [5.0, 5.0]
         links = vehicle.finish()["links"]
     assert Counters(**links["ground_station"]) == Counters(unsigned=2, signature_bad=1, replayed=1)
-    assert Counters(**links["companion"]) == Counters()
+    assert Counters(**links["companion"]) == Counters(replayed=1)

@@ -71,6 +71,13 @@ def test_texts_in_pieces_are_told_apart_and_other_messages_pass():
     assert chunks.split(other) == (other,)
 
 
+def test_a_fix_has_the_same_height_above_ellipsoid_and_sea_as_the_simulation_knows_no_geoid():
+    flight = make_flight()
+    flight.gps = common.MAVLink_hil_gps_message(0, 3, 47, 8, 488_123, 90, 178, 0, 0, 0, 0, 0, 10)
+    told = over_the_wire(make_telemetry(flight).sensors.gps_raw_int())
+    assert (told.alt, told.alt_ellipsoid) == (488_123, 488_123)
+
+
 # ---- health
 
 
@@ -82,7 +89,7 @@ def test_a_vehicle_that_may_be_armed_is_healthy_in_all_that_is_there():
     flight = make_flight()
     flight.commander.update(0, conditions=EVERYTHING, landed=True)
     status = status_of(flight)
-    assert status.onboard_control_sensors_health == status.onboard_control_sensors_present
+    assert status.onboard_control_sensors_health == status.onboard_control_sensors_present | GEOFENCE
     assert status.onboard_control_sensors_present == status.onboard_control_sensors_enabled
     assert status.onboard_control_sensors_present & common.MAV_SYS_STATUS_PREARM_CHECK
     assert not status.onboard_control_sensors_present & (GEOFENCE | RECEIVER)
@@ -105,6 +112,13 @@ def test_a_sensor_that_is_gone_is_there_but_not_healthy_and_keeps_from_arming(mi
     status = status_of(flight)
     assert status.onboard_control_sensors_present & bit
     assert not status.onboard_control_sensors_health & (bit | common.MAV_SYS_STATUS_PREARM_CHECK)
+
+
+def test_a_fence_that_is_not_there_is_not_breached():
+    """MAVProxy looks at its health alone, and says "fence breach" when it connects."""
+    status = status_of(make_flight(), fenced=lambda: False)
+    assert status.onboard_control_sensors_health & GEOFENCE
+    assert not (status.onboard_control_sensors_present | status.onboard_control_sensors_enabled) & GEOFENCE
 
 
 def test_a_fence_is_claimed_where_there_is_one_and_is_unhealthy_when_breached():

@@ -3,14 +3,26 @@
 import contextlib
 import select
 import socket
+import time
 
 import pytest
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Encoder, Parser
-from autopilot.mavlink.links import EVERYBODY, MAX_DATAGRAM_BYTES, MAX_PARTNERS, UdpLink
+from autopilot.mavlink.links import (
+    EVERYBODY,
+    MAX_BYTES_PER_CALL,
+    MAX_DATAGRAM_BYTES,
+    MAX_DATAGRAMS_PER_CALL,
+    MAX_FRAMES_PER_CALL,
+    MAX_PARTNERS,
+    MAX_RECEIVED_DATAGRAM_BYTES,
+    UdpLink,
+)
 
 DEADLINE_S = 5.0
+KERNEL_KEEPS_BYTES = 60_000
+"""Of datagrams of any size, at least, in a socket that nobody reads."""
 
 
 @pytest.fixture
@@ -192,3 +204,75 @@ def test_what_is_for_one_partner_reaches_it_alone(sockets):
     kinds = [[m.get_type() for m in Parser().push_datagram(sock.recv(2048))] for sock in (first, second)]
     assert kinds == [["HEARTBEAT"], ["COMMAND_ACK", "HEARTBEAT"]]
     assert [number for number, _ in greet(first, link)] == [0]
+
+
+def flood(sock, link, datagram, count_bytes=KERNEL_KEEPS_BYTES):
+    """Send a datagram many times; how many."""
+    count = count_bytes // len(datagram)
+    for _ in range(count):
+        sock.sendto(datagram, ("127.0.0.1", link.local_port))
+    return count
+
+
+def calls(link):
+    """What each call of `receive` took until there was nothing more: (messages, process time)."""
+    while select.select([link], [], [], 0.0)[0]:
+        begun_s = time.process_time()
+        heard = len(link.receive())
+        yield heard, time.process_time() - begun_s
+
+
+def beats(size_bytes):
+    encoder = Encoder(system=255, component=190)
+    return b"".join(encoder.encode(heartbeat()) for _ in range(size_bytes // 21))
+
+
+@pytest.mark.parametrize("frames", [1, 20, 90])
+def test_a_call_takes_so_much_and_leaves_the_rest_for_the_next(sockets, frames):
+    link, station = link_to(sockets, 0), partner(sockets)
+    datagram = beats(21 * frames)
+    sent = flood(station, link, datagram, min(KERNEL_KEEPS_BYTES, 200 * len(datagram)))
+    heard = [count for count, _ in calls(link)]
+    assert sum(heard) == sent * frames
+    # a call ends with the datagram in which it reaches a limit
+    most = min(
+        MAX_DATAGRAMS_PER_CALL * frames,
+        MAX_FRAMES_PER_CALL + frames - 1,
+        (MAX_BYTES_PER_CALL // len(datagram) + 1) * frames,
+    )
+    assert most - frames < heard[0] <= most
+    assert heard[:-1] == heard[:1] * (len(heard) - 1)
+    assert len(heard) > 2
+    assert link.bad_bytes == 0
+
+
+def test_a_datagram_longer_than_any_is_dropped_unread_and_counted(sockets):
+    link, station = link_to(sockets, 0), partner(sockets)
+    whole = beats(21)
+    for size in (MAX_RECEIVED_DATAGRAM_BYTES, MAX_RECEIVED_DATAGRAM_BYTES + 1, 60_000):
+        station.sendto(whole + bytes(size - len(whole)), ("127.0.0.1", link.local_port))
+    assert sum(count for count, _ in calls(link)) == 1
+    assert link.counters.datagrams_too_long == 2
+    assert link.bad_bytes == MAX_RECEIVED_DATAGRAM_BYTES - len(whole)
+
+
+@pytest.mark.parametrize(
+    "garbage",
+    [b"\xfe", b"\xfd", b"\xfe\x00", bytes([0xFE, 0xFE, 0, 0, 0, common.MAVLINK_MSG_ID_ATTITUDE])],
+    ids=["version 1", "version 2", "short", "known"],
+)
+def test_no_call_costs_much_more_than_the_messages_it_may_bring(sockets, garbage):
+    link, station = link_to(sockets, 0), partner(sockets)
+    garbage_bytes = (garbage * MAX_RECEIVED_DATAGRAM_BYTES)[:MAX_RECEIVED_DATAGRAM_BYTES]
+    messages, parser = beats(21 * MAX_FRAMES_PER_CALL), Parser()
+    costs_s, fair_s = [], []
+    for _ in range(5):
+        flood(station, link, garbage_bytes)
+        costs_s += [cost_s for _, cost_s in calls(link)]
+        begun_s = time.process_time()
+        assert len(parser.push_datagram(messages)) == MAX_FRAMES_PER_CALL
+        fair_s.append(time.process_time() - begun_s)
+    # a datagram of garbage has eight times as many beginnings as a call may look at, cheaper than messages
+    assert MAX_RECEIVED_DATAGRAM_BYTES == 8 * MAX_FRAMES_PER_CALL
+    assert sorted(costs_s)[len(costs_s) // 2] < 8.0 * sorted(fair_s)[len(fair_s) // 2]
+    assert link.bad_bytes == 5 * (KERNEL_KEEPS_BYTES // len(garbage_bytes)) * len(garbage_bytes)

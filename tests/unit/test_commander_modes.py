@@ -25,8 +25,8 @@ def step(commander, now_us, *, conditions=ALL, landed=True, causes=0, next_mode=
     return commander.update(now_us, conditions=conditions, causes=causes, landed=landed, next_mode=next_mode)
 
 
-def ready(conditions=ALL):
-    commander = Commander(CommanderParams())
+def ready(conditions=ALL, *, params=None):
+    commander = Commander(params or CommanderParams())
     step(commander, 0, conditions=conditions)
     return commander
 
@@ -54,6 +54,20 @@ def test_a_missing_condition_refuses_arming_where_it_matters_and_names_itself(mo
     assert reason.result == common.MAV_RESULT_TEMPORARILY_REJECTED
     assert commander.arming_refusals() == [reason]
     assert not commander.armed
+    assert commander.arm(0, forced=True) is None
+    assert commander.armed
+
+
+@pytest.mark.parametrize("mode", sorted(MODES_TO_ARM_IN, key=lambda mode: mode.label))
+def test_a_vehicle_that_is_not_to_be_armed_is_only_by_force(mode):
+    commander = ready(params=CommanderParams(armable=0))
+    assert commander.set_mode(mode) is None
+    assert commander.arm(0) is Reason.NOT_ARMABLE
+    assert not commander.armed
+    commander.params = CommanderParams()
+    assert commander.arm(0) is None
+    assert commander.disarm() is None
+    commander.params = CommanderParams(armable=0)
     assert commander.arm(0, forced=True) is None
     assert commander.armed
 

@@ -13,6 +13,7 @@ from autopilot.mavlink.codec import Encoder, Parser, stamp
 from autopilot.onboard.phases import Phase
 from autopilot.recording import VEHICLE_RECORD
 from netsim.record_log import read
+from netsim.wire.messages import Broadcast
 
 SYSTEM = 2
 
@@ -59,17 +60,42 @@ def fly(companion, until_ms, period_ms=10, begin_ms=10):
     return outputs
 
 
-def test_its_clock_is_that_of_px4_which_neither_goes_back_nor_leaps():
+def test_its_clock_is_that_of_px4_which_does_not_go_back_nor_leap_for_one_message():
     companion = Companion(config())
     assert companion.now_us == -1
     assert not companion.is_due
-    for time_ms, clock_ms in ((5_000, 5_000), (4_990, 5_000), (5_010, 5_010), (2**32 - 1, 5_010)):
+    last_ms = 2**32 - 1
+    for time_ms, clock_ms in (
+        (5_000, 5_000), (4_990, 5_000), (5_010, 5_010), (last_ms, 5_010), (5_020, 5_020), (last_ms, 5_020),
+    ):  # fmt: skip
         companion.on_message(from_px4(attitude(time_ms)))
         assert companion.now_us == clock_ms * 1_000
-    leap_ms = 5_010 + LONGEST_LEAP_US // 1_000
+    leap_ms = 5_020 + LONGEST_LEAP_US // 1_000
     companion.on_message(from_px4(attitude(leap_ms)))
     assert companion.now_us == leap_ms * 1_000
-    assert len(companion.on_timer(()).radio) < 2 * LONGEST_LEAP_US // 100_000
+
+
+@pytest.mark.parametrize("ranging", ["all_pairs", "scheduled"])
+@pytest.mark.parametrize("gap_ms", [30_000, 60_001, 3_600_000, 4_000_000_000])
+def test_a_gap_in_what_px4_says_is_followed_and_costs_no_burst(ranging, gap_ms):
+    companion = Companion(config(ranging=ranging))
+    period_ms = companion.app._config.beacon_period_ms
+    said = []
+
+    def hear(begin_ms):
+        for time_ms in range(begin_ms, begin_ms + 2_000, 10):
+            for message in (origin(), attitude(time_ms), position(time_ms)):
+                companion.on_message(from_px4(message))
+            if companion.is_due:
+                said.append(companion.on_timer(()).radio)
+        assert companion.now_us == (begin_ms + 1_990) * 1_000
+
+    hear(10)
+    before = len(said)
+    hear(gap_ms)
+    assert max(map(len, said[before:])) <= 2  # one is the gap's, and one may be due
+    beacons = [[item for item in items if isinstance(item, Broadcast)] for items in said[before:]]
+    assert sum(map(len, beacons)) == pytest.approx(2_000 / period_ms, abs=2)
 
 
 def test_it_looks_at_each_attitude_of_100_hz_and_no_oftener():

@@ -6,15 +6,20 @@ import os
 import sys
 
 import pytest
+from msgspec.structs import replace
 from pymavlink.dialects.v20 import common
 from vehicle_world import vehicle_config
 
+from autopilot import parameter_file
 from autopilot.__main__ import _yield_to_the_simulator
-from autopilot.host import Host
-from autopilot.mavlink.codec import Encoder, Parser
+from autopilot.host import MOST_WAITING, Host
+from autopilot.mavlink.codec import Encoder, Parser, stamp
 from autopilot.protocol.service import GROUND_STATION, Addressed, Partner
 
 SIMULATOR = Encoder(system=0, component=1)
+ME, OTHER = Partner(GROUND_STATION, 0), Partner(GROUND_STATION, 1)
+ACCEPTED, FAILED = common.MAV_RESULT_ACCEPTED, common.MAV_RESULT_FAILED
+IN_PROGRESS = common.MAV_RESULT_IN_PROGRESS
 
 
 class Radio:
@@ -84,6 +89,74 @@ def test_a_time_that_is_repeated_or_goes_back_takes_nothing_that_the_next_step_i
     assert radio.emptied_us == [4_000, 8_000, 12_000]
     _, links = step(host, sensor(16_000))
     assert not any(message.get_type() == "PARAM_VALUE" for _, message in links)
+
+
+@contextlib.contextmanager
+def saving_host(path):
+    with contextlib.closing(Host(replace(vehicle_config(), params_path=str(path)), None)) as host:
+        step(host, sensor(4_000))
+        yield host
+
+
+def save(*, confirmation=0):
+    wanted = common.MAVLink_command_long_message(
+        1, 1, common.MAV_CMD_PREFLIGHT_STORAGE, confirmation, 1.0, *[0.0] * 6
+    )
+    return stamp(wanted, system=255, component=190)
+
+
+def results(links, partner=ME):
+    return [m.result for to, m in links if to == partner and m.get_type() == "COMMAND_ACK"]
+
+
+def texts(links):
+    """What is said in words on the ground station's link."""
+    said = [m.text for to, m in links if to.link == GROUND_STATION and m.get_type() == "STATUSTEXT"]
+    return [text.decode() if isinstance(text, bytes) else text for text in said]
+
+
+def test_saving_is_in_progress_until_the_file_is_there(tmp_path):
+    path = tmp_path / "uav.params"
+    with saving_host(path) as host:
+        host.vehicle.set_parameter("MPC_XY_P", 1.25)
+        _, links = step(host, sensor(8_000), Addressed(ME, save()), Addressed(OTHER, save()))
+        assert (results(links), results(links, OTHER)) == ([IN_PROGRESS], [IN_PROGRESS])
+        assert parameter_file.load(path)["MPC_XY_P"] == 1.25
+        _, links = step(host, sensor(12_000))
+        assert (results(links), results(links, OTHER)) == ([ACCEPTED], [ACCEPTED])
+        path.unlink()
+        _, links = step(host, sensor(16_000), Addressed(ME, save(confirmation=1)))
+        assert results(links) == [ACCEPTED]  # for whoever has not heard it, and nothing is done twice
+        _, links = step(host, sensor(20_000))
+        assert results(links) == []
+        assert not path.exists()
+
+
+def test_what_cannot_be_saved_has_failed_with_a_reason(tmp_path, capsys):
+    with saving_host(tmp_path / "missing" / "uav.params") as host:
+        _, links = step(host, sensor(8_000), Addressed(ME, save()))
+        assert results(links) == [IN_PROGRESS]
+        _, links = step(host, sensor(12_000), Addressed(ME, save(confirmation=1)))
+        assert results(links) == [FAILED, FAILED]
+        assert texts(links) == [f"Parameters not saved: {os.strerror(errno.ENOENT)}"]
+    assert "parameters not saved" in capsys.readouterr().err
+
+
+def test_in_a_pause_parameters_are_saved_and_it_is_told_at_once(tmp_path):
+    path = tmp_path / "uav.params"
+    with saving_host(path) as host:
+        assert results(host.attend([Addressed(ME, save())])) == [IN_PROGRESS, ACCEPTED]
+        assert path.exists()
+        assert not host.vehicle.messaging.take_save_wanted()
+
+
+def test_what_is_asked_before_the_first_step_is_answered_in_it_and_does_not_pile_up(host):
+    read = common.MAVLink_param_request_read_message(1, 1, b"MPC_XY_P", -1)
+    for _ in range(2):
+        assert host.attend([Addressed(ME, read)] * MOST_WAITING) == []
+    _, links = step(host, sensor(4_000))
+    assert sum(m.get_type() == "PARAM_VALUE" for _, m in links) == MOST_WAITING
+    assert sum(m.get_type() == "PARAM_VALUE" for _, m in host.attend([Addressed(ME, read)])) == 1
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has the policy")

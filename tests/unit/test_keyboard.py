@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 CHILD = """
 import os, sys, termios, threading
@@ -10,6 +11,8 @@ before = termios.tcgetattr(0)
 heard, done = [], threading.Event()
 def on_key(key):
     heard.append(key)
+    if key == "!":
+        raise KeyError("physics")
     if key == "q":
         done.set()
 with Keyboard(on_key) as keyboard:
@@ -21,11 +24,12 @@ PARENT = f"""
 import os, pty, sys
 pid, terminal = pty.fork()
 if pid == 0:
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     os.execv(sys.executable, [sys.executable, "-c", {CHILD!r}])
 said = b""
 while b"listening" not in said:
     said += os.read(terminal, 100)
-os.write(terminal, b" +-q")
+os.write(terminal, b"!+-q")
 while True:
     try:
         data = os.read(terminal, 100)
@@ -39,11 +43,22 @@ os.waitpid(pid, 0)
 """
 
 
-def test_keys_are_heard_without_echo_and_the_terminal_is_given_back():
+def test_keys_are_heard_without_echo_even_after_one_that_fails_and_the_terminal_is_given_back():
     done = subprocess.run(
         [sys.executable, "-c", PARENT], capture_output=True, text=True, timeout=30.0, check=True
     )
-    assert done.stdout.strip() == "['listening', '+-q', 'True']"
+    assert done.stdout.strip() == "['listening', '!+-q', 'True']"
+
+
+def test_a_run_in_the_background_leaves_the_terminal_to_the_shell_and_hears_keys_when_it_is_back():
+    done = subprocess.run(
+        [sys.executable, str(Path(__file__).with_name("job_control.py"))],
+        capture_output=True,
+        text=True,
+        timeout=100.0,
+        check=False,
+    )
+    assert (done.returncode, done.stdout[-4:]) == (0, "fine"), done.stdout + done.stderr
 
 
 def test_what_is_no_terminal_is_left_alone():

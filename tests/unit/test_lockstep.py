@@ -2,6 +2,7 @@
 
 import contextlib
 import queue
+import select
 import signal
 import socket
 import subprocess
@@ -10,6 +11,7 @@ import threading
 import time
 from types import SimpleNamespace
 
+import numpy as np
 import psutil
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
@@ -36,7 +38,7 @@ class Vehicles:
             on_silent=lambda i, _: self.silent.append(i),
             on_lost=lambda i, reason: self.lost.append((i, reason)),
         )
-        self.clients = [socket.create_connection(listener.getsockname()) for listener in self.listeners]
+        self.clients = [introduced(listener, i) for i, listener in enumerate(self.listeners)]
         self.lockstep.connect(5.0, keep_waiting=lambda: True)
 
     def answering(self, i, *, lag=0, before=()):
@@ -78,6 +80,17 @@ def vehicles():
     yield make
     for each in made:
         each.close()
+
+
+def introduced(listener, i):
+    """Connect as vehicle i does."""
+    client = socket.create_connection(listener.getsockname())
+    client.sendall(introduction(i))
+    return client
+
+
+def introduction(i):
+    return Encoder(system=i + 1, component=1).encode(mavlink.MAVLink_heartbeat_message(2, 12, 0, 0, 0, 3))
 
 
 def actuators(time_us):
@@ -150,7 +163,7 @@ def test_who_does_not_connect_is_named():
     nothing = {"on_message": None, "on_silent": None, "on_lost": None}
     lockstep = Lockstep(listeners, patience=Patience(1.0), **nothing)
     with (
-        socket.create_connection(listeners[1].getsockname()),
+        introduced(listeners[1], 1),
         pytest.raises(ConnectTimeout, match="uav 0, 2 within"),
     ):
         lockstep.connect(0.2, keep_waiting=lambda: True)
@@ -161,12 +174,71 @@ def test_a_rendezvous_that_was_cut_short_goes_on_with_those_who_are_missing():
     listeners = [socket.create_server(("127.0.0.1", 0)) for _ in range(2)]
     nothing = {"on_message": None, "on_silent": None, "on_lost": None}
     lockstep = Lockstep(listeners, patience=Patience(1.0), **nothing)
-    with contextlib.closing(lockstep), socket.create_connection(listeners[1].getsockname()):
+    with contextlib.closing(lockstep), introduced(listeners[1], 1):
         lockstep.connect(5.0, keep_waiting=lambda: lockstep.living < 1)
         assert [seat.alive for seat in lockstep.seats] == [False, True]
-        with socket.create_connection(listeners[0].getsockname()):
+        with introduced(listeners[0], 0):
             lockstep.connect(5.0, keep_waiting=lambda: True)
             assert lockstep.living == 2
+
+
+def test_who_has_connected_but_not_spoken_when_the_rendezvous_is_cut_short_is_heard_in_the_next():
+    listener = socket.create_server(("127.0.0.1", 0))
+    nothing = {"on_message": None, "on_silent": None, "on_lost": None}
+    lockstep = Lockstep([listener], patience=Patience(1.0), **nothing)
+    with contextlib.closing(lockstep), socket.create_connection(listener.getsockname()) as vehicle:
+        looks = iter([True, True, False])
+        lockstep.connect(5.0, keep_waiting=lambda: next(looks))
+        assert lockstep.living == 0
+        vehicle.sendall(introduction(0))
+        lockstep.connect(5.0, keep_waiting=lambda: True)
+        assert lockstep.living == 1
+
+
+def test_strangers_before_and_after_the_vehicle_change_nothing():
+    """Whatever they do, and though the first of them is there before it: the seat is whose it is."""
+    rng = np.random.default_rng(7)
+    words = [
+        b"",
+        b"GET / HTTP/1.1\r\n\r\n",
+        rng.bytes(20_000),
+        b"\xfe" * 20_000,
+        sensors(4_000),
+        Encoder(system=1, component=1).encode(actuators(4_000)),  # an answer is no introduction
+        introduction(1),  # of another
+    ]
+    said = []
+    listener = socket.create_server(("127.0.0.1", 0))
+    nothing = {"on_silent": None, "on_lost": None}
+    lockstep = Lockstep(
+        [listener], patience=Patience(1.0), on_message=lambda *what: said.append(what), **nothing
+    )
+    with contextlib.ExitStack() as stack:
+        stack.callback(lockstep.close)
+
+        def stranger(first_words):
+            sock = stack.enter_context(socket.create_connection(listener.getsockname()))
+            sock.settimeout(5.0)
+            with contextlib.suppress(OSError):  # it may be sent away while it speaks
+                sock.sendall(first_words)
+            return sock
+
+        before = [stranger(each) for each in words]
+        stranger(b"").close()
+        vehicle = stack.enter_context(introduced(listener, 0))
+        lockstep.connect(5.0, keep_waiting=lambda: True)
+        for sock in before:
+            with contextlib.suppress(ConnectionResetError):
+                assert sock.recv(1) == b""
+        after = [stranger(each) for each in words]
+        for time_us in (4_000, 8_000):
+            lockstep.send([sensors(time_us)])
+            assert vehicle.recv(4096) == sensors(time_us)
+            vehicle.sendall(Encoder(system=1, component=1).encode(actuators(time_us)))
+            (answer,) = lockstep.answers(time_us)
+            assert answer.time_usec == time_us
+        assert not select.select(after, [], [], 0.0)[0]
+    assert said == []  # nor is the introduction passed on
 
 
 class Rendezvous:

@@ -15,7 +15,6 @@ from autopilot.navigation.mission import (
     MissionCommand,
     MissionError,
     MissionItem,
-    distance_trouble,
     make_mission,
 )
 from autopilot.navigation.mission_runner import MissionRunner
@@ -105,18 +104,6 @@ def test_a_wrong_mission_is_refused_with_its_first_reason(items, reason):
         make_mission(items)
 
 
-def test_the_first_place_must_not_be_too_far_from_home():
-    mission = make_mission([speed(3.0), at(600.0, 700.0, 5.0)])  # 922 m
-    home = {"home_lat_deg": ORIGIN["origin_lat_deg"], "home_lon_deg": ORIGIN["origin_lon_deg"]}
-    assert distance_trouble(mission, **home, max_m=923.0) is None
-    assert distance_trouble(mission, **home, max_m=0.0) is None
-    text = distance_trouble(mission, **home, max_m=900.0)
-    assert text == "the first place is 922 m from home, allowed are 900 m"
-    assert (
-        distance_trouble(make_mission([MissionItem(command=MissionCommand.LAND)]), **home, max_m=1.0) is None
-    )
-
-
 # ---- their order
 
 
@@ -174,6 +161,12 @@ def test_a_view_lasts_until_another():
     assert views == [None, here, None]
     runner.set_current(2)
     assert runner.look_at is here
+    runner.set_current(0)  # in front of it nothing is to be looked at, nor is there in another mission
+    assert runner.look_at is None
+    runner.set_current(2)
+    assert runner.look_at is here
+    runner.load(make_mission([WAYPOINT]))
+    assert runner.look_at is None
 
 
 def test_a_long_list_of_jumps_is_checked_in_time_that_grows_with_its_length():

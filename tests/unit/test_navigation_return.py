@@ -54,7 +54,7 @@ def test_the_height_keeps_to_cone_and_limits(distance_m):
 
 
 def test_a_narrow_cone_reaches_up_to_the_return_height():
-    steep = NavigationParams(return_home=ReturnParams(cone_half_angle_rad=math.radians(10.0)))
+    steep = NavigationParams(return_home=ReturnParams(height_m=60.0, cone_half_angle_rad=math.radians(10.0)))
     assert return_height_m(5.0, steep) == pytest.approx(5.0 / math.tan(math.radians(10.0)))
     assert return_height_m(10.0, steep) == pytest.approx(10.0 / math.tan(math.radians(10.0)))  # 56.7 m
     assert return_height_m(10.1, steep) == 60.0
@@ -228,3 +228,42 @@ def test_from_50_m_away_it_lands_at_home(wind_n):
     assert loop.iris.on_ground
     assert math.hypot(*loop.iris.pos_ned_m[:2]) < 0.5
     assert loop.update() is IDLE
+
+
+@pytest.mark.parametrize("phase", [Phase.CLIMB, Phase.FLY_HOME, Phase.LAND])
+def test_home_and_rally_points_set_under_way_are_for_the_next_return(phase):
+    loop = Real(10.0, params=LOW)
+    loop.iris.pos_ned_m[:2] = (20.0, -15.0)
+    loop.state = loop.iris.estimate()
+    loop.enter(FlightMode.RETURN)
+    assert loop.run(60.0, lambda: loop.navigator.return_phase is phase)
+    loop.home_ned_m = (100.0, 30.0, 40.0)
+    loop.navigator.set_rally_points([rally(60.0, 60.0)])
+    sideways_m_s, down_m_s = [], []
+
+    def watch():
+        if loop.navigator.return_phase is Phase.LAND:
+            north_m_s, east_m_s, falls_m_s = loop.state.vel_ned_m_s
+            sideways_m_s.append(math.hypot(north_m_s, east_m_s))
+            if loop.state.pos_ned_m[2] > -1.0:
+                down_m_s.append(falls_m_s)
+        return loop.navigator.return_phase is Phase.DONE
+
+    assert loop.run(120.0, watch)
+    assert max(sideways_m_s) < 1.0
+    assert max(down_m_s) < 2.0 * LOW.land_speed_m_s  # heights count from the home of the start
+    assert math.hypot(*loop.iris.pos_ned_m[:2]) < 0.5
+
+
+def test_lifted_off_the_ground_or_after_a_jump_it_lands_where_it_landed():
+    # a Return on the ground far from home has no way to fly: what lifts it there comes down there
+    loop = Ideal((40.0, 10.0, 0.0), params=LOW)
+    loop.landed = True
+    loop.enter(FlightMode.RETURN)
+    assert loop.navigator.return_phase is Phase.DONE
+    loop.landed, loop.state.pos_ned_m = False, np.array((40.0, 10.0, -0.6))
+    loop.step()
+    assert loop.navigator.return_phase is Phase.LAND
+    loop.enter(FlightMode.RETURN)  # the estimate has jumped
+    assert loop.run(10.0, lambda: loop.navigator.return_phase is Phase.DONE)
+    np.testing.assert_allclose(loop.state.pos_ned_m[:2], (40.0, 10.0), atol=0.05)

@@ -72,5 +72,16 @@ def test_a_full_channel_slows_the_round_and_is_not_followed_by_a_burst():
     assert np.min(np.diff([at_us for at_us, _ in after])) >= 100_000 / 7 - 1
 
 
+def test_a_leap_of_the_clock_is_not_followed_by_a_burst_nor_by_a_long_search():
+    for leap_us in (3 * GIVE_UP_US, 10**15):
+        schedule = schedule_of(0, 8)
+        before = run(schedule, until_us=PERIOD_US)
+        after = run(schedule, start_us=leap_us, until_us=leap_us + 10 * PERIOD_US)
+        gaps_us = np.diff([at_us for at_us, _ in after])
+        assert np.all(gaps_us[1:] >= PERIOD_US / 7 - 1)  # the first of all may be late by less than a slot
+        assert len(after) in {70, 71}
+        assert before
+
+
 def test_a_lone_station_asks_nobody():
     assert run(schedule_of(0, 7, stations=1), until_us=PERIOD_US) == []

@@ -82,6 +82,25 @@ def test_a_sender_that_begins_anew_is_told_from_one_whose_beacons_are_lost():
     assert heard([(1.0, -2), (1.3, 1), (31.3, 301)])[0] == [False, False, False]
 
 
+@pytest.mark.parametrize("leap_us", [3 * WAIT_US, 10**15])
+def test_after_a_leap_of_the_clock_one_beacon_is_due_with_the_number_of_its_time(leap_us):
+    traffic = traffic_of()
+
+    def said(now_us):
+        items = traffic.due(own_state(now_us), now_us, now_us + STEP_US, ranging=False)
+        return [wire.decode(item.payload).seq for item in items if isinstance(item, Broadcast)]
+
+    period_us = OnboardConfig().beacon_period_ms * 1_000
+    before = [seq for now_us in range(0, 10 * period_us, STEP_US) for seq in said(now_us)]
+    ((seq,), later) = said(leap_us), said(leap_us + STEP_US)
+    assert later == []
+    assert (
+        abs((seq - before[-1]) % wire.SEQ_MODULUS - (leap_us / period_us - 10) % wire.SEQ_MODULUS) <= SHIFTS
+    )
+    gaps = np.diff([seq, *(seq for k in range(2, 500) for seq in said(leap_us + k * STEP_US))])
+    assert set(gaps % wire.SEQ_MODULUS) == {1}
+
+
 @pytest.mark.parametrize("period_ms", [10, 100, 1_000])
 def test_a_beacon_that_waits_for_the_channel_is_of_no_new_sender(period_ms):
     """Each waits up to `WAIT_US` (in order), is shifted by 2 % of a period, and three in ten are lost."""

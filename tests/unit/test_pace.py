@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from harness.messages import AnyCommand, Pause, Paused, Progress, Resume, RunUntil, SetSpeed
-from harness.physics_server import MOST_LAG_S, Pacer, obey
+from harness.physics_server import MOST_LAG_S, NAP_S, PROGRESS_PERIOD_S, Pacer, obey
 from netsim.child import Stop
 
 STEP_US = 4_000
@@ -60,9 +60,40 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     return clock
 
 
-def flown(world: World, *commands: AnyCommand, during: dict[int, AnyCommand] | None = None) -> list[object]:
-    """Obey commands; those of ``during`` come when so much has been said. Returns what was."""
-    inbox: queue.SimpleQueue[AnyCommand] = queue.SimpleQueue()
+class Inbox(queue.SimpleQueue):  # type: ignore[type-arg]
+    """A queue in which to wait is to let the clock's time pass, until what comes by itself at its time."""
+
+    def __init__(self, clock: Clock, coming: dict[float, AnyCommand] | None = None) -> None:
+        super().__init__()
+        self.clock, self.coming = clock, coming or {}
+
+    def empty(self) -> bool:
+        for wall_s in sorted(at_s for at_s in self.coming if at_s <= self.clock.wall_s):
+            self.put(self.coming.pop(wall_s))
+        return super().empty()
+
+    def get(self, block: bool = True, timeout: float | None = None) -> AnyCommand:  # noqa: FBT001, FBT002
+        if timeout is None or not super().empty():
+            return super().get(block, timeout)
+        end_s = self.clock.wall_s + timeout
+        for wall_s in sorted(at_s for at_s in self.coming if at_s <= end_s):
+            self.clock.wall_s = max(self.clock.wall_s, wall_s)
+            return self.coming.pop(wall_s)
+        self.clock.wall_s = end_s
+        raise queue.Empty
+
+
+def flown(
+    world: World,
+    *commands: AnyCommand,
+    during: dict[int, AnyCommand] | None = None,
+    coming: dict[float, AnyCommand] | None = None,
+) -> list[object]:
+    """Obey commands; those of ``during`` come when so much has been said, of ``coming`` at a wall time.
+
+    Returns what was said.
+    """
+    inbox = Inbox(world.clock, coming)
     said: list[object] = []
     later = dict(during or {})
 
@@ -162,3 +193,33 @@ def test_another_speed_holds_from_then_on(clock: Clock) -> None:
     for steps, speed in ((first, 1.0), (last, 4.0)):
         took_s = steps[-1][1] - steps[0][1]
         assert (steps[-1][0] - steps[0][0]) * 1e-6 / took_s == pytest.approx(speed, rel=0.1)
+
+
+def test_however_slow_it_is_told_a_few_times_per_second_and_a_command_ends_the_wait(clock: Clock) -> None:
+    world, begin_s = World(clock), clock.wall_s
+    # a step in more than an hour
+    said = flown(world, RunUntil(time_us=1_000_000, speed=1e-6), coming={begin_s + 700.0: Stop()})
+    assert clock.wall_s == pytest.approx(begin_s + 700.0, abs=0.01)
+    told_s = [begin_s, *(e.wall_s for e in said if isinstance(e, Progress))]
+    assert len(told_s) > 1_000
+    assert max(later - earlier for earlier, later in pairwise(told_s)) < 2.0 * PROGRESS_PERIOD_S
+    assert max(clock.sleeps_s, default=0.0) <= NAP_S
+    assert [e.reason for e in said if isinstance(e, Paused)] == ["command"]
+
+
+def test_another_speed_and_a_pause_hold_at_once_however_slow_it_was(clock: Clock) -> None:
+    world, begin_s = World(clock), clock.wall_s
+    coming: dict[float, AnyCommand] = {
+        begin_s + 10.0: SetSpeed(speed=1.0),
+        begin_s + 10.5: Pause(),
+        begin_s + 14.0: Resume(),
+    }
+    said = flown(world, RunUntil(time_us=1_000_000, speed=1e-6), coming=coming)
+    assert clock.wall_s == pytest.approx(begin_s + 10.0 + 1.0 + 3.5, abs=0.05)
+    paused = next(e for e in said if isinstance(e, Paused))
+    assert paused.wall_paused_s == pytest.approx(3.5, abs=0.05)
+    # who breaks a run off that stands learns from the last report how long it has
+    standing = [e for e in said if isinstance(e, Progress) and e.paused]
+    assert standing[-1].wall_paused_s == pytest.approx(3.5, abs=1.5 * PROGRESS_PERIOD_S)
+    for earlier, later in pairwise(standing):
+        assert later.wall_paused_s - earlier.wall_paused_s == pytest.approx(later.wall_s - earlier.wall_s)

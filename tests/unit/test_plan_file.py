@@ -14,7 +14,14 @@ from autopilot import plan_file, site_plan
 from autopilot.__main__ import lone_vehicle
 from autopilot.config import AutopilotConfig, CircleConfig, MissionItemConfig, RallyPointConfig, Site
 from autopilot.navigation.geodesy import geodetic_to_ned
-from autopilot.navigation.plan_items import circle_item, polygon_items, rally_item, refusal, return_point_item
+from autopilot.navigation.plan_items import (
+    circle_item,
+    make,
+    polygon_items,
+    rally_item,
+    refusal,
+    return_point_item,
+)
 from autopilot.navigation.plan_store import PlanType, WireItem, make_plan
 from autopilot.plan_file import HomePlace, PlanFileError, Plans, dumps, loads
 from harness.scenario import ScenarioError
@@ -240,8 +247,9 @@ def test_a_scenario_names_a_plan_file_beside_it(tmp_path):
     plans = site_plan.plans(config.autopilot, config.site)
     read = loads(json.dumps(SAMPLE))
     for kind in PlanType:
-        assert bits(plans.items[kind]) == bits(read.of(kind))
-    assert (len(plans.mission.items), len(plans.fence_shapes), len(plans.rally_points)) == (7, 2, 1)
+        assert bits(plans[kind].items) == bits(read.of(kind))
+    mission, fence, rally = (plans[kind].made for kind in PlanType)
+    assert (len(mission.mission.items), len(fence.fence_shapes), len(rally.rally_points)) == (7, 2, 1)
 
 
 @pytest.mark.parametrize(
@@ -268,7 +276,7 @@ def test_what_is_wrong_with_it_is_one_line(tmp_path, toml, words):
 def test_a_lone_vehicle_starts_with_a_plan_file(tmp_path):
     (tmp_path / "site.plan").write_text(json.dumps(SAMPLE))
     config = lone_vehicle(0, 1.0, None, tmp_path / "site.plan")
-    assert len(site_plan.plans(config.autopilot, config.site).mission.items) == 7
+    assert len(site_plan.plans(config.autopilot, config.site)[PlanType.MISSION].items) == 7
     with pytest.raises(PlanFileError, match=r"nowhere.plan: no such plan file"):
         lone_vehicle(0, 1.0, None, tmp_path / "nowhere.plan")
 
@@ -281,9 +289,9 @@ def test_metres_of_the_site_are_read_by_stations_too():
         rally=(RallyPointConfig(north_m=30.0, east_m=-10.0, height_m=5.0),),
     )  # fmt: skip
     plans = site_plan.plans(config, Site())
-    assert [item.command for item in plans.items[PlanType.MISSION]] == [22, 16]
-    assert plans.items[PlanType.FENCE][0].params[0] == 60.0
-    (point,) = plans.rally_points
+    assert [item.command for item in plans[PlanType.MISSION].items] == [22, 16]
+    assert plans[PlanType.FENCE].items[0].params[0] == 60.0
+    (point,) = plans[PlanType.RALLY].made.rally_points
     site = Site()
     north_m, east_m, _ = geodetic_to_ned(
         point.lat_deg, point.lon_deg, site.altitude_m, origin_lat_deg=site.latitude_deg,
@@ -292,6 +300,6 @@ def test_metres_of_the_site_are_read_by_stations_too():
     assert math.hypot(north_m - 30.0, east_m + 10.0) < 0.012  # 1e-7 degrees
     assert point.height_m == 5.0
     for kind in PlanType:
-        assert refusal(kind, plans.items[kind]) is None
-    again = loads(plan_file.dumps(Plans(*(plans.items[kind] for kind in PlanType))))
-    assert bits(again.mission) == bits(plans.items[PlanType.MISSION])
+        assert make(kind, plans[kind].items) == plans[kind].made
+    again = loads(plan_file.dumps(Plans(*(plans[kind].items for kind in PlanType))))
+    assert bits(again.mission) == bits(plans[PlanType.MISSION].items)

@@ -68,7 +68,7 @@ def test_coflights_own_vehicles_need_nothing_of_it(tmp_path):
         ("autopilot.px4_vehicles=[0, 3]", "px4_vehicles: there is no UAV 3 among 3"),
         ("autopilot.params.lower_case=1", "autopilot.params: 'lower_case' is no parameter's name"),
         ("autopilot.per_uav.3.MIS_TAKEOFF_ALT=1", "autopilot.per_uav: there is no UAV '3'"),
-        ("autopilot.fence=[{shape='circle', radius_m=50}]", "autopilot.fence: a PX4 takes its fence"),
+        ("autopilot.fence=[{shape='circle', radius_m=50}]", "autopilot.fence: a PX4 takes its plans"),
     ],
 )
 def test_what_no_px4_could_be_started_with_is_refused_with_the_fields_path(scenario, override, complaint):

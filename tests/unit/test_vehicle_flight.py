@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import common
 from vehicle_world import STEP_US, Flight, vehicle_config
 
 from autopilot.config import OnboardConfig, VehicleConfig
-from autopilot.mavlink.codec import Encoder, Parser
+from autopilot.mavlink.codec import Encoder, Parser, stamp
 from autopilot.mavlink.modes import FlightMode
 from autopilot.params import ParameterError
 from autopilot.protocol.service import COMPANION, GROUND_STATION, Addressed, Partner
@@ -260,6 +260,20 @@ def test_messages_for_others_are_not_ours(flight):
     flight.step()
     assert not flight.vehicle.commander.armed
     assert flight.heard == []
+
+
+def test_stations_do_not_speak_for_the_autopilot_to_the_application():
+    vehicle = Vehicle(vehicle_config(onboard=True))
+    vehicle.step(sim_messages=[sensor(4_000)])
+    taken, vehicle.app.on_mavlink = [], lambda message, _: taken.append(message.get_type())
+    answered, vehicle.app.on_request = [], lambda message: answered.append(message.get_type()) or []
+    sent = [
+        common.MAVLink_command_ack_message(ARM, ACCEPTED, 0, 0, 1, 191),
+        common.MAVLink_command_long_message(1, 191, common.MAV_CMD_USER_1, 0, *[0.0] * 7),
+    ]
+    messages = [Addressed(Partner(GROUND_STATION, 0), stamp(m, system=255, component=190)) for m in sent]
+    vehicle.step(sim_messages=[sensor(8_000)], link_messages=messages)
+    assert (taken, answered) == ([], ["COMMAND_ACK", "COMMAND_LONG"])
 
 
 def test_a_wrong_parameter_stops_the_vehicle_from_being_made():

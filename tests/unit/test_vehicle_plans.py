@@ -7,9 +7,9 @@ import pytest
 from plan_flights import act, flight_of, make_ready, of_site, place, reached, said, upload
 from pymavlink.dialects.v20 import common
 
-from autopilot.config import Site
+from autopilot.config import CircleConfig, MissionItemConfig, RallyPointConfig, Site
 from autopilot.mavlink.modes import FlightMode
-from autopilot.navigation.plan_items import polygon_items, rally_item
+from autopilot.navigation.plan_items import make, polygon_items, rally_item
 from autopilot.navigation.plan_store import PlanType
 from autopilot.protocol.mission_progress import ACTIVE, COMPLETE, NO_MISSION, NOT_STARTED, PAUSED
 
@@ -108,14 +108,88 @@ def test_a_mission_written_in_flight_is_begun_the_same_again_changes_nothing_and
         assert (state(flight), max(abs(vehicle.flight.state.vel_ned_m_s)) < 0.3) == (NO_MISSION, True)
 
 
-def test_a_mission_too_far_from_home_is_kept_and_said_to_be_so():
+def test_a_mission_far_from_home_is_warned_of_once_and_flown_whatever_becomes_of_home():
     with flight_of() as flight:
-        make_ready(flight)
-        assert upload(flight, [place(flight, WAYPOINT, 950.0, 0.0, 5.0)]) == common.MAV_MISSION_ACCEPTED
         flight.step()
-        assert "m from home, allowed are 900 m" in "".join(flight.texts())
-        assert state(flight) == NO_MISSION
+        leg = [place(flight, TAKEOFF, 0.0, 0.0, 5.0), place(flight, WAYPOINT, 40.0, 0.0, 5.0)]
+        assert upload(flight, leg) == common.MAV_MISSION_ACCEPTED
+        make_ready(flight)
+        assert flight.command(common.MAV_CMD_MISSION_START) == ACCEPTED
+        commander, vehicle = flight.vehicle.commander, flight.vehicle
+        runner = vehicle.pilot.navigator.mission.runner
+        assert flight.run(20.0, until=lambda: runner.current == 1)
+        lat_e7, lon_e7 = of_site(3_000.0, 0.0, vehicle.config.site)
+        flight.send(
+            common.MAVLink_set_home_position_message(
+                1, lat_e7, lon_e7, 488_000, 0.0, 0.0, 0.0, (1.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0
+            )
+        )
+        for name, value in ((b"MIS_DIST_1WP", 10.0), (b"GF_MAX_HOR_DIST", 5000.0)):
+            flight.send(common.MAVLink_param_set_message(1, 1, name, value, common.MAV_PARAM_TYPE_REAL32))
+        flight.run(1.0)
+        assert vehicle.flight.home.pos_ned_m[0] > 2_000.0
+        assert (commander.mode, commander.failsafe) == (FlightMode.MISSION, False)
+        assert flight.run(30.0, until=lambda: state(flight) == COMPLETE)
+        warnings = [text for text in flight.texts() if "far away from home" in text]
+        assert warnings == []
+        assert upload(flight, [place(flight, WAYPOINT, 30.0, 0.0, 6.0)]) == common.MAV_MISSION_ACCEPTED
+        flight.step()
+        assert "m. Correct mission loaded?" in "".join(flight.texts())
+        assert flight.command(common.MAV_CMD_MISSION_START) == ACCEPTED
+        assert flight.run(30.0, until=lambda: state(flight) == COMPLETE)
+
+
+def test_a_mission_beyond_the_fence_is_kept_and_not_flown():
+    def fence(north_m):
+        corners = ((-30.0, -30.0), (-30.0, 30.0), (north_m, 30.0), (north_m, -30.0))
+        vertices = [tuple(e7 / 1e7 for e7 in of_site(*corner, Site())) for corner in corners]
+        return polygon_items(vertices, inclusion=True)
+
+    with flight_of({"GF_ACTION": 0}) as flight:
+        flight.step()
+        leg = [place(flight, TAKEOFF, 0.0, 0.0, 5.0), place(flight, WAYPOINT, 40.0, 0.0, 5.0)]
+        assert upload(flight, fence(30.0), PlanType.FENCE) == common.MAV_MISSION_ACCEPTED
+        assert upload(flight, leg) == common.MAV_MISSION_ACCEPTED
+        make_ready(flight)  # with a home it is seen
+        commander = flight.vehicle.commander
+        text = "Mission rejected: Geofence violation for waypoint 2"
+        assert "".join(flight.texts()).count(text) == 1
+        assert (state(flight), flight.command(common.MAV_CMD_MISSION_START)) == (
+            NO_MISSION, common.MAV_RESULT_DENIED,
+        )  # fmt: skip
         assert flight.command(common.MAV_CMD_DO_SET_MODE, *MISSION) != ACCEPTED
+        assert upload(flight, fence(60.0), PlanType.FENCE) == common.MAV_MISSION_ACCEPTED
+        for limit_m, expected in ((35.0, NO_MISSION), (0.0, NOT_STARTED)):
+            flight.vehicle.set_parameter("GF_MAX_HOR_DIST", limit_m)
+            flight.step()
+            assert state(flight) == expected
+        assert flight.command(common.MAV_CMD_MISSION_START) == ACCEPTED
+        runner = flight.vehicle.pilot.navigator.mission.runner
+        assert flight.run(20.0, until=lambda: runner.current == 1)
+        flight.run(2.0)
+        assert upload(flight, fence(30.0), PlanType.FENCE) == common.MAV_MISSION_ACCEPTED
+        flight.run(4.0)
+        assert (commander.mode, commander.failsafe) == (FlightMode.HOLD, False)  # as PX4 loiters
+        assert max(abs(flight.vehicle.flight.state.vel_ned_m_s)) < 0.3
+        assert "".join(flight.texts()).count(text) == 3
+        flight.send(common.MAVLink_mission_clear_all_message(1, 1, int(PlanType.FENCE)))
+        flight.step()
+        set_mode(flight, MISSION)
+        assert flight.run(30.0, until=lambda: state(flight) == COMPLETE)
+
+
+def test_plans_of_a_scenario_are_flown_as_stations_read_them():
+    with flight_of(
+        mission=(MissionItemConfig(command="waypoint", north_m=12.3456789, east_m=1.0, height_m=5.1),),
+        fence=(CircleConfig(north_m=1.2345678, radius_m=60.1),),
+        rally=(RallyPointConfig(north_m=30.0, east_m=-10.0),),
+    ) as flight:
+        vehicle, plans = flight.vehicle, flight.vehicle.messaging.plans
+        for kind in PlanType:
+            assert plans[kind].made == make(kind, plans[kind].items)
+        assert vehicle.pilot.navigator.mission.runner.mission is plans[PlanType.MISSION].made.mission
+        assert vehicle.monitor.geofence.shapes == plans[PlanType.FENCE].made.fence_shapes != ()
+        assert plans.version == dict.fromkeys(PlanType, 1)
 
 
 def test_return_is_to_the_nearest_rally_point_and_lands_there():
@@ -146,7 +220,8 @@ def plan_text(site):
     def at(north_m, east_m):
         return [e7 / 1e7 for e7 in of_site(north_m, east_m, site)]
 
-    square = [at(-20.0, -20.0), at(-20.0, 20.0), at(15.0, 20.0), at(15.0, -20.0)]
+    square = [at(-20.0, -20.0), at(-20.0, 20.0), at(60.0, 20.0), at(60.0, -20.0)]
+    strip = [at(15.0, -30.0), at(15.0, 30.0), at(30.0, 30.0), at(30.0, -30.0)]  # across the way
     simple = {"type": "SimpleItem", "autoContinue": True, "frame": 3}
     return json.dumps({
         "fileType": "Plan", "version": 1,
@@ -155,7 +230,8 @@ def plan_text(site):
             {**simple, "command": WAYPOINT, "params": [0, 0, 0, None, *at(40.0, 0.0), 5], "doJumpId": 2},
         ]},
         "geoFence": {"version": 2, "circles": [],
-                     "polygons": [{"inclusion": True, "polygon": square, "version": 1}]},
+                     "polygons": [{"inclusion": True, "polygon": square, "version": 1},
+                                  {"inclusion": False, "polygon": strip, "version": 1}]},
         "rallyPoints": {"version": 2, "points": []},
     })  # fmt: skip
 

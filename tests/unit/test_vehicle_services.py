@@ -13,7 +13,7 @@ from vehicle_world import STEP_US, Flight, vehicle_config
 from autopilot.config import AutopilotConfig, CircleConfig, MissionItemConfig
 from autopilot.mavlink.modes import FlightMode
 from autopilot.onboard.phases import Phase
-from autopilot.params import ParameterError
+from autopilot.params import ROWS, ParameterError, ParameterSet, Settings
 
 NAN = math.nan
 ACCEPTED, DENIED = common.MAV_RESULT_ACCEPTED, common.MAV_RESULT_DENIED
@@ -123,6 +123,40 @@ def test_return_climbs_comes_home_and_lands():
         assert math.dist(flight.vehicle.flight.state.pos_ned_m[:2], home_ned_m[:2]) < 0.8
 
 
+def test_taking_off_and_landing_are_told_of_missions_and_returns_as_of_modes():
+    items = (
+        MissionItemConfig(command="takeoff", height_m=4.0),
+        MissionItemConfig(command="waypoint", north_m=8.0, east_m=0.0, height_m=4.0),
+        MissionItemConfig(command="land", north_m=8.0, east_m=0.0),
+    )
+    ground, air, taking_off, landing = (
+        common.MAV_LANDED_STATE_ON_GROUND,
+        common.MAV_LANDED_STATE_IN_AIR,
+        common.MAV_LANDED_STATE_TAKEOFF,
+        common.MAV_LANDED_STATE_LANDING,
+    )
+    with flight_of(mission=items) as flight:
+        make_ready(flight)
+        told = [ground]
+
+        def is_over():
+            state = flight.vehicle.messaging.telemetry.system.extended_sys_state().landed_state
+            if told[-1] != state:
+                told.append(state)
+            return not flight.vehicle.commander.armed
+
+        assert flight.command(common.MAV_CMD_MISSION_START) == ACCEPTED
+        assert flight.run(60.0, until=is_over)
+        assert told == [ground, taking_off, air, landing, ground]
+        told[:] = [ground]
+        assert flight.command(ARM, 1.0) == ACCEPTED
+        assert flight.command(TAKE_OFF, *[NAN] * 7) == ACCEPTED
+        flight.run(20.0, until=lambda: is_over() or flight.vehicle.commander.mode is FlightMode.HOLD)
+        assert flight.command(common.MAV_CMD_NAV_RETURN_TO_LAUNCH) == ACCEPTED
+        assert flight.run(90.0, until=is_over)
+        assert told == [ground, taking_off, air, landing, ground]
+
+
 def test_position_mode_by_sticks_and_what_follows_when_they_are_gone():
     with flight_of(params={"RTL_RETURN_ALT": 6.0}) as flight:
         flight.take_off(5.0)
@@ -204,6 +238,29 @@ def test_a_fence_of_the_scenario_holds_the_vehicle_and_refuses_arming_outside():
         )
 
 
+def test_nobody_is_sent_out_of_the_fence_and_a_hold_on_its_way_out_stops():
+    fence = (CircleConfig(north_m=0.0, east_m=0.0, radius_m=15.0),)
+    with flight_of(fence=fence, params={"GF_ACTION": 2}) as flight:
+        flight.take_off(5.0)
+        flight.run(10.0, until=lambda: flight.vehicle.commander.mode is FlightMode.HOLD)
+        data = flight.vehicle.flight
+        lat_deg = data.state.origin_lat_deg + math.degrees(40.0 / 6_371_000.0)
+        place = (NAN, lat_deg, data.state.origin_lon_deg, data.home.alt_m + 5.0)
+        assert flight.command(common.MAV_CMD_DO_REPOSITION, -1.0, 1.0, 0.0, *place) == ACCEPTED
+        assert flight.texts()[-1] == "Reposition is outside geofence"
+        flight.run(5.0)
+        assert math.hypot(*data.state.pos_ned_m[:2]) < 1.5
+        flight.vehicle.set_parameter("GF_ACTION", 1.0)
+        assert flight.command(common.MAV_CMD_DO_REPOSITION, -1.0, 1.0, 0.0, *place) == ACCEPTED
+        assert flight.run(20.0, until=lambda: data.state.pos_ned_m[0] > 17.0)
+        flight.vehicle.set_parameter("GF_ACTION", 2.0)
+        assert flight.run(1.0, until=lambda: flight.vehicle.commander.failsafe)
+        assert flight.vehicle.commander.mode is FlightMode.HOLD
+        flight.run(8.0)
+        assert data.state.pos_ned_m[0] < 28.0  # from 5 m/s it stops within some 6 m
+        assert math.hypot(*data.state.vel_ned_m_s[:2]) < 0.5
+
+
 def test_a_ground_station_that_falls_silent():
     with flight_of(params={"NAV_DLL_ACT": 3, "COM_DL_LOSS_T": 5.0, "COM_FAIL_ACT_T": 2.0}) as flight:
         heartbeat = common.MAVLink_heartbeat_message(
@@ -271,9 +328,34 @@ def test_parameters_act_in_flight_and_are_saved_when_asked():
         )
         assert flight.step().save_parameters
         assert not flight.step().save_parameters
+        assert flight.command(common.MAV_CMD_PREFLIGHT_STORAGE, 2.0) == REFUSED  # not in flight
+        assert vehicle.parameters.get("MPC_XY_P") == pytest.approx(1.1)
     with Flight(vehicle_config()) as flight:  # that has no file
         assert flight.command(common.MAV_CMD_PREFLIGHT_STORAGE, 1.0) == UNSUPPORTED
         assert flight.now_us == STEP_US
+
+
+def test_parameters_are_reset_and_told_on_the_ground():
+    set_before = {"MPC_XY_P": 1.5, "BAT_CRIT_THR": 0.2, "BAT_LOW_THR": 0.25, "EKF2_GPS_DELAY": 90.0}
+    with flight_of(params=set_before | {"CAL_MAG0_ROT": 2.0}) as flight:
+        flight.step()
+        vehicle = flight.vehicle
+        assert flight.command(common.MAV_CMD_PREFLIGHT_STORAGE, 3.0) == ACCEPTED
+        assert vehicle.parameters.get("CAL_MAG0_ROT") == -1.0
+        assert vehicle.parameters.get("MPC_XY_P") == 1.5
+        vehicle.set_parameter("CAL_MAG0_ROT", 2.0)
+        flight.step()
+        flight.heard.clear()
+        assert flight.command(common.MAV_CMD_PREFLIGHT_STORAGE, 2.0) == ACCEPTED
+        told = {m.param_id for _, m in flight.heard if m.get_type() == "PARAM_VALUE"}
+        assert told == {*set_before, "CAL_MAG0_ROT"} - {"EKF2_GPS_DELAY"}  # which is one of the start
+        fresh = ParameterSet(Settings())
+        kept = {"EKF2_GPS_DELAY", "MAV_SYS_ID"}
+        assert all(vehicle.parameters.get(r.name) == fresh.get(r.name) for r in ROWS if r.name not in kept)
+        assert vehicle.parameters.get("EKF2_GPS_DELAY") == 90.0
+        assert vehicle.pilot.controller.hover_thrust > 0.0
+        site_gauss = vehicle.config.site.magnetic_field_ned_gauss
+        assert vehicle.parameters.settings.estimation.magnetic_field_ned_gauss == site_gauss
 
 
 def test_sticks_for_another_vehicle_are_not_ours():
