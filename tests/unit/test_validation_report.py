@@ -211,4 +211,4 @@ def test_the_parts_of_a_step_make_the_whole():
     assert min(cost.parts_us.values()) > 0.0
     assert 0.0 < cost.floor_us < 0.5 * cost.step_us
     with_streams = measure(recording, streams=True, repeats=1)
-    assert with_streams.parts_us["links and streams"] > 2.0 * cost.parts_us["links and streams"]
+    assert with_streams.parts_us["streams"] > 2.0 * cost.parts_us["streams"]
