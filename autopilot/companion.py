@@ -18,15 +18,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
-import numpy as np
 from msgspec import Struct
 from pymavlink.dialects.v20 import common
 
+from autopilot.aboard import make_application
 from autopilot.companion_log import CompanionLog
 from autopilot.companion_radio import CompanionRadio
 from autopilot.config import VehicleConfig
 from autopilot.mavlink.codec import Encoder, Message, Parser, stamp
-from autopilot.onboard.app import NOTHING, OnboardApp
+from autopilot.onboard.app import NOTHING
 from autopilot.onboard.messages import heartbeat
 from autopilot.onboard.phases import Phase
 from autopilot.protocol.service import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
@@ -82,17 +82,7 @@ class Companion:
     def __init__(self, config: VehicleConfig) -> None:
         self.now_us = -1
         self._system = config.instance + 1
-        seed = np.random.SeedSequence([config.seed, config.instance, APPLICATION_COMPONENT])
-        self.app = OnboardApp(
-            station=config.instance,
-            places_ned_m=config.places_ned_m,
-            heading_deg=config.heading_deg,
-            motion=config.motion,
-            site=config.site,
-            config=config.onboard,
-            devices=config.devices,
-            rng=np.random.default_rng(seed),
-        )
+        self.app = make_application(config)
         self._stamp_us = -1
         """What the last message said of the clock, whether it was believed or not."""
         self._tick_us = 0

@@ -6,12 +6,12 @@ come in as objects and go out as objects, and time is the sensor's.
 
 from collections.abc import Sequence
 
-import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 from pymavlink.dialects.v20 import common
 
 from autopilot import site_plan
+from autopilot.aboard import make_application
 from autopilot.commander.commander import Commander
 from autopilot.commander.failsafe import US_PER_S
 from autopilot.commander.geofence import Geofence
@@ -22,7 +22,7 @@ from autopilot.mavlink.hil import HilActuatorControls
 from autopilot.mavlink.modes import FlightMode
 from autopilot.messaging import Messaging
 from autopilot.monitor import Monitor
-from autopilot.onboard.app import NOTHING, OnboardApp
+from autopilot.onboard.app import NOTHING
 from autopilot.params import ROWS, ParameterError, ParameterSet, Problem, Settings
 from autopilot.pilot import Pilot
 from autopilot.protocol.flight_data import FlightData
@@ -138,7 +138,7 @@ class Vehicle:
         self._before_conditions = self.offboard.takes | self.manual.takes
         """Messages that conditions depend on, so that a mode is not asked for in vain."""
         self._told_truth = config.onboard.localisation == "truth"
-        self.app = self._make_app()
+        self.app = make_application(config) if config.onboard.enabled else None
         if self.app is not None:
             self.messaging.tell_application = self.app.on_mavlink
         self._last_us: int | None = None
@@ -377,22 +377,6 @@ class Vehicle:
     def _actuators(self, now_us: int) -> HilActuatorControls:
         mode = _MODE_ARMED if self.commander.armed else _MODE_DISARMED
         return HilActuatorControls(now_us, self.pilot.controls, mode, _LOCKSTEP_FLAG)
-
-    def _make_app(self) -> OnboardApp | None:
-        config = self.config
-        if not config.onboard.enabled:
-            return None
-        seed = np.random.SeedSequence([config.seed, config.instance, APPLICATION_COMPONENT])
-        return OnboardApp(
-            station=config.instance,
-            places_ned_m=config.places_ned_m,
-            heading_deg=config.heading_deg,
-            motion=config.motion,
-            site=config.site,
-            config=config.onboard,
-            devices=config.devices,
-            rng=np.random.default_rng(seed),
-        )
 
 
 def _greeting() -> Message:
