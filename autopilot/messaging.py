@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from pymavlink.dialects.v20 import common
 
-from autopilot.commander.geofence import Geofence, Origin
+from autopilot.commander.geofence import Geofence
 from autopilot.config import VehicleConfig
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.signing import SIGNATURE_BYTES
@@ -53,11 +53,8 @@ from autopilot.protocol.streams import (
     Streams,
 )
 from autopilot.protocol.telemetry import Telemetry
-from autopilot.types import Array
 
 _OUTSIDE = (GROUND_STATION, COMPANION)
-_WARN = 1
-"""GF_ACTION up to which a geofence is not kept to."""
 
 
 class Messaging:
@@ -89,7 +86,6 @@ class Messaging:
         self._reset_parameters = reset_parameters
         self._pilot = pilot
         self._geofence = geofence
-        pilot.allows = self._is_allowed
         self.tell_application: Callable[[Message, int], None] | None = None
         """Takes a message for the application in this process, and the time."""
         self.plans = PlanStore()
@@ -313,15 +309,6 @@ class Messaging:
     def _hasten(self, message_id: int) -> None:
         for link in _OUTSIDE:
             self.streams[link].hasten(message_id, self._flight.now_us)
-
-    def _is_allowed(self, place_ned_m: Array) -> bool:
-        """Whether the geofence, if it does more than warn, lets the vehicle be at a place (3,)."""
-        flight, state = self._flight, self._flight.state
-        if self._parameters.settings.commander.geofence_action <= _WARN:
-            return True
-        home_ned_m = None if flight.home is None else flight.home.pos_ned_m
-        origin = Origin(state.origin_lat_deg, state.origin_lon_deg, state.origin_alt_m)
-        return self._geofence.check(place_ned_m, home_ned_m, origin) is None
 
     def _is_fenced(self) -> bool:
         return self._geofence.has_limits

@@ -1,7 +1,7 @@
 """From the mode to the motors: navigation, control, contact with the ground, and the place to return to."""
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +24,8 @@ from autopilot.protocol.offboard import OffboardService
 from autopilot.types import Array, Setpoint, TrajectorySetpoint
 
 _NO_CONTROLS = [0.0] * 16
+_FENCE_WARNS = 1
+"""GF_ACTION up to which a geofence is not kept to."""
 _HEIGHT_MAX_M = 1e5
 """Of altitudes, whether above or below the sea: what is beyond was not meant."""
 
@@ -47,8 +49,6 @@ class Pilot:
         control = settings.control
         self.navigator = Navigator(settings.navigation, control.trajectory, control.position)
         flight.course = lambda: self.navigator.course
-        self.allows: Callable[[Array], bool] = lambda _: True
-        """Whether somebody may have it fly to a place, (3,) from the estimator's origin."""
         self.mission_valid = False
         """There is a mission that may be flown."""
         self.mission_trouble: str | None = None
@@ -107,7 +107,7 @@ class Pilot:
             self.navigator.stop(self._flight.state)
         else:
             place_ned_m = self._place_ned_m(self.navigator.place_ned_m, lat_deg, lon_deg, alt_amsl_m)
-            if not self.allows(place_ned_m):
+            if not self._may_be_at(place_ned_m):
                 self.navigator.stop(self._flight.state)
                 return Reason.OUTSIDE_GEOFENCE
             self.navigator.hold_at(place_ned_m, yaw_rad=_number(yaw_rad))
@@ -306,6 +306,19 @@ class Pilot:
 
     # ---- pieces
 
+    def _may_be_at(self, place_ned_m: Array) -> bool:
+        """Whether the geofence, if it does more than warn, lets the vehicle be at a place (3,)."""
+        if self._settings.commander.geofence_action <= _FENCE_WARNS:
+            return True
+        home = self._flight.home
+        home_ned_m = None if home is None else home.pos_ned_m
+        return self._geofence.check(place_ned_m, home_ned_m, self._origin()) is None
+
+    def _origin(self) -> Origin:
+        """Give the place of the local frame on the globe."""
+        state = self._flight.state
+        return Origin(state.origin_lat_deg, state.origin_lon_deg, state.origin_alt_m)
+
     def _takeoff_down_m(self) -> float:
         """Where a take-off ends: MIS_TAKEOFF_ALT above home, or at an altitude that is off the ground."""
         home_down_m = self._flight.home.pos_ned_m[2] if self._flight.home is not None else 0.0
@@ -365,9 +378,7 @@ class Pilot:
             return
         trouble = warning = None
         if mission is not None and home is not None:
-            state = self._flight.state
-            origin = Origin(state.origin_lat_deg, state.origin_lon_deg, state.origin_alt_m)
-            trouble = fence_trouble(mission, self._geofence, home_ned_m=home.pos_ned_m, origin=origin)
+            trouble = fence_trouble(mission, self._geofence, home_ned_m=home.pos_ned_m, origin=self._origin())
             warning = distance_warning(
                 mission,
                 home_lat_deg=home.lat_deg,

@@ -15,14 +15,12 @@ from pymavlink.dialects.v20 import common
 from autopilot.crc import crc32
 from autopilot.mavlink.codec import Message
 from autopilot.params import ROW_INDEX_OF, ROWS, ParameterError, ParameterSet, Problem
-from autopilot.protocol.service import ALL, NEVER_US, Addressed, Partner, reply
+from autopilot.protocol.parameter_lists import LIST_BATCH, LIST_PERIOD_US, ParameterLists, Room, always
+from autopilot.protocol.service import ALL, Addressed, Partner, reply
 from autopilot.protocol.status import status_text
 
-LIST_PERIOD_US = 20_000
-LIST_BATCH = 16
-"""Values go out in batches, so that a list takes a third of a second and is not one burst."""
-MOST_LISTS = 16
-"""At a time; the oldest ends for one more."""
+MOST_TYPELESS = 16
+"""Partners that may send whole numbers as floats; the oldest gives way to one more."""
 TEXT_PERIOD_US = 1_000_000
 """There is one text a second at most: some stations repeat a refused set at once."""
 HASH_NAME = "_HASH_CHECK"
@@ -33,13 +31,6 @@ _NAME_BYTES = 16
 
 Setter = Callable[[str, float], None]
 """Raises ParameterError."""
-Room = Callable[[Partner], bool]
-"""Whether a partner's link has room for more of what takes long."""
-
-
-def always(_partner: Partner) -> bool:
-    """On a link without a limit."""
-    return True
 
 
 class _HashValue(common.MAVLink_param_value_message):  # type: ignore[misc]  # pymavlink has no types
@@ -61,11 +52,9 @@ class ParameterService:
 
     def __init__(self, parameters: ParameterSet, put: Setter, has_room: Room = always) -> None:
         """Values come from ``parameters``, and are changed by ``put``."""
-        self._has_room = has_room
+        self._lists = ParameterLists(has_room)
         self._parameters = parameters
         self._put = put
-        self._next_index: dict[Partner, int] = {}
-        self._list_due_us = NEVER_US
         self._changed: dict[str, None] = {}
         self._news_due_us = 0
         self._text_us = -TEXT_PERIOD_US
@@ -76,7 +65,9 @@ class ParameterService:
         """Answer a request; a list is sent by `on_timer`, and asking for it again starts it anew."""
         kind = message.get_msgId()
         if kind == common.MAVLINK_MSG_ID_PARAM_REQUEST_LIST:
-            return self._begin_list(partner, now_us)
+            self._lists.begin(partner, now_us, first=_HASH)
+            self._typeless.pop(partner, None)
+            return ()
         if kind == common.MAVLINK_MSG_ID_PARAM_REQUEST_READ:
             return self._read(message, partner)
         return self._set(message, now_us, partner)
@@ -89,22 +80,13 @@ class ParameterService:
                 del self._changed[name]
                 messages += reply(ALL, self._value(ROW_INDEX_OF[name]))
             self._news_due_us = now_us + LIST_PERIOD_US if self._changed else 0
-        if now_us < self._list_due_us:
-            return messages
-        for partner, begin in list(self._next_index.items()):
-            if not self._has_room(partner):
-                continue
-            until = min(begin + LIST_BATCH, len(ROWS))
-            messages += reply(partner, *(self._value(index) for index in range(begin, until)))
-            self._next_index[partner] = until
-            if until == len(ROWS):
-                del self._next_index[partner]
-        self._list_due_us = now_us + LIST_PERIOD_US if self._next_index else NEVER_US
+        for partner, rows in self._lists.next_batch(now_us):
+            messages += reply(partner, *map(self._value, rows))
         return messages
 
     def next_deadline_us(self) -> int:
         """When the next batch is due; at once when a change is to be told."""
-        return min(self._news_due_us, self._list_due_us) if self._changed else self._list_due_us
+        return min(self._news_due_us, self._lists.due_us) if self._changed else self._lists.due_us
 
     def on_change(self, name: str) -> None:
         """Have everybody told of a parameter that was changed otherwise than by PARAM_SET."""
@@ -117,17 +99,8 @@ class ParameterService:
         """
         self._typeless.pop(partner, None)
         self._typeless[partner] = None  # the newest last
-        if len(self._typeless) > MOST_LISTS:
+        if len(self._typeless) > MOST_TYPELESS:
             del self._typeless[next(iter(self._typeless))]
-
-    def _begin_list(self, partner: Partner, now_us: int) -> Sequence[Addressed]:
-        again = self._next_index.pop(partner, None) is not None
-        if len(self._next_index) >= MOST_LISTS:
-            del self._next_index[next(iter(self._next_index))]
-        self._next_index[partner] = 0 if again else _HASH
-        self._list_due_us = min(self._list_due_us, now_us)
-        self._typeless.pop(partner, None)
-        return ()
 
     def _read(self, message: Message, partner: Partner) -> Sequence[Addressed]:
         index = message.param_index
@@ -142,7 +115,7 @@ class ParameterService:
     def _set(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
         name = message.param_id
         if name == HASH_NAME:
-            self._next_index.pop(partner, None)
+            self._lists.end(partner)
             return ()
         try:
             index = ROW_INDEX_OF.get(name)

@@ -10,18 +10,9 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
 from autopilot.params import ROW_INDEX_OF, ROWS, ParameterError, ParameterSet, Problem
-from autopilot.protocol.parameter import (
-    LIST_BATCH,
-    LIST_PERIOD_US,
-    MOST_LISTS,
-    Room,
-    Setter,
-    always,
-    refusal,
-    shortest,
-    value_bytes,
-)
-from autopilot.protocol.service import NEVER_US, Addressed, Partner, reply
+from autopilot.protocol.parameter import Setter, refusal, shortest, value_bytes
+from autopilot.protocol.parameter_lists import ParameterLists, Room, always
+from autopilot.protocol.service import Addressed, Partner, reply
 
 _VALUE_BYTES = 128
 _KINDS = {True: common.MAV_PARAM_EXT_TYPE_INT32, False: common.MAV_PARAM_EXT_TYPE_REAL32}
@@ -41,11 +32,9 @@ class ParameterExtService:
 
     def __init__(self, parameters: ParameterSet, put: Setter, has_room: Room = always) -> None:
         """``put`` changes a parameter and tells of it."""
-        self._has_room = has_room
+        self._lists = ParameterLists(has_room)
         self._parameters = parameters
         self._put = put
-        self._next_index: dict[Partner, int] = {}
-        self._due_us = NEVER_US
 
     def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
         """Answer a request; a list is sent by `on_timer`."""
@@ -59,32 +48,19 @@ class ParameterExtService:
             if index < len(ROWS):
                 return reply(partner, self._value(index))
             return reply(partner, refusal(message, Problem.UNKNOWN, index=message.param_index))
-        self._next_index.pop(partner, None)
-        if len(self._next_index) >= MOST_LISTS:
-            del self._next_index[next(iter(self._next_index))]
-        self._next_index[partner] = 0
-        self._due_us = min(self._due_us, now_us)
+        self._lists.begin(partner, now_us)
         return ()
 
     def on_timer(self, now_us: int) -> Sequence[Addressed]:
         """Send the next batch of each list."""
         messages: list[Addressed] = []
-        if now_us < self._due_us:
-            return messages
-        for partner, begin in list(self._next_index.items()):
-            if not self._has_room(partner):
-                continue
-            until = min(begin + LIST_BATCH, len(ROWS))
-            messages += reply(partner, *(self._value(index) for index in range(begin, until)))
-            self._next_index[partner] = until
-            if until == len(ROWS):
-                del self._next_index[partner]
-        self._due_us = now_us + LIST_PERIOD_US if self._next_index else NEVER_US
+        for partner, rows in self._lists.next_batch(now_us):
+            messages += reply(partner, *map(self._value, rows))
         return messages
 
     def next_deadline_us(self) -> int:
         """When the next batch is due."""
-        return self._due_us
+        return self._lists.due_us
 
     def _value(self, index: int) -> Message:
         row = ROWS[index]

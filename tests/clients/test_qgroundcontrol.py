@@ -4,7 +4,6 @@ QGroundControl has no version without windows. What it asks, and which fields of
 from its sources (Vehicle/InitialConnectStateMachine, ComponentInformation, MissionManager/PlanManager).
 """
 
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -45,7 +44,6 @@ class Station:
             limit_s = self.swarm.truth.t_s + LIMIT_S
             while self.swarm.truth.t_s < limit_s:
                 self.swarm.run_for(0.1)
-                time.sleep(0.0)
                 while (message := self.link.recv_msg()) is not None:
                     self.heard.append(message)
                     if message.get_type() in kinds.split() and message.get_srcComponent() == 1:

@@ -7,6 +7,7 @@ after the other, each at once when the one before has ended, and keeps what came
 
 import math
 import struct
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
@@ -71,7 +72,7 @@ class Job:
     """Number of the item read that was marked as current"""
 
 
-class Client:
+class Client(ABC):
     """What the models have in common."""
 
     PAUSE_US = 0
@@ -127,14 +128,14 @@ class Client:
         else:
             self._next(now_us)
 
-    def _start(self, now_us: int) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def _start(self, now_us: int) -> None: ...
 
-    def _take(self, message: Message, now_us: int) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def _take(self, message: Message, now_us: int) -> None: ...
 
-    def _time_out(self, now_us: int) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def _time_out(self, now_us: int) -> None: ...
 
     # ---- what all say
 

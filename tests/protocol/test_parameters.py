@@ -11,8 +11,9 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Encoder, Parser, stamp
 from autopilot.params import ROW_INDEX_OF, ROWS, ParameterSet, Settings
-from autopilot.protocol.parameter import LIST_BATCH, LIST_PERIOD_US, ParameterService, value_bytes
+from autopilot.protocol.parameter import ParameterService, value_bytes
 from autopilot.protocol.parameter_ext import ParameterExtService
+from autopilot.protocol.parameter_lists import LIST_BATCH, LIST_PERIOD_US
 from autopilot.protocol.service import ALL, NEVER_US, Partner
 
 ASKER, OTHER = Partner(0, 3), Partner(1, 0)
