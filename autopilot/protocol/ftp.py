@@ -15,8 +15,8 @@ from pymavlink.dialects.v20 import common
 from autopilot.crc import crc32
 from autopilot.mavlink.codec import Message
 from autopilot.protocol.files import FileStore, Readable
-from autopilot.protocol.parameter import Room, always
 from autopilot.protocol.service import NEVER_US, Addressed, Partner, reply
+from autopilot.protocol.shaper import Room, always
 
 DATA_BYTES = 239
 MOST_SESSIONS = 8

@@ -9,8 +9,8 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
 from autopilot.protocol.files import FileStore, Readable
-from autopilot.protocol.parameter import Room, always
 from autopilot.protocol.service import NEVER_US, Addressed, Partner, reply
+from autopilot.protocol.shaper import Room, always
 from autopilot.protocol.status import status_text
 
 PIECE_BYTES = 90

@@ -15,8 +15,9 @@ from pymavlink.dialects.v20 import common
 from autopilot.crc import crc32
 from autopilot.mavlink.codec import Message
 from autopilot.params import ROW_INDEX_OF, ROWS, ParameterError, ParameterSet, Problem
-from autopilot.protocol.parameter_lists import LIST_BATCH, LIST_PERIOD_US, ParameterLists, Room, always
+from autopilot.protocol.parameter_lists import LIST_BATCH, LIST_PERIOD_US, ParameterLists
 from autopilot.protocol.service import ALL, Addressed, Partner, reply
+from autopilot.protocol.shaper import Room, always
 from autopilot.protocol.status import status_text
 
 MOST_TYPELESS = 16

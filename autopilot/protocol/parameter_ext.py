@@ -11,8 +11,9 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.codec import Message
 from autopilot.params import ROW_INDEX_OF, ROWS, ParameterError, ParameterSet, Problem
 from autopilot.protocol.parameter import Setter, refusal, shortest, value_bytes
-from autopilot.protocol.parameter_lists import ParameterLists, Room, always
+from autopilot.protocol.parameter_lists import ParameterLists
 from autopilot.protocol.service import Addressed, Partner, reply
+from autopilot.protocol.shaper import Room, always
 
 _VALUE_BYTES = 128
 _KINDS = {True: common.MAV_PARAM_EXT_TYPE_INT32, False: common.MAV_PARAM_EXT_TYPE_REAL32}

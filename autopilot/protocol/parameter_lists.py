@@ -1,23 +1,14 @@
 """Lists of parameters under way: how far each partner's is, and when the next batch is due."""
 
-from collections.abc import Callable
-
 from autopilot.params import ROWS
 from autopilot.protocol.service import NEVER_US, Partner
+from autopilot.protocol.shaper import Room, always
 
 LIST_PERIOD_US = 20_000
 LIST_BATCH = 16
 """Values go out in batches, so that a list takes a third of a second and is not one burst."""
 MOST_LISTS = 16
 """At a time; the oldest ends for one more."""
-
-Room = Callable[[Partner], bool]
-"""Whether a partner's link has room for more of what takes long."""
-
-
-def always(_partner: Partner) -> bool:
-    """On a link without a limit."""
-    return True
 
 
 class ParameterLists:

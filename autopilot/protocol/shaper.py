@@ -7,7 +7,7 @@ kind and keeps its place, so that slow streams are not crowded out by fast ones:
 """
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from pymavlink.dialects.v20 import common
 
@@ -35,6 +35,14 @@ MAX_WAITING = 64
 they send more never come so far."""
 _HEARTBEAT = common.MAVLINK_MSG_ID_HEARTBEAT
 _US_PER_S = 1_000_000
+
+Room = Callable[[Partner], bool]
+"""Whether a partner's link has room for more of what takes long."""
+
+
+def always(_partner: Partner) -> bool:
+    """On a link without a limit."""
+    return True
 
 
 class Shaper:
