@@ -20,6 +20,7 @@ from autopilot.navigation.geodesy import ned_to_geodetic
 from harness.esc import EscReadings, pack_escs
 from harness.physics.truth import Truth
 from harness.sensors.suite import BaroSamples, GpsFixes, SensorFrame
+from netsim.wire.lockstep import BATCH_DELIVERED
 
 SIMULATOR_SYSTEM_ID = 0
 SIMULATOR_COMPONENT_ID = 1
@@ -69,11 +70,13 @@ class SensorEncoder:
         frame: SensorFrame,
         escs: EscReadings | None = None,
         truth: Truth | None = None,
+        delivered: Collection[int] = (),
     ) -> Iterator[bytes]:
         """Frames for one vehicle after the other, each made when it is asked for.
 
         ESC_STATUS when there are readings of motors, HIL_GPS when a fix is due, HIL_STATE_QUATERNION when
-        the truth is to be told, then HIL_SENSOR, which is what lets a vehicle's clock go on.
+        the truth is to be told, then HIL_SENSOR, which is what lets a vehicle's clock go on. It tells those
+        who are ``delivered``, by their numbers, that the radio has brought them something for this step.
         """
         told_rc = self._px4_rc and time_us % RC_PERIOD_US == 0
         rc_sequence = (self._sequence + (escs is not None)) % 256
@@ -102,8 +105,9 @@ class SensorEncoder:
             baro = _baro(frame.baro)
         each = zip(inertial, mag, baro, motors, strict=False)
         for vehicle, ((accel, gyro), field, air, motor) in enumerate(each):
+            told = fields | BATCH_DELIVERED if vehicle in delivered else fields
             sensor = pack(
-                HilSensor._make((time_us, *accel, *gyro, *field, *air, fields, 0)),
+                HilSensor._make((time_us, *accel, *gyro, *field, *air, told, 0)),
                 sequence=sequence,
                 system=SIMULATOR_SYSTEM_ID,
                 component=SIMULATOR_COMPONENT_ID,

@@ -1,4 +1,4 @@
-"""HIL_STATE_QUATERNION: the truth as a vehicle is told it, decoded as the vehicle decodes it."""
+"""What the simulator tells a vehicle beside its sensors, decoded as the vehicle decodes it."""
 
 import numpy as np
 import pytest
@@ -10,6 +10,7 @@ from autopilot.navigation.geodesy import geodetic_to_ned
 from harness.hil import SensorEncoder
 from harness.physics.truth import Truth
 from harness.sensors.suite import SensorFrame
+from netsim.wire.lockstep import BATCH_DELIVERED
 
 SITE = Site(latitude_deg=60.2, longitude_deg=24.8, altitude_m=30.0)
 
@@ -64,3 +65,13 @@ def test_sequence_numbers_run_on_with_and_without_the_truth():
             numbers.append(frame[4])
             frame = frame[size:]
     assert numbers == [0, 1, 2, 3, 4, 5]
+
+
+def test_who_has_a_delivery_is_told_in_its_sensors_beside_what_is_new_in_them():
+    quiet, told = (
+        [HilParser(HilSensor).push(frame)[0] for frame in SensorEncoder().encode(1_000, quiet_frame(3), **more)]
+        for more in ({}, {"delivered": (0, 2)})
+    )
+    assert [s.fields_updated & BATCH_DELIVERED for s in told] == [BATCH_DELIVERED, 0, BATCH_DELIVERED]
+    cleared = [s._replace(fields_updated=s.fields_updated & ~BATCH_DELIVERED) for s in told]
+    assert cleared == quiet
