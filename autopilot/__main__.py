@@ -35,10 +35,12 @@ from autopilot.mavlink.links import UdpLink
 from autopilot.mavlink.signing import SigningKeyError
 from autopilot.parameter_file import ParameterFileError
 from autopilot.params import ParameterError
+from autopilot.parts import PARTS
 from autopilot.plan_file import PlanFileError
 from autopilot.protocol.service import COMPANION, GROUND_STATION, Addressed, Partner
 from autopilot.site_plan import PlanError
 from netsim.child import Finished, Influenced, Ready, Warned, emit, end_with_parent
+from netsim.profiler import profiled
 from netsim.radio import RadioClient
 
 RETRY_S = 0.1
@@ -82,6 +84,7 @@ class Process:
 
     def __init__(self, config: VehicleConfig, stack: contextlib.ExitStack) -> None:
         ports = config.ports
+        self._profile_from_us = config.profile_from_us
         self._links = [stack.enter_context(contextlib.closing(link)) for link in _open_links(config)]
         self._radio: RadioClient | None = None
         if ports.radio_endpoint is not None:
@@ -119,7 +122,11 @@ class Process:
         # What lives now lives to the end: no full collection need walk it in flight.
         gc.collect()
         gc.freeze()
-        with contextlib.suppress(ConnectionResetError, BrokenPipeError):  # a simulator that died hangs up too
+        flight = self._host.vehicle.flight
+        with (
+            profiled(PARTS, now_us=lambda: flight.now_us, from_us=self._profile_from_us) as profile,
+            contextlib.suppress(ConnectionResetError, BrokenPipeError),  # a simulator that died hangs up too
+        ):
             while data := self._hear():
                 for messages in self._host.push(data):
                     self._simulator.sendall(self._step(messages))
@@ -132,6 +139,7 @@ class Process:
                     "links": self._link_counts(),
                     "malformed_deliveries": 0 if self._radio is None else self._radio.malformed,
                     **self._host.vehicle.troubles(),
+                    **profile,
                 },
             )
         )

@@ -298,3 +298,5 @@ class VehicleConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Where MAV_CMD_PREFLIGHT_STORAGE writes the parameters; None: it is not supported."""
     record_period_us: Annotated[int, Meta(ge=1_000)] = 20_000
     connect_timeout_s: Annotated[float, Meta(gt=0.0, le=1e5)] = 30.0
+    profile_from_us: Annotated[int, Meta(ge=0)] | None = None
+    """Simulated time from which the process looks where its processor time goes; None: never."""

@@ -19,6 +19,7 @@ from rich.console import Console
 from harness.faults import MOST_TIME_S
 from harness.keyboard import Keyboard
 from harness.processes import SetupError, SwarmError
+from harness.profiling import profile_table
 from harness.progress import Display, display_for, summary_table
 from harness.scenario import Scenario, ScenarioError, load
 from harness.swarm import Swarm, SwarmTimeoutError
@@ -91,6 +92,10 @@ def fly(
             " from outside can connect: no ground station, companion or guest of the radio.",
         ),
     ] = False,
+    profile: Annotated[  # noqa: FBT002
+        bool,
+        typer.Option("--profile", help="Tell where the processor time went, by process and part."),
+    ] = False,
     json: Annotated[bool, typer.Option("--json", help="The summary alone on stdout.")] = False,  # noqa: FBT002
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,  # noqa: FBT002
 ) -> None:
@@ -110,7 +115,7 @@ def fly(
         waits = _waits(plan, one_process=one_process)
         factor = _speed(speed or ("1" if waits else "max"))
         display = display_for(messages)
-        swarm = _swarm(plan, factor, out, port_offset, display, one_process=one_process)
+        swarm = _swarm(plan, factor, out, port_offset, display, one_process=one_process, profile=profile)
         broken_off = _fly(swarm, display, until_interrupted=waits and duration is None)
         display.close()
         _report(swarm, broken_off, messages, as_json=json, interruption_is_fine=waits and duration is None)
@@ -130,7 +135,10 @@ def _swarm(
     display: Display,
     *,
     one_process: bool,
+    profile: bool,
 ) -> Swarm:
+    if one_process and profile:
+        raise Failure(BAD_INPUT, "--profile has processes sample themselves, each its own, not one process")
     if one_process:
         from harness.one_process import OneProcessSwarm  # noqa: PLC0415  loads the physics, which prints a line
 
@@ -142,6 +150,7 @@ def _swarm(
         ports="scenario",
         port_offset=port_offset,
         on_message=display.on_message,
+        profile_from_s=0.0 if profile else None,
     )
 
 
@@ -218,6 +227,9 @@ def _report(
             sys.stdout.write(msgspec.json.format(msgspec.json.encode(summary), indent=2).decode() + "\n")
         else:
             Console(highlight=False).print(summary_table(summary))
+            if swarm.profile:
+                step_us = swarm.scenario.run.step_us
+                Console(highlight=False).print(profile_table(swarm.profile, step_us=step_us))
     _list_files(messages, swarm.path)
     if broken_off is not None and not (interrupted and interruption_is_fine):
         raise broken_off

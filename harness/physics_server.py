@@ -34,10 +34,12 @@ from harness.messages import (
     SetPid,
     SetSpeed,
 )
+from harness.parts import PARTS
 from harness.patience import Patience
 from harness.run_folder import PhysicsConfig
 from harness.simulation import Simulation, run
 from netsim.child import Finished, Ready, Stop, commands, emit
+from netsim.profiler import profiled
 from netsim.transport import Question, Transport, TransportError
 
 PROGRESS_PERIOD_S = 0.2
@@ -282,15 +284,16 @@ def serve(config: PhysicsConfig, listeners: list[socket.socket], radio_endpoint:
         if air is not None and has_px4:
             transport.serve(said_key(config.run_id), lambda question: _overhear(question, met[0]))
         emit(Ready(name="physics", pid=os.getpid()))
-        obey(
-            simulation,
-            inbox,
-            connect_timeout_s=config.connect_timeout_s,
-            emit=emit,
-            set_pid=patience.set_pid,
-            set_application_pid=applications.set_pid,
-        )
-    details: dict[str, Any] = {"time_us": simulation.time_us, "formed": simulation.formed}
+        with profiled(PARTS, now_us=lambda: simulation.time_us, from_us=config.profile_from_us) as profile:
+            obey(
+                simulation,
+                inbox,
+                connect_timeout_s=config.connect_timeout_s,
+                emit=emit,
+                set_pid=patience.set_pid,
+                set_application_pid=applications.set_pid,
+            )
+    details: dict[str, Any] = {"time_us": simulation.time_us, "formed": simulation.formed, **profile}
     if has_px4:
         details["late_answers"] = {f"uav {i}": count for i, count in met[0].late_answers.items()}
     emit(Finished(name="physics", details=details))

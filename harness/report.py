@@ -22,6 +22,7 @@ from harness.aperture import Aperture
 from harness.flight import Flight
 from harness.formation_error import FormationError, formation_error
 from harness.motion_start import flown_start_us, since_start_s
+from harness.profiling import KindProfile
 from harness.recording import AIR_RECORD
 from harness.run_folder import RunFolder
 from harness.scenario import Scenario
@@ -65,6 +66,8 @@ class Outcome(Struct, frozen=True, kw_only=True):
     """What a program or user did to the run by hand at exact simulated times; it does not end determinism."""
     nondeterminism: tuple[str, ...] = ()
     """What made this run depend on more than scenario and seed."""
+    profile: dict[str, KindProfile] = {}
+    """Where the time went, by kind of process, if that was asked for"""
 
 
 def finish(folder: RunFolder, scenario: Scenario, outcome: Outcome, *, draw: bool = True) -> dict[str, Any]:
@@ -103,6 +106,8 @@ def finish(folder: RunFolder, scenario: Scenario, outcome: Outcome, *, draw: boo
         "deterministic": not outcome.nondeterminism,
         "log_sha256": hashlib.sha256("".join(hashes.values()).encode()).hexdigest(),
     }
+    if outcome.profile:
+        summary["profile"] = msgspec.to_builtins(outcome.profile)
     _write_json(folder.summary, summary)
     written = _draw(folder, scenario, whole, window, error, antenna, sessions) if draw else []
     _write_json(folder.manifest, _manifest(scenario, outcome, hashes, written, antenna))

@@ -27,13 +27,19 @@ class PhysicsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     air_log_path: str
     event_log_path: str
     connect_timeout_s: float = 120.0
+    profile_from_us: int | None = None
+    """Simulated time from which the process looks where its processor time goes; None: never."""
 
 
 class RunFolder:
-    """Paths of a run, below ``path``; made with its subfolders by `create`."""
+    """Paths of a run, below ``path``; made with its subfolders by `create`.
 
-    def __init__(self, path: Path) -> None:
+    The processes' settings have them profile themselves from the simulated time ``profile_from_us`` on.
+    """
+
+    def __init__(self, path: Path, *, profile_from_us: int | None = None) -> None:
         self.path = path
+        self._profile_from_us = profile_from_us
         self.raw, self.config, self.logs, self.figures = (
             path / name for name in ("raw", "config", "logs", "figures")
         )
@@ -73,6 +79,7 @@ class RunFolder:
             frame_log_path=str(self.raw_frames),
             session_log_path=str(self.raw_sessions),
             capture_path=str(self.capture) if scenario.radio.capture else None,
+            profile_from_us=self._profile_from_us,
         )
         return self._write("radio", config)
 
@@ -84,6 +91,7 @@ class RunFolder:
             truth_log_path=str(self.raw_truth),
             air_log_path=str(self.raw_air),
             event_log_path=str(self.events),
+            profile_from_us=self._profile_from_us,
         )
         return self._write("physics", config)
 
@@ -102,9 +110,10 @@ class RunFolder:
         )
         ports = msgspec.structs.replace(config.ports, simulator_tcp=simulator_port)
         params_path = str(self.path / f"uav-{instance}.params")
-        return self._write(
-            f"uav-{instance}", msgspec.structs.replace(config, ports=ports, params_path=params_path)
+        config = msgspec.structs.replace(
+            config, ports=ports, params_path=params_path, profile_from_us=self._profile_from_us
         )
+        return self._write(f"uav-{instance}", config)
 
     def _write(self, name: str, config: msgspec.Struct) -> Path:
         path = self.config / f"{name}.json"

@@ -25,7 +25,7 @@ from typing import Any, ClassVar, Literal, Self
 
 import msgspec
 
-from harness import ground_links
+from harness import ground_links, profiling
 from harness.faults import MOST_ATTENUATION_DB, AnyFault, validated
 from harness.messages import (
     InjectFault,
@@ -71,6 +71,7 @@ class Swarm:
     scenario's, each raised by ``port_offset``.
     ``wall_limit_s``: a run method raises SwarmTimeoutError once so much wall time has passed since the start.
     ``on_message`` is given all that the processes say and how they end, on the thread that runs the swarm.
+    ``profile_from_s``: simulated time from which the processes look where their time goes, for `profile`.
 
     Raises ScenarioError for a scenario that cannot be used.
     """
@@ -90,6 +91,7 @@ class Swarm:
         port_offset: int = 0,
         wall_limit_s: float | None = None,
         on_message: Callable[[Message], None] | None = None,
+        profile_from_s: float | None = None,
     ) -> None:
         if isinstance(scenario, Scenario):
             if agents is not None or seed is not None or overrides:
@@ -107,7 +109,10 @@ class Swarm:
             weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
         else:
             self.path = Path(out)
-        self._folder = RunFolder(self.path)
+        step_us = self.scenario.run.step_us
+        # not before the first step is done: until then vehicles start
+        from_us = None if profile_from_s is None else max(round(profile_from_s * 1e6), 2 * step_us)
+        self._folder = RunFolder(self.path, profile_from_us=from_us)
         self._processes = self._make_processes(
             self.scenario, self._folder, wall_limit_s=wall_limit_s, on_message=on_message
         )
@@ -368,6 +373,11 @@ class Swarm:
         """Last lines of each process's log, by name."""
         return self._processes.log_tails(lines)
 
+    @property
+    def profile(self) -> dict[str, profiling.KindProfile]:
+        """After the stop, where the time went, by kind of process; empty unless that was asked for."""
+        return profiling.by_kind(self._processes.finished)
+
     def leftovers(self) -> list[str]:
         """After the stop, a line for each process of this swarm that lives and each port held: none."""
         return self._processes.leftovers()
@@ -425,6 +435,7 @@ class Swarm:
             ground_messages=ground_messages,
             interventions=tuple(self._interventions),
             nondeterminism=tuple(nondeterminism),
+            profile=self.profile,
         )
         return report.finish(self._folder, self.scenario, outcome, draw=draw)
 

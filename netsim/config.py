@@ -180,3 +180,5 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     frame_log_path: str | None = None
     session_log_path: str | None = None
     capture_path: str | None = None
+    profile_from_us: Annotated[int, Meta(ge=0)] | None = None
+    """Simulated time from which the process looks where its processor time goes; None: never."""

@@ -86,6 +86,11 @@ class HostedEmulator:
         counters: dict[str, Any] = msgspec.to_builtins(self._emulator.counters)
         return counters
 
+    @property
+    def reached_us(self) -> int:
+        """How far the air has been simulated."""
+        return self._reached_us
+
     def is_guest(self, station: Station) -> bool:
         """Whether that station is another program's."""
         return self._config.stations <= station < self.stations

@@ -19,6 +19,8 @@ import msgspec
 from netsim.child import Finished, Influenced, Ready, Stop, commands, emit
 from netsim.config import ServerConfig
 from netsim.hosted import HostedEmulator, Motion
+from netsim.parts import PARTS
+from netsim.profiler import profiled
 from netsim.radio import DELIVERY_LIMIT_S, advance_key, directory_key, receive_key, transmit_key
 from netsim.transport import Asker, Question, Transport
 from netsim.wire.messages import (
@@ -87,6 +89,11 @@ class Server:
     def endpoint(self) -> str:
         """Where the stations connect."""
         return self._transport.endpoint
+
+    @property
+    def reached_us(self) -> int:
+        """How far the air has been simulated."""
+        return self._hosted.reached_us
 
     def serve(self) -> dict[str, Any]:
         """Answer the time master until a Stop; returns the run's counters."""
@@ -162,5 +169,6 @@ def run(config_path: Path, *, supervised: bool) -> None:
         gc.collect()
         gc.freeze()
         emit(Ready(name="radio", pid=os.getpid(), details={"endpoint": server.endpoint}))
-        details = server.serve()
-    emit(Finished(name="radio", details=details))
+        with profiled(PARTS, now_us=lambda: server.reached_us, from_us=config.profile_from_us) as profile:
+            details = server.serve()
+    emit(Finished(name="radio", details=details | profile))

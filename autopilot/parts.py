@@ -1,0 +1,30 @@
+"""Parts of a vehicle's process, for `netsim.profiler`: which modules are what."""
+
+from netsim.profiler import LINK
+
+CODEC = "link codec"
+RADIO = "radio"
+
+PARTS = {
+    "autopilot.mavlink.hil": CODEC,
+    "autopilot.sensors": "estimator",
+    "autopilot.estimation": "estimator",
+    "autopilot.control": "control",
+    "autopilot.commander": "commander and modes",
+    "autopilot.monitor": "commander and modes",
+    "autopilot.navigation": "commander and modes",
+    "autopilot.pilot": "commander and modes",
+    "autopilot.onboard": "on-board application",
+    "autopilot.formation_plan": "on-board application",
+    "autopilot.mavlink": "MAVLink services",
+    "autopilot.protocol": "MAVLink services",
+    "autopilot.messaging": "MAVLink services",
+    "netsim.radio": RADIO,
+    "netsim.transport": RADIO,
+    "netsim.wire": RADIO,
+    "autopilot.recording": "records",
+    "netsim.record_log": "records",
+    "autopilot.vehicle": "the step around them",
+    "autopilot.host": "the step around them",
+    "autopilot.__main__": LINK,
+}

@@ -1,0 +1,21 @@
+"""Parts of the physics server's process, for `netsim.profiler`: which modules are what."""
+
+from netsim.profiler import LINK
+
+PARTS = {
+    "harness.physics": "physics",
+    "harness.wind": "wind",
+    "harness.sensors": "sensors",
+    "harness.faults": "sensors",
+    "harness.esc": "sensors",
+    "harness.hil": "link codec",
+    "autopilot.mavlink": "link codec",
+    "harness.lockstep": LINK,
+    "harness.patience": LINK,
+    "harness.air": "radio",
+    "netsim": "radio",
+    "harness.recording": "records",
+    "netsim.record_log": "records",
+    "harness.simulation": "the step around them",
+    "harness.physics_server": "the step around them",
+}

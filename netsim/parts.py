@@ -1,0 +1,21 @@
+"""Parts of the 802.11 emulator's process, for `netsim.profiler`: which modules are what."""
+
+from netsim.profiler import LINK
+
+PARTS = {
+    "netsim.phy": "physical layer",
+    "netsim.mac": "medium access",
+    "netsim.ftm": "ranging",
+    "netsim.emulator": "events",
+    "netsim.kernel": "events",
+    "netsim.channels": "events",
+    "netsim.ideal": "events",
+    "netsim.wire": "batches",
+    "netsim.hosted": "batches",
+    "netsim.logs": "records",
+    "netsim.records": "records",
+    "netsim.record_log": "records",
+    "netsim.capture": "records",
+    "netsim.transport": LINK,
+    "netsim.server": LINK,
+}
