@@ -15,7 +15,7 @@ import socket
 import struct
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import msgspec
@@ -245,8 +245,8 @@ def _is_heartbeat(message: Message) -> bool:
     )
 
 
-def main() -> int:
-    """Parse the command line and fly; a failure is one line on stderr and status 2."""
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Parse a command line, by default the process's, and fly; a failure is a line on stderr and status 2."""
     parser = argparse.ArgumentParser(
         prog="python -m autopilot", description="One UAV's autopilot and on-board application."
     )
@@ -257,15 +257,13 @@ def main() -> int:
     add("--params", type=Path, help="parameter file to start with, and to save to, of a lone vehicle")
     add("--plan", type=Path, help="QGroundControl's .plan to start with, of a lone vehicle")
     add("--supervised", action="store_true", help="end when stdin does")
-    arguments = parser.parse_args()
+    given = parser.parse_args(arguments)
     try:
-        if arguments.config is not None:
-            config = msgspec.json.decode(arguments.config.read_bytes(), type=VehicleConfig)
+        if given.config is not None:
+            config = msgspec.json.decode(given.config.read_bytes(), type=VehicleConfig)
         else:
-            config = lone_vehicle(
-                arguments.instance, arguments.connect_timeout_s, arguments.params, arguments.plan
-            )
-        if arguments.supervised:
+            config = lone_vehicle(given.instance, given.connect_timeout_s, given.params, given.plan)
+        if given.supervised:
             end_with_parent()
             _yield_to_the_simulator()
         with contextlib.ExitStack() as stack:

@@ -33,7 +33,7 @@ from harness.supervisor import (
 )
 from netsim.child import Finished, Influenced, Ready, Warned
 
-PHYSICS, RADIO = "physics", "radio"
+PHYSICS, RADIO, HANGAR = "physics", "radio", "hangar"
 START_LIMIT_S = 120.0
 """Wall time within which every process must be ready to work."""
 STOP_LIMIT_S = 10.0
@@ -78,14 +78,19 @@ def application(instance: int) -> str:
     return f"application {instance}"
 
 
-def python_module(module: str, config: Path) -> list[str]:
+def python_module(module: str, *arguments: str) -> list[str]:
     """Command that runs one of coflight's processes."""
     # -P: nothing in the working folder may stand in for a module
-    return [sys.executable, "-P", "-m", module, "--config", str(config), "--supervised"]
+    return [sys.executable, "-P", "-m", module, *arguments]
+
+
+def supervised(config: Path) -> tuple[str, ...]:
+    """Arguments of one of coflight's processes that is a child of this one."""
+    return ("--config", str(config), "--supervised")
 
 
 class Processes:
-    """Physics server, 802.11 emulator and one process per vehicle.
+    """Physics server, 802.11 emulator and one process per vehicle, forked by the hangar.
 
     ``wall_limit_s`` bounds the run's wall time from `start` on; ``on_message`` is given all that is taken
     from the processes, on the taker's thread. ``supervisor`` is whose children they are, if not children of
@@ -112,6 +117,7 @@ class Processes:
         self._supervisor = supervisor
         self._ports: set[int] = set()
         self._px4 = px4_seat.instances(scenario)
+        self._has_hangar = len(self._px4) < scenario.agents
         self._running = False
         self._met = False
         """Whether every vehicle has connected to the physics server."""
@@ -179,25 +185,31 @@ class Processes:
             simulator_ports = [listener.getsockname()[1] for listener in listeners]
             self._ports.update(simulator_ports)
             RunFolder.create(self._folder.path)
+            if self._has_hangar:  # it takes longest, and needs none of the others
+                self._supervisor.start_forker(HANGAR, python_module("autopilot.hangar"))
             config = self._folder.write_radio_config(scenario, run_id=run_id)
-            self._supervisor.start(RADIO, python_module("netsim", config))
+            self._supervisor.start(RADIO, python_module("netsim", *supervised(config)))
             self._await_ready([RADIO])
             endpoint: str = self.ready[RADIO].details["endpoint"]
             self._ports.add(int(endpoint.rpartition(":")[2]))
             fds = [listener.fileno() for listener in listeners]
             config = self._folder.write_physics_config(scenario, run_id=run_id)
-            command = python_module("harness.physics_server", config)
+            command = python_module("harness.physics_server", *supervised(config))
             command += ["--listen-fds", ",".join(map(str, fds)), "--radio-endpoint", endpoint]
             self._supervisor.start(PHYSICS, command, pass_fds=fds)
+        if self._has_hangar:
+            self._await_ready([HANGAR])
         for i in vehicles:
             config = self._folder.write_vehicle_config(
                 scenario, i, run_id=run_id, simulator_port=simulator_ports[i], radio_endpoint=endpoint
             )
             if i in self._px4:
                 self._start_px4(i, simulator_ports[i])
-                self._supervisor.start(application(i), python_module("autopilot.companion", config))
+                self._supervisor.start(
+                    application(i), python_module("autopilot.companion", *supervised(config))
+                )
             else:
-                self._supervisor.start(uav(i), python_module("autopilot", config))
+                self._supervisor.fork(uav(i), supervised(config), forker=HANGAR)
         self._await_ready([PHYSICS, *map(uav, vehicles), *map(application, self._px4)])
         self.send(SetPid(instance=None, pid=self.pids[RADIO]))
         for i in self._px4:
@@ -213,7 +225,7 @@ class Processes:
         )
         config = self._folder.config / f"px4-{instance}.json"
         config.write_bytes(msgspec.json.format(msgspec.json.encode(seat), indent=2))
-        self._supervisor.start(uav(instance), python_module("harness.keeper", config))
+        self._supervisor.start(uav(instance), python_module("harness.keeper", *supervised(config)))
 
     def _check_ports(self) -> None:
         """Find a port in use before anything starts; a process that loses one afterwards says so itself."""
@@ -247,7 +259,7 @@ class Processes:
             forced: list[str] = []
             # a vehicle ends when its simulator hangs up, and the radio outlives those who use it
             vehicles = [*map(uav, range(self._scenario.agents)), *map(application, self._px4)]
-            for names in ([PHYSICS], vehicles, [RADIO]):
+            for names in ([PHYSICS], vehicles, [RADIO, HANGAR]):
                 forced += self._supervisor.end(names, grace_s=STOP_LIMIT_S)
             self.forced = (*forced, *self._supervisor.stop())
             self.drain()
@@ -333,7 +345,7 @@ class Processes:
 
     def _is_needed(self, name: str) -> bool:
         """Whether no run goes on without that process: without a PX4 none begins."""
-        return name in (PHYSICS, RADIO) or (not self._met and name in map(uav, self._px4))
+        return name in (PHYSICS, RADIO, HANGAR) or (not self._met and name in map(uav, self._px4))
 
     def _obituary(self, exited: Exited) -> str:
         last_words = exited.log_tail.rpartition("\n")[2]

@@ -2,7 +2,7 @@
 
 Knows nothing of swarms. A child is a command with a name; it speaks the protocol of `netsim.child`: JSON
 events on its stdout, commands on its stdin, and an end when stdin ends. All that the children say, and how
-they end, comes out of one queue.
+they end, comes out of one queue. A child may be a forker (`harness.forker`), and others be forked by it.
 
 Ctrl-C cannot fall between a process's start and its being known, nor cut a stop short: `interrupts_deferred`.
 """
@@ -26,8 +26,10 @@ import msgspec
 import psutil
 from msgspec import Struct
 
+from harness.forker import Forker, ForkError, process_of
 from harness.messages import AnyCommand, AnyEvent
 from netsim.child import Finished, Influenced, Ready, Stop, Warned
+from netsim.forking import Fork
 
 MARK = "COFLIGHT_CHILD"
 """Environment variable of every child and whatever it starts: ``<supervisor's token>/<child's name>``."""
@@ -48,8 +50,8 @@ class Exited(Struct, frozen=True, kw_only=True):
 
     name: str
     pid: int
-    returncode: int
-    """Exit status, or minus the signal that killed it."""
+    returncode: int | None
+    """Exit status, or minus the signal that killed it; None if its forker, which would know, died before."""
     log_tail: str
     """Last lines of its log, for one that failed."""
 
@@ -73,8 +75,10 @@ class PortError(SupervisorError):
     """A port cannot be had; the text names it."""
 
 
-def ending(returncode: int) -> str:
+def ending(returncode: int | None) -> str:
     """How a process ended, in words."""
+    if returncode is None:
+        return "ended, nobody knows how"
     if returncode >= 0:
         return f"ended with status {returncode}"
     try:
@@ -130,17 +134,14 @@ def interrupts_deferred() -> Iterator[None]:
 
 
 class _Child:
-    """One process with its pipes and threads."""
+    """One process with its pipes and what it said last."""
 
-    def __init__(self, name: str, popen: "subprocess.Popen[bytes]", log: IO[bytes]) -> None:
-        assert popen.stdin is not None and popen.stdout is not None  # noqa: PT018, S101  started with pipes
+    def __init__(self, name: str, pid: int, stdin: IO[bytes], stdout: IO[bytes], log: IO[bytes]) -> None:
         self.name = name
-        self.popen = popen
-        self.process = psutil.Process(
-            popen.pid
-        )  # knows the start time too, so it never signals a successor of the pid
-        self.stdin = popen.stdin
-        self.stdout = popen.stdout
+        self.pid = pid
+        self.process = process_of(pid)
+        self.stdin = stdin
+        self.stdout = stdout
         self.log = log
         self.gone = threading.Event()
         self.reader: threading.Thread | None = None
@@ -148,7 +149,7 @@ class _Child:
         os.set_blocking(self.stdin.fileno(), False)  # a child that does not read must not stop its launcher
 
     def __str__(self) -> str:
-        return f"{self.name} (pid {self.popen.pid})"
+        return f"{self.name} (pid {self.pid})"
 
     def write(self, line: bytes) -> None:
         """Write a line of at most PIPE_BUF bytes to its stdin; one that is gone is noticed elsewhere."""
@@ -168,7 +169,8 @@ class _Child:
 
     def signal(self, number: signal.Signals) -> None:
         with contextlib.suppress(psutil.NoSuchProcess):
-            self.process.send_signal(number)
+            if self.process is not None:
+                self.process.send_signal(number)
 
 
 class Supervisor:
@@ -184,13 +186,14 @@ class Supervisor:
         self._environment = dict(environment or {})
         self._heard: queue.SimpleQueue[Heard] = queue.SimpleQueue()
         self._children: dict[str, _Child] = {}
+        self._forkers: dict[str, Forker] = {}
         self._lock = threading.Lock()
         self._stopping = False
 
     @property
     def pids(self) -> dict[str, int]:
         """Process id of every child ever started, by name."""
-        return {name: child.popen.pid for name, child in self._children.items()}
+        return {name: child.pid for name, child in self._children.items()}
 
     def alive(self, name: str) -> bool:
         """Whether that child was started and has not ended."""
@@ -202,10 +205,7 @@ class Supervisor:
         ``pass_fds`` are the only file descriptors that it inherits, under the same numbers.
         Raises SupervisorError if the command cannot be run, or if the children are being stopped.
         """
-        with interrupts_deferred(), self._lock:
-            if self._stopping:
-                raise SupervisorError(f"{name}: not started, for the run is being stopped")
-            log = self.log_path(name).open("ab", buffering=0)  # appended to, so parent and child can share it
+        with self._starting(name) as log:
             try:
                 popen = subprocess.Popen(
                     list(command),
@@ -214,18 +214,69 @@ class Supervisor:
                     stderr=log,
                     start_new_session=True,
                     pass_fds=tuple(pass_fds),
-                    env=os.environ | self._environment | {MARK: f"{self.token}/{name}"},
+                    env=os.environ | self._environment | self._mark(name),
                 )
             except OSError as error:
-                log.close()
                 raise SupervisorError(f"{name}: cannot be started: {error}") from None
-            child = self._children[name] = _Child(name, popen, log)
-            child.reader = threading.Thread(
-                target=self._read, args=(child,), name=f"hear {name}", daemon=True
-            )
-            child.reader.start()
-            threading.Thread(target=self._watch, args=(child,), name=f"watch {name}", daemon=True).start()
-            return popen.pid
+            assert popen.stdin is not None and popen.stdout is not None  # noqa: PT018, S101  as asked for
+            child = self._add(_Child(name, popen.pid, popen.stdin, popen.stdout, log))
+            threading.Thread(
+                target=lambda: self._on_end(child, popen.wait()), name=f"watch {name}", daemon=True
+            ).start()
+            return child.pid
+
+    def start_forker(self, name: str, command: Sequence[str]) -> int:
+        """Start a child that others can be forked from; it gets ``--fork-fd``. Raises as `start`."""
+        forker = Forker(self._on_forked_end)
+        with forker.theirs as line:
+            pid = self.start(name, [*command, "--fork-fd", str(line.fileno())], pass_fds=[line.fileno()])
+        self._forkers[name] = forker
+        return pid
+
+    def fork(self, name: str, arguments: Sequence[str], *, forker: str) -> int:
+        """Have a child forked by another, in a session of its own, and return its process id.
+
+        ``arguments`` are the command line that it gets. Raises SupervisorError if it cannot be forked, or if
+        the children are being stopped.
+        """
+        with self._starting(name) as log, contextlib.ExitStack() as theirs:
+            (stdin, our_stdin), (our_stdout, stdout) = os.pipe(), os.pipe()
+            for fd in (stdin, stdout):
+                theirs.callback(os.close, fd)
+            ours = os.fdopen(our_stdin, "wb", buffering=0), os.fdopen(our_stdout, "rb")
+            request = Fork(name=name, arguments=tuple(arguments), environment=self._mark(name))
+            try:
+                pid = self._forkers[forker].fork(request, (stdin, stdout, log.fileno()))
+            except ForkError as error:
+                for pipe in ours:
+                    pipe.close()
+                raise SupervisorError(f"{name}: cannot be forked by {forker}: {error}") from None
+            return self._add(_Child(name, pid, *ours, log)).pid
+
+    @contextlib.contextmanager
+    def _starting(self, name: str) -> Iterator[IO[bytes]]:
+        """While a child is being started, with its log; no signal and no stop come between."""
+        with interrupts_deferred(), self._lock:
+            if self._stopping:
+                raise SupervisorError(f"{name}: not started, for the run is being stopped")
+            log = self.log_path(name).open("ab", buffering=0)  # appended to, so parent and child can share it
+            try:
+                yield log
+            except SupervisorError:
+                log.close()
+                raise
+
+    def _mark(self, name: str) -> dict[str, str]:
+        return {MARK: f"{self.token}/{name}"}
+
+    def _add(self, child: _Child) -> _Child:
+        """Know a new child and hear it."""
+        self._children[child.name] = child
+        child.reader = threading.Thread(
+            target=self._read, args=(child,), name=f"hear {child.name}", daemon=True
+        )
+        child.reader.start()
+        return child
 
     def _read(self, child: _Child) -> None:
         """Queue each line that is an event; native libraries print too, and that belongs in the log."""
@@ -237,15 +288,22 @@ class Supervisor:
                     with contextlib.suppress(OSError):  # a full disk must not stop the events
                         child.log.write(line)
 
-    def _watch(self, child: _Child) -> None:
-        """Wait for the child's end and queue it after its last event."""
-        returncode = child.popen.wait()
+    def _on_forked_end(self, pid: int, returncode: int | None) -> None:
+        with self._lock:  # it may have ended before it was known
+            of_pid = [
+                child for child in self._children.values() if child.pid == pid and not child.gone.is_set()
+            ]
+        for child in of_pid:
+            self._on_end(child, returncode)
+
+    def _on_end(self, child: _Child, returncode: int | None) -> None:
+        """Queue a child's end after its last event."""
         child.end_input()
         if child.reader is not None:
             child.reader.join(LAST_WORDS_S)
         exited = Exited(
             name=child.name,
-            pid=child.popen.pid,
+            pid=child.pid,
             returncode=returncode,
             log_tail=self.log_tail(child.name) if returncode else "",
         )
@@ -332,14 +390,14 @@ class Supervisor:
         """Living processes that came from these children, with the child's name, found by their environment.
 
         A process that left its parent, group and session still carries the mark; only one that changed its
-        environment or its user does not.
+        environment or its user does not. What was forked shows its forker's.
         """
-        found = []
+        found, names = [], {child.pid: child.name for child in list(self._children.values())}
         for process in psutil.process_iter():
             try:
                 token, _, name = process.environ().get(MARK, "").partition("/")
                 if token == self.token and process.status() != psutil.STATUS_ZOMBIE:
-                    found.append((process, name))
+                    found.append((process, names.get(process.pid, name)))
             except (psutil.Error, OSError):
                 continue
         return found

@@ -12,6 +12,7 @@ import signal
 import socket
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from harness.messages import (
     VehicleTruth,
 )
 from netsim.child import Finished, Ready, Stop, commands, emit, end_with_parent
+from netsim.forking import serve
 
 STEP_US = 4_000
 FORMED_US = 3_000_000
@@ -133,19 +135,33 @@ def uav(config: dict[str, Any]) -> None:
     emit(Finished(name=name, details={"ground_messages": 0}))
 
 
-if __name__ == "__main__":
+def hangar(line: socket.socket) -> None:
+    emit(Ready(name="hangar", pid=os.getpid()))
+    serve(line, main)
+    emit(Finished(name="hangar"))
+
+
+def main(command_line: Sequence[str]) -> int:
     parser = argparse.ArgumentParser()
-    parser.add_argument("module")
+    parser.add_argument("module", nargs="?", default="autopilot")
     parser.add_argument("--config", type=Path)
     parser.add_argument("--listen-fds", default="")
     parser.add_argument("--radio-endpoint")
+    parser.add_argument("--fork-fd", type=int)
     parser.add_argument("--supervised", action="store_true")
-    arguments = parser.parse_args()
-    settings = json.loads(arguments.config.read_bytes())
+    arguments = parser.parse_args(command_line)
+    settings = json.loads(arguments.config.read_bytes()) if arguments.config else {}
     match arguments.module:
         case "harness.physics_server":
             physics(settings, [socket.socket(fileno=int(fd)) for fd in arguments.listen_fds.split(",")])
         case "netsim":
             radio(settings)
+        case "autopilot.hangar":
+            hangar(socket.socket(fileno=arguments.fork_fd))
         case "autopilot":
             uav(settings)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

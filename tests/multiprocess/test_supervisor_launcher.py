@@ -27,9 +27,8 @@ import sys, types
 import harness.processes
 from harness.cli import main
 
-def python_module(module, config):
-    return [sys.executable, {str(Path(__file__).with_name("supervisor_stand_ins.py"))!r},
-            module, "--config", str(config), "--supervised"]
+def python_module(module, *arguments):
+    return [sys.executable, {str(Path(__file__).with_name("supervisor_stand_ins.py"))!r}, module, *arguments]
 
 def finish(folder, scenario, outcome, *, draw=True):
     return {SUMMARY}
@@ -86,7 +85,7 @@ def test_json_is_alone_on_stdout(folder: Path) -> None:
     assert summary["status"] == "completed"
     # formed at 3 s, and 1.5 s in formation
     assert summary["simulated_s"] == pytest.approx(4.5, abs=0.004)
-    assert len(set(summary["pids"])) == 4
+    assert len(set(summary["pids"])) == 5
     (run,) = (folder / "runs").glob("fine-*")
     assert (run / "logs" / "uav-1.log").exists()
 
@@ -132,7 +131,7 @@ def test_signal_in_the_middle_of_the_start_leaves_no_process(
         deadline_s = time.monotonic() + WALL_LIMIT_S
         while len(children) < children_at:
             assert time.monotonic() < deadline_s
-            children |= {child.pid: child for child in psutil.Process(launcher.pid).children()}
+            children |= {child.pid: child for child in psutil.Process(launcher.pid).children(recursive=True)}
         launcher.send_signal(number)
         launcher.communicate(timeout=WALL_LIMIT_S)
         assert launcher.returncode == (-signal.SIGKILL if number == signal.SIGKILL else 130)

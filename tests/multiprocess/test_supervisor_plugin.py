@@ -16,9 +16,9 @@ import harness.processes
 
 @pytest.fixture(autouse=True)
 def stand_ins(monkeypatch):
-    def python_module(module, config):
-        return [sys.executable, {str(Path(__file__).with_name("supervisor_stand_ins.py"))!r},
-                module, "--config", str(config), "--supervised"]
+    def python_module(module, *arguments):
+        stand_ins = {str(Path(__file__).with_name("supervisor_stand_ins.py"))!r}
+        return [sys.executable, stand_ins, module, *arguments]
     monkeypatch.setattr(harness.processes, "python_module", python_module)
 """
 

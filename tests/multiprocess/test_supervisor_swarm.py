@@ -27,8 +27,8 @@ Launch = Callable[..., Swarm]
 
 @pytest.fixture(autouse=True)
 def _stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
-    def command(module: str, config: Path) -> list[str]:
-        return [sys.executable, str(STAND_INS), module, "--config", str(config), "--supervised"]
+    def command(module: str, *arguments: str) -> list[str]:
+        return [sys.executable, str(STAND_INS), module, *arguments]
 
     monkeypatch.setattr(harness.processes, "python_module", command)
 
@@ -52,7 +52,7 @@ def launch() -> Iterator[Launch]:
 
 def test_flies_through_all_run_methods_on_exact_times(launch: Launch) -> None:
     with launch() as swarm:
-        assert set(swarm.pids) == {"radio", "physics", "uav 0", "uav 1", "uav 2"}
+        assert set(swarm.pids) == {"radio", "physics", "hangar", "uav 0", "uav 1", "uav 2"}
         assert swarm.truth.time_us == 0
         assert swarm.run(until_s=1.0).time_us == 1_000_000
         assert swarm.run_for(0.5).t_s == pytest.approx(1.5)
@@ -134,6 +134,18 @@ def test_killed_radio_ends_the_run(launch: Launch) -> None:
         os.kill(pid, signal.SIGKILL)
         with pytest.raises(SwarmError, match=rf"^radio \(pid {pid}\) was killed by SIGKILL$"):
             swarm.run_until(lambda _: False, timeout_s=1e6)
+
+
+def test_killed_hangar_ends_the_run_and_the_vehicles_with_it(launch: Launch) -> None:
+    with launch() as swarm:
+        pid = swarm.pids["hangar"]
+        os.kill(pid, signal.SIGKILL)
+        with pytest.raises(SwarmError, match=rf"^hangar \(pid {pid}\) was killed by SIGKILL$"):
+            swarm.run_until(lambda _: False, timeout_s=1e6)
+    assert swarm.forced == ()
+    endings = {event.name: event.returncode for event in swarm.events if isinstance(event, Exited)}
+    # who could have known how the vehicles ended was gone
+    assert endings == {"hangar": -9, "physics": 0, "radio": 0} | {f"uav {i}": None for i in range(3)}
 
 
 def test_hung_physics_ends_with_the_wall_time_and_by_force(
