@@ -177,6 +177,9 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Correct the own position by everyone's GPS and the FTM distances, trust the own GPS alone, or be told
     by the simulator: the last two are what the first is measured against."""
     beacon_period_ms: Annotated[int, Meta(ge=10, le=1_000)] = 100
+    neighbours: Annotated[int, Meta(ge=0, le=254)] = 0
+    """Localise, range to and keep clear of so many UAVs alone, those with the nearest places, and who has
+    this one among its own; 0: all. With ``ftm``, neighbourhoods agree on a common frame by beacons."""
     ranging: Literal["all_pairs", "scheduled"] = "all_pairs"
     """Everybody to everybody in every period, or each pair by one of its ends, in a slot of its own, when the
     distance is worth its time on the air."""

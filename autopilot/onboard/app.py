@@ -22,10 +22,12 @@ from autopilot.onboard import messages
 from autopilot.onboard.avoidance import FRESH_US
 from autopilot.onboard.beacon import Fix, GpsError
 from autopilot.onboard.commands import CommandSender
+from autopilot.onboard.common_frame import CommonFrame
 from autopilot.onboard.flight import LOCALISE_TIMEOUT_US, Flight, Situation
 from autopilot.onboard.guidance import Guidance
-from autopilot.onboard.localisation import CooperativeLocalisation, LocalisationModel
+from autopilot.onboard.localisation import CooperativeLocalisation, LocalisationModel, Others
 from autopilot.onboard.motion import Heard
+from autopilot.onboard.neighbourhood import Neighbourhood
 from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.phases import Phase
 from autopilot.onboard.traffic import Traffic
@@ -84,7 +86,7 @@ class OnboardApp:
         rng: source of the phases and jitters of beacons and requests.
 
     Attributes:
-        localisation: the filter, or None when flying on GPS alone or on the truth.
+        localisation: the filter of the neighbourhood, or None when flying on GPS alone or on the truth.
 
     """
 
@@ -104,8 +106,9 @@ class OnboardApp:
         self.localisation: CooperativeLocalisation | None = None
         self._station = station
         self._config = config
+        self._near = Neighbourhood(station, places, config.neighbours)
         self._traffic = Traffic(
-            station=station, stations=len(places), config=config, devices=devices, rng=rng
+            station=station, stations=len(places), config=config, devices=devices, rng=rng, near=self._near
         )
         self._model = LocalisationModel(
             gps_bias_std_m=config.gps_bias_std_m,
@@ -115,9 +118,15 @@ class OnboardApp:
             gather_s=min(self._traffic.gather_s, GATHER_MAX_S),
         )
         if config.localisation == "ftm" and len(places) > 1:
-            self.localisation = CooperativeLocalisation(own=station, places_ned_m=places, model=self._model)
+            self.localisation = CooperativeLocalisation(
+                own=self._near.own, places_ned_m=places[self._near.members], model=self._model
+            )
+        self._frame: CommonFrame | None = None
+        """None: nobody has a frame of its own, for everybody localises everybody."""
+        if self.localisation is not None and not self._near.whole:
+            self._frame = CommonFrame(self._near, gps_std_m=config.gps_bias_std_m)
         self._guidance = Guidance(
-            station=station, plan=FormationPlan(places, heading_deg, motion), config=config
+            station=station, plan=FormationPlan(places, heading_deg, motion), config=config, near=self._near
         )
         self._commands = CommandSender(target_system=station + 1)
         self._flight = Flight(
@@ -150,7 +159,7 @@ class OnboardApp:
                 self._on_local_position(msg, now_us)
             case "GPS_RAW_INT":
                 if self._own.on_gps(msg):
-                    self._localise_by(self._station, self._own.fix)
+                    self._localise_by(self._near.own, self._own.fix)
             case "ATTITUDE_QUATERNION":
                 if self._guidance.wind is not None:
                     self._guidance.wind.on_attitude((msg.q1, msg.q2, msg.q3, msg.q4))
@@ -188,9 +197,9 @@ class OnboardApp:
             self._begin_anew()
         if self.localisation is not None:
             self.localisation.on_odometry(
-                self._station, own.time_us, own.odometry_ned_m.tolist(), own.vel_ned_m_s.tolist()
+                self._near.own, own.time_us, own.odometry_ned_m.tolist(), own.vel_ned_m_s.tolist()
             )
-            self._localise_by(self._station, own.fix)  # should it have been newer than the odometry
+            self._localise_by(self._near.own, own.fix)  # should it have been newer than the odometry
         if wind is not None:
             wind.on_velocity(own.time_us, (msg.vx, msg.vy, msg.vz), flying=self._flight.in_formation)
 
@@ -199,11 +208,11 @@ class OnboardApp:
         self._traffic.begin_anew()
         self._guidance.correction.lose_odometry()
         if self.localisation is not None:
-            self.localisation.restart(self._station)
+            self.localisation.restart(self._near.own)
 
-    def _localise_by(self, station: int, fix: Fix | None) -> None:
+    def _localise_by(self, row: int, fix: Fix | None) -> None:
         if fix is not None and self.localisation is not None:
-            self.localisation.on_fix(station, fix.time_ms * 1_000, fix.pos_ned_m, fix.std_h_m, fix.std_v_m)
+            self.localisation.on_fix(row, fix.time_ms * 1_000, fix.pos_ned_m, fix.std_h_m, fix.std_v_m)
 
     def on_radio(self, item: RxItem, now_us: int) -> None:
         """Take what the radio received or measured."""
@@ -220,26 +229,28 @@ class OnboardApp:
     def _on_ranged(self, item: FtmResult, now_us: int) -> None:
         distance = self._traffic.measured(item)
         if distance is not None and self.localisation is not None:
-            self.localisation.on_distances(self._station, (distance,), now_us=now_us)
+            self.localisation.on_distances(self._near.own, (distance,), self._near.rows, now_us=now_us)
 
     def _on_beacon(self, item: Delivery, now_us: int) -> None:
         beacon = self._traffic.hear(item, now_us)
         if beacon is None:
             return
+        station, fix = beacon.station, beacon.fix
         start_us = None if beacon.motion_start_ms is None else beacon.motion_start_ms * 1_000
-        self._heard[beacon.station] = (beacon.phase, start_us, now_us)
+        self._heard[station] = (beacon.phase, start_us, now_us)
         if beacon.gps_error is not None:
-            self._held_us[beacon.station] = now_us
-        if self.localisation is None:
+            self._held_us[station] = now_us
+            if self._frame is not None and fix is not None:
+                self._frame.hear(station, fix, beacon.gps_error, now_us)
+        row, localisation = self._near.rows[station], self.localisation
+        if localisation is None or row is None:
             return
         if self._traffic.sender_is_new:
-            self.localisation.restart(beacon.station)
-        self.localisation.on_odometry(
-            beacon.station, beacon.time_us, beacon.odometry_ned_m, beacon.vel_ned_m_s
-        )
-        if beacon.fix is not None and beacon.fix.time_ms * 1_000 <= now_us:
-            self._localise_by(beacon.station, beacon.fix)
-        self.localisation.on_distances(beacon.station, beacon.distances, now_us=now_us)
+            localisation.restart(row)
+        localisation.on_odometry(row, beacon.time_us, beacon.odometry_ned_m, beacon.vel_ned_m_s)
+        if fix is not None and fix.time_ms * 1_000 <= now_us:
+            self._localise_by(row, fix)
+        localisation.on_distances(row, beacon.distances, self._near.rows, now_us=now_us)
 
     # ---- output
 
@@ -329,7 +340,7 @@ class OnboardApp:
 
     @property
     def shape_std_m(self) -> float:
-        """Expected rms error of the formation's horizontal shape; inf when distances do not support one."""
+        """Expected rms error of the neighbourhood's horizontal shape; inf when distances do not hold it."""
         if self.localisation is None or not self._supported:
             return float("inf")
         return self.localisation.shape_std_m(self._now_us)
@@ -354,7 +365,7 @@ class OnboardApp:
         if own.origin_ned_m is None or not Phase.ARMING <= self.phase <= Phase.YIELDED:
             return []
         if flight.in_formation:
-            setpoint = guidance.follow(own, self._known_positions(), now_us, SETPOINT_PERIOD_US * 1e-6)
+            setpoint = guidance.follow(own, self._known_others(now_us), now_us, SETPOINT_PERIOD_US * 1e-6)
         else:
             setpoint = guidance.wait(own, now_us)
         return [messages.offboard_setpoint(setpoint, self._station + 1, now_us)]
@@ -368,6 +379,9 @@ class OnboardApp:
             self._note_support(now_us)
             if self._supported:
                 offset_ne_m = self.localisation.offset_ne_m()
+                if self._frame is not None:
+                    self._frame.update(now_us, self.localisation)
+                    offset_ne_m = offset_ne_m + self._frame.shift_ne_m
         elif own.truth_ned_m is not None:
             offset_ne_m = own.truth_ned_m[:2] - own.odometry_at(own.truth_us)[:2]
             guidance.down_error_m = float(own.odometry_at(own.truth_us)[2] - own.truth_ned_m[2])
@@ -385,7 +399,7 @@ class OnboardApp:
             return
         range_us = localisation.own_range_us
         supported = (
-            bool(localisation.located[self._station])
+            bool(localisation.located[localisation.own])
             and range_us is not None
             and now_us - range_us < self._traffic.range_silence_us
         )
@@ -395,15 +409,20 @@ class OnboardApp:
             )
         self._supported = supported
 
-    def _known_positions(self) -> CooperativeLocalisation | None:
-        """Give the localisation while it knows where this UAV is among the others.
+    def _known_others(self, now_us: int) -> Others | None:
+        """Give the neighbourhood while it is known where this UAV is in it.
 
         Without distances that is as long as odometry holds what they said; by then height keeps UAVs apart.
         """
         localisation = self.localisation
         if localisation is None or not (self._supported or self._guidance.correction.holds):
             return None
-        return localisation if localisation.located[self._station] else None
+        if not localisation.located[localisation.own]:
+            return None
+        others = localisation.others(now_us, fresh_us=FRESH_US)
+        if self._frame is not None:
+            others.pos_ned_m[:, :2] += self._frame.shift_ne_m
+        return others
 
     def _held_together(self, now_us: int) -> bool:
         """Whether distances hold this UAV, and those in the air to whom it would have to give way."""
@@ -437,14 +456,19 @@ class OnboardApp:
         return None if start_us is None else start_us // 1_000
 
     def _distance_variance_m2(self, peer: int) -> float | None:
-        return (
-            None if self.localisation is None else self.localisation.distance_variance_m2(peer, self._now_us)
-        )
+        row = self._near.rows[peer]
+        if self.localisation is None or row is None:
+            return None
+        return self.localisation.distance_variance_m2(row, self._now_us)
 
     def _gps_error(self) -> GpsError | None:
         """What the own receiver's error is estimated to be, for the beacon; None: no distances hold it."""
         if self.localisation is None or not self._supported:
             return None
-        error_ned_m, std_m = self.localisation.gps_error(self._station)
+        if self._frame is not None and self._own.fix is not None:
+            error = self._frame.error(self._own.fix, self.localisation)
+            self._frame.hear(self._station, self._own.fix, error, self._now_us)
+            return error
+        error_ned_m, std_m = self.localisation.gps_error(self.localisation.own)
         north_m, east_m, down_m = error_ned_m.tolist()
         return GpsError((north_m, east_m, down_m), std_m)

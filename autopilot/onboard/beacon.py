@@ -42,9 +42,11 @@ SEQ_MODULUS = 2**32
 _HAS_START, _HAS_FIX, _HAS_GPS_ERROR = 1, 2, 4
 _FLAGS = _HAS_START | _HAS_FIX | _HAS_GPS_ERROR
 _FAR_M = 1e6
+_FAR2_M2 = _FAR_M**2
 """No honest sender is farther from the site."""
-_FAST_M_S = 30.0
+_FAST2_M2_S2 = 30.0**2
 """No honest sender is faster."""
+_NO_TIME_US = 2**63
 _STD_MAX_M = 65.535
 _PHASES = {int(phase): phase for phase in Phase}
 
@@ -138,11 +140,11 @@ def encode(beacon: Beacon) -> bytes:
     return b"".join(parts)
 
 
-def decode(buffer: bytes) -> Beacon | None:
+def decode(buffer: bytes, *, distances: bool = True) -> Beacon | None:
     """Beacon in these bytes; None for another version or length, or what no sender would say.
 
     That is a number that cannot be, a phase or flag that does not exist, a distance to itself, and two to the
-    same peer.
+    same peer. Without ``distances`` those are not looked at, and none are given.
     """
     if (
         len(buffer) < HEADER_BYTES
@@ -156,25 +158,21 @@ def decode(buffer: bytes) -> Beacon | None:
         fix_ms, fix_n, fix_e, fix_d, std_h_mm, std_v_mm, err_n, err_e, err_d, err_mm,
     ) = _HEADER.unpack_from(buffer)  # fmt: skip
     phase = _PHASES.get(phase_value)
-    size = (
-        abs(odo_n) + abs(odo_e) + abs(odo_d)
-        + abs(fix_n) + abs(fix_e) + abs(fix_d) + abs(err_n) + abs(err_e) + abs(err_d)
+    size2 = (
+        odo_n * odo_n + odo_e * odo_e + odo_d * odo_d + fix_n * fix_n + fix_e * fix_e + fix_d * fix_d
+        + err_n * err_n + err_e * err_e + err_d * err_d
     )  # fmt: skip
     speed2 = vel_n * vel_n + vel_e * vel_e + vel_d * vel_d
     if (
         phase is None
-        or flags & ~_FLAGS
-        or time_us >= 2**63
-        or not (size < _FAR_M and speed2 <= _FAST_M_S**2)  # NaN is below nothing
+        or flags > _FLAGS
+        or time_us >= _NO_TIME_US
+        or not (size2 < _FAR2_M2 and speed2 <= _FAST2_M2_S2)  # NaN is below nothing
     ):
         return None
-    distances = []
-    seen = 1 << station
-    for peer, time_ms, distance_m, std_mm in _RANGE.iter_unpack(buffer[HEADER_BYTES:]):
-        if not abs(distance_m) < _FAR_M or seen >> peer & 1:
-            return None
-        seen |= 1 << peer
-        distances.append(Distance(peer, time_ms, distance_m, std_mm * 1e-3))
+    measured = _distances(buffer, station) if distances else ()
+    if measured is None:
+        return None
     fix = None
     if flags & _HAS_FIX:
         fix = Fix(fix_ms, (fix_n, fix_e, fix_d), std_h_mm * 1e-3 or None, std_v_mm * 1e-3 or None)
@@ -184,8 +182,20 @@ def decode(buffer: bytes) -> Beacon | None:
         motion_start_ms=start_ms if flags & _HAS_START else None,
         fix=fix,
         gps_error=GpsError((err_n, err_e, err_d), err_mm * 1e-3) if flags & _HAS_GPS_ERROR else None,
-        distances=tuple(distances),
+        distances=measured,
     )  # fmt: skip
+
+
+def _distances(buffer: bytes, station: int) -> tuple[Distance, ...] | None:
+    """Distances after the header of a beacon of ``station``; None for what no sender would say."""
+    found = []
+    seen = 1 << station
+    for peer, time_ms, distance_m, std_mm in _RANGE.iter_unpack(buffer[HEADER_BYTES:]):
+        if not -_FAR_M < distance_m < _FAR_M or seen >> peer & 1:
+            return None
+        seen |= 1 << peer
+        found.append(Distance(peer, time_ms, distance_m, std_mm * 1e-3))
+    return tuple(found)
 
 
 def _mm(std_m: float) -> int:

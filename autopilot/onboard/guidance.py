@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from autopilot.config import OnboardConfig
 from autopilot.formation_plan import FormationPlan
-from autopilot.onboard.avoidance import FRESH_US, Avoidance
+from autopilot.onboard.avoidance import Avoidance
 from autopilot.onboard.formation import Correction, Reference
 from autopilot.onboard.layers import HeightLayers
-from autopilot.onboard.localisation import CooperativeLocalisation
+from autopilot.onboard.localisation import Others
 from autopilot.onboard.motion import Heard, MotionStart
+from autopilot.onboard.neighbourhood import Neighbourhood
 from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.wind import WindObserver
 
@@ -45,6 +46,7 @@ class Guidance:
         station: this UAV.
         plan: of the formation.
         config: settings.
+        near: whom the UAV keeps clear of.
 
     Attributes:
         start: agreement on when the formation's motion begins.
@@ -55,7 +57,9 @@ class Guidance:
 
     """
 
-    def __init__(self, *, station: int, plan: FormationPlan, config: OnboardConfig) -> None:
+    def __init__(
+        self, *, station: int, plan: FormationPlan, config: OnboardConfig, near: Neighbourhood
+    ) -> None:
         places_ned_m = plan.at(0.0).pos_ned_m
         self.start = MotionStart(station, len(places_ned_m))
         self.correction = Correction()
@@ -70,7 +74,10 @@ class Guidance:
         self._station = station
         self._plan = plan
         self._reference = Reference(climb_speed_m_s=config.climb_speed_m_s)
-        self._avoidance = Avoidance(own=station, places_ned_m=places_ned_m, radius_m=config.safety_radius_m)
+        self._near = near.members
+        self._avoidance = Avoidance(
+            own=near.own, places_ned_m=places_ned_m[near.members], radius_m=config.safety_radius_m
+        )
 
     def place_ned_m(self, now_us: int) -> Array:
         """(3,) the own place of the plan, at the height of the own layer, site NED."""
@@ -98,12 +105,10 @@ class Guidance:
         self._reference.reset(believed_ned_m, vel_ned_m_s)
         return self._in_autopilots_frame(believed_ned_m, vel_ned_m_s, own, leans=False)
 
-    def follow(
-        self, own: OwnState, localisation: CooperativeLocalisation | None, now_us: int, dt_s: float
-    ) -> Setpoint:
+    def follow(self, own: OwnState, others: Others | None, now_us: int, dt_s: float) -> Setpoint:
         """Setpoint on the way to the own place, and in it.
 
-        ``localisation`` is None where the own position among the others is not known, to keep clear of them.
+        ``others`` are the neighbourhood; None where the own position in it is not known, to keep clear.
         """
         since_s = self._since_start_s(now_us) + 0.5 * dt_s  # half of the time for which the setpoint holds
         target = self._plan.own(self._station, since_s)
@@ -115,16 +120,15 @@ class Guidance:
         )  # fmt: skip
         reference = self._reference
         vel_ned_m_s = reference.vel_ned_m_s.copy()
-        if localisation is not None:
+        if others is not None:
             way_ne_m = (reference.pos_ned_m - believed_ned_m)[:2]
             wanted_ne_m_s = self.position_gain_1_s * way_ne_m + vel_ned_m_s[:2]
             plan = self._plan.at(since_s)
-            others = localisation.others(now_us, fresh_us=FRESH_US)
             vel_ned_m_s[:2] += self._avoidance.velocity_change_ne_m_s(
                 now_us,
                 pos_ned_m=others.pos_ned_m, vel_ned_m_s=others.vel_ned_m_s,
                 std_m=others.std_m, fresh=others.fresh,
-                plan_pos_ned_m=plan.pos_ned_m, plan_vel_ned_m_s=plan.vel_ned_m_s,
+                plan_pos_ned_m=plan.pos_ned_m[self._near], plan_vel_ned_m_s=plan.vel_ned_m_s[self._near],
                 goal_ned_m=target.pos_ned_m, wanted_ne_m_s=wanted_ne_m_s,
             )  # fmt: skip
         return self._in_autopilots_frame(reference.pos_ned_m, vel_ned_m_s, own, leans=True)

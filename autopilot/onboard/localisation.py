@@ -179,13 +179,19 @@ class CooperativeLocalisation:
             return
         self._distances.add(initiator, responder, time_us, distance_m, std_m**2 + self._floor_m2)
 
-    def on_distances(self, initiator: int, distances: Sequence[Distance], *, now_us: int) -> None:
-        """Take all that a beacon of ``initiator`` tells, as `on_range` does one by one, in less time."""
-        newest_us = self._distances.newest_us[initiator]
+    def on_distances(
+        self, initiator: int, distances: Sequence[Distance], rows: Sequence[int | None], *, now_us: int
+    ) -> None:
+        """Take all that a beacon of ``initiator`` tells, as `on_range` does one by one, in less time.
+
+        ``rows`` are the indices here of the stations that the distances name; None: those that are not here.
+        """
+        newest_us, stations = self._distances.newest_us[initiator], len(rows)
         for item in distances:
-            if item.peer < self.count and newest_us[item.peer] < item.time_ms * 1_000:
+            row = rows[item.peer] if item.peer < stations else None
+            if row is not None and newest_us[row] < item.time_ms * 1_000:
                 self.on_range(
-                    initiator, item.peer, item.time_ms * 1_000, item.distance_m, item.std_m, now_us=now_us
+                    initiator, row, item.time_ms * 1_000, item.distance_m, item.std_m, now_us=now_us
                 )
 
     def restart(self, station: int) -> None:
@@ -237,6 +243,17 @@ class CooperativeLocalisation:
         """(3,) one sigma of the own position, the formation's place as a whole included."""
         base = STATES * self.own
         return np.sqrt(self.cov.diagonal()[base : base + 3])
+
+    @property
+    def offsets_ned_m(self) -> Array:
+        """(N, 3) estimated true positions less odometry of all: a view."""
+        return self.state.reshape(-1, STATES)[:, :3]
+
+    def odometry_at(self, station: int, time_us: int) -> Array | None:
+        """(3,) odometry of a UAV, NED, at a time of the last seconds; None where it is not known."""
+        odometry_ned_m = np.empty(3)
+        known = self._tracks.at(station, time_us, odometry_ned_m) == KNOWN
+        return odometry_ned_m if known else None
 
     def gps_error(self, station: int) -> tuple[Array, float]:
         """Estimated error of a UAV's GPS, (3,) NED, m, and one sigma of each horizontal axis of it.

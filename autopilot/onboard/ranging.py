@@ -6,7 +6,7 @@ each spreads its requests over the whole period from a phase of its own, and sta
 after itself. `scheduled_ranging` spends less time on the air.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Protocol
 
 import numpy as np
@@ -92,10 +92,20 @@ class RangingSchedule:
     """All-pairs round robin of one station; the first round starts with the first `due`.
 
     Takes no account of what the distances are worth or of how full the channel is. See `RangingPolicy`.
+    ``peers`` are those to range to; None: all others.
     """
 
-    def __init__(self, *, station: int, stations: int, period_us: int, rng: np.random.Generator) -> None:
-        self._peers = [(station + k) % stations for k in range(1, stations)]
+    def __init__(
+        self,
+        *,
+        station: int,
+        stations: int,
+        period_us: int,
+        rng: np.random.Generator,
+        peers: Collection[int] | None = None,
+    ) -> None:
+        others = [(station + k) % stations for k in range(1, stations)]
+        self._peers = [peer for peer in others if peers is None or peer in peers]
         self._slot_us = period_us / max(len(self._peers), 1)
         self._phase = float(rng.uniform())
         self._begun = False

@@ -4,13 +4,15 @@ Who. A distance is the same from both ends, so each pair is measured by one of t
 hears the result in the owner's beacons. On a ring each station owns the pairs with the half of the others
 that follows it, so nobody owns more than one pair more than anybody else.
 
-When. The shared clock is cut into slots, numbered from its zero. Pair p of P = N (N - 1) / 2 has the slots
-whose number is p modulo P, and its session begins a little after the slot's beginning. As long as a session
-of one burst fits a slot and the clocks agree within the guard, no session ever contends with another. Pairs
-are numbered round by round as in a round-robin tournament (`pair_number`), whose rounds are disjoint pairs;
-consecutive slots then share no station, so that one which overruns its slot does not meet a radio that it
-occupies itself. (With fewer than six stations no cyclic order does that: for five, the pairs' graph is
-Petersen's, which has no Hamiltonian cycle.)
+When. The shared clock is cut into slots, numbered from its zero. Pair p of P, which are N (N - 1) / 2 unless
+only neighbours range, has the slots whose number is p modulo P, and its session begins a little after the
+slot's beginning. As long as a session of one burst fits a slot and the clocks agree within the guard, no
+session ever contends with another. Pairs are numbered round by round as in a round-robin tournament
+(`pair_number`), whose rounds are disjoint pairs; consecutive slots then share no station, so that one which
+overruns its slot does not meet a radio that it occupies itself. (With fewer than six stations no cyclic order
+does that: for five, the pairs' graph is Petersen's, which has no Hamiltonian cycle. Where only neighbours
+range, rounds are shorter and still disjoint, but the last pair of one may share a station with the first of
+the next.)
 
 Whether. The owner uses its slot if the distance is worth the price. Worth is the information that a
 measurement of variance r adds to a distance known with variance p, 0.5 log(1 + p / r) nats, and for one not
@@ -35,6 +37,9 @@ then after pauses that double.
 """
 
 import math
+
+import numpy as np
+from numpy.typing import NDArray
 
 from autopilot.config import SESSION_S
 from autopilot.onboard.ranging import Outstanding, VarianceOf
@@ -97,6 +102,7 @@ class ScheduledRanging:
         slot_us: length of a slot.
         airtime: occupancy of the channel that the price aims at, 0..1.
         measurement_var_m2: variance to expect of a measured distance, until each peer's last one tells.
+        linked: (N, N) symmetric, whose distances are measured at all; None: everybody's.
 
     Attributes:
         price_nats: what a distance has to be worth.
@@ -104,12 +110,24 @@ class ScheduledRanging:
     """
 
     def __init__(
-        self, *, station: int, stations: int, slot_us: int, airtime: float, measurement_var_m2: float
+        self,
+        *,
+        station: int,
+        stations: int,
+        slot_us: int,
+        airtime: float,
+        measurement_var_m2: float,
+        linked: NDArray[np.bool_] | None = None,
     ) -> None:
-        own = [j for j in range(stations) if j != station and owner(station, j, stations) == station]
-        self._slots = sorted((pair_number(station, j, stations) * slot_us, j) for j in own)
+        pairs = [(i, j) for j in range(stations) for i in range(j) if linked is None or linked[i, j]]
+        pairs.sort(key=lambda pair: pair_number(*pair, stations))
+        self._slots = [
+            (slot * slot_us, i + j - station)
+            for slot, (i, j) in enumerate(pairs)
+            if station in {i, j} and owner(i, j, stations) == station
+        ]
         """(begin in the cycle in us, peer)"""
-        self._cycle_us = max(stations * (stations - 1) // 2, 1) * slot_us
+        self._cycle_us = max(len(pairs), 1) * slot_us
         self._check_us = [CHECK_US] * stations
         for begin_us, peer in self._slots:
             self._check_us[peer] -= round(CHECK_SPREAD * CHECK_US * begin_us / self._cycle_us)

@@ -12,6 +12,7 @@ from autopilot.config import Devices, OnboardConfig
 from autopilot.onboard import beacon as wire
 from autopilot.onboard.commands import NEVER_US
 from autopilot.onboard.localisation import CLOCK_TOLERANCE_US, SILENCE_US
+from autopilot.onboard.neighbourhood import Neighbourhood
 from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.phases import Phase
 from autopilot.onboard.ranging import RangingPolicy, RangingSchedule, VarianceOf
@@ -31,6 +32,14 @@ SHIFTS = 2
 class Traffic:
     """One station's beacons and ranging sessions.
 
+    Args:
+        station: this station.
+        stations: how many there are.
+        config: settings.
+        devices: what the UAV knows of its radio.
+        rng: source of phases and jitters.
+        near: to whom it ranges, and of whose beacons it looks at the distances; None: everybody.
+
     Attributes:
         range_silence_us: distances older than this are news to nobody.
         bad_beacons: datagrams that were no beacon, or one that contradicts itself.
@@ -49,6 +58,7 @@ class Traffic:
         config: OnboardConfig,
         devices: Devices,
         rng: np.random.Generator,
+        near: Neighbourhood | None = None,
     ) -> None:
         self.bad_beacons = 0
         self.beacons_heard = 0
@@ -58,17 +68,17 @@ class Traffic:
         self._trip_std_m = devices.ftm_trip_std_m
         self._rng = rng
         self._range_floor_var_m2 = config.range_floor_std_m**2
-        self._ranging = self._policy(config)
+        self._ranging = self._policy(config, near)
         self.range_silence_us = self._ranging.silence_us
         self.gather_s = self._ranging.gather_s
         self._distances: dict[int, wire.Distance] = {}
-        self._heard_us: dict[int, int] = {}
-        self._heard_seq: dict[int, int] = {}
-        self._told_us: dict[int, int] = {}
-        """Time in a neighbour's last beacon."""
+        self._is_near = [near is None or row is not None for row in (near.rows if near else range(stations))]
+        self._heard: list[tuple[int, int, int] | None] = [None] * stations
+        """Of each station's last beacon: when it was heard, its number, and the time in it."""
         self._seq = 0
         self._beacon_seq = 0
         self._period_us = config.beacon_period_ms * 1_000
+        self._periods_off = WAIT_US / self._period_us + SHIFTS
         self._slot_us: float | None = None
         self._beacon_us = 0
 
@@ -78,32 +88,30 @@ class Traffic:
 
     def hear(self, item: Delivery, now_us: int) -> wire.Beacon | None:
         """Beacon of a neighbour in a datagram; None, counted, if it holds none that can be believed."""
-        beacon = wire.decode(item.payload)
-        if (
-            beacon is None
-            or beacon.station != item.source
-            or beacon.station >= self._stations
-            or beacon.station == self._station
-            or beacon.time_us > now_us + CLOCK_TOLERANCE_US
-        ):
+        station = item.source
+        beacon = None
+        if station < self._stations and station != self._station:
+            beacon = wire.decode(item.payload, distances=self._is_near[station])
+        if beacon is None or beacon.station != station or beacon.time_us > now_us + CLOCK_TOLERANCE_US:
             self.bad_beacons += 1
             return None
         self.beacons_heard += 1
         self.sender_is_new = False
-        before_us = self._heard_us.get(beacon.station)
-        self._heard_us[beacon.station] = now_us
-        if before_us is not None:
-            gap = (beacon.seq - self._heard_seq[beacon.station]) % wire.SEQ_MODULUS
+        before = self._heard[station]
+        if before is not None:
+            before_us, before_seq, told_us = before
+            gap = (beacon.seq - before_seq) % wire.SEQ_MODULUS
             # As many as there were periods, however many were lost: the formation has one beacon period.
             periods = (now_us - before_us) / self._period_us
-            if abs(gap - periods) <= WAIT_US / self._period_us + SHIFTS:
-                self.beacons_missed += max(gap - 1, 0)
-            elif beacon.time_us > self._told_us[beacon.station]:
+            if abs(gap - periods) <= self._periods_off:
+                if gap > 1:
+                    self.beacons_missed += gap - 1
+            elif beacon.time_us > told_us:
                 self.sender_is_new = True
-            else:
-                return beacon  # overtaken by a later one, which has counted it as missed
-        self._heard_seq[beacon.station] = beacon.seq
-        self._told_us[beacon.station] = beacon.time_us
+            else:  # overtaken by a later one, which has counted it as missed
+                self._heard[station] = (now_us, before_seq, told_us)
+                return beacon
+        self._heard[station] = (now_us, beacon.seq, beacon.time_us)
         return beacon
 
     def measured(self, item: FtmResult) -> wire.Distance | None:
@@ -168,7 +176,9 @@ class Traffic:
                 self._slot_us + self._rng.uniform(-BEACON_JITTER, BEACON_JITTER) * self._period_us
             )
         if ranging and self._ranging.next_us < until_us:
-            reachable = {peer for peer, heard_us in self._heard_us.items() if now_us - heard_us < SILENCE_US}
+            reachable = {
+                peer for peer, heard in enumerate(self._heard) if heard and now_us - heard[0] < SILENCE_US
+            }
             items += [
                 FtmRequest(seq=self._next_seq(), at_us=at_us, peer=peer)
                 for at_us, peer in self._ranging.due(now_us, until_us, reachable, variance_m2)
@@ -179,16 +189,17 @@ class Traffic:
         """When `due` next has something to say."""
         return int(min(self._beacon_us, self._ranging.next_us if ranging else NEVER_US))
 
-    def _policy(self, config: OnboardConfig) -> RangingPolicy:
+    def _policy(self, config: OnboardConfig, near: Neighbourhood | None) -> RangingPolicy:
         if config.ranging == "scheduled":
             return ScheduledRanging(
                 station=self._station, stations=self._stations, slot_us=config.ranging_slot_ms * 1_000,
                 airtime=config.ranging_airtime,
                 measurement_var_m2=self._trip_std_m**2 + self._range_floor_var_m2,
+                linked=None if near is None else near.linked,
             )  # fmt: skip
         return RangingSchedule(
             station=self._station, stations=self._stations, period_us=round(config.ftm_period_s * 1e6),
-            rng=self._rng,
+            rng=self._rng, peers=None if near is None else near.members.tolist(),
         )  # fmt: skip
 
     def _beacon(

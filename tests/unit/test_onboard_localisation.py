@@ -286,7 +286,7 @@ def test_what_a_beacon_tells_at_once_is_what_it_tells_one_by_one():
     for item in distances:
         one_by_one.on_range(1, item.peer, item.time_ms * 1_000, item.distance_m, item.std_m, now_us=5_000_000)
     for _ in range(3):
-        at_once.on_distances(1, distances, now_us=5_000_000)
+        at_once.on_distances(1, distances, range(at_once.count), now_us=5_000_000)
     for filter_ in (one_by_one, at_once):
         filter_.update(5_000_000)
     assert at_once.ranges_used == one_by_one.ranges_used == 280 + 3
