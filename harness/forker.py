@@ -11,7 +11,7 @@ import psutil
 
 from netsim.forking import MOST_BYTES, Answer, Ended, Fork, Forked, NotForked
 
-FORK_LIMIT_S = 10.0
+FORK_LIMIT_S = 30.0
 """Wall time within which a fork must be answered, by a forker that is ready."""
 _POLL_S = 0.02
 _encoder = msgspec.json.Encoder()

@@ -128,8 +128,8 @@ def _become(request: Fork, stdio: list[int], main: Main) -> None:
         show_name(request.name)
         status = main(request.arguments)
     except SystemExit as end:
-        status = end.code if isinstance(end.code, int) else int(end.code is not None)
-    except BaseException:  # noqa: BLE001  as the interpreter would, which is left without its own end
+        status = _status(end)
+    except BaseException:  # noqa: BLE001  told as the interpreter would
         traceback.print_exc()
     finally:
         with contextlib.suppress(OSError, ValueError):
@@ -137,6 +137,14 @@ def _become(request: Fork, stdio: list[int], main: Main) -> None:
             sys.stderr.flush()
         # the forker's frames are below this one, and their end is the forker's
         os._exit(status)
+
+
+def _status(end: SystemExit) -> int:
+    """Exit status of a process that ends with it; a reason in words is told on stderr."""
+    if end.code is None or isinstance(end.code, int):
+        return end.code or 0
+    sys.stderr.write(f"{end.code}\n")
+    return 1
 
 
 def _reap(pid: int) -> Ended:
