@@ -20,8 +20,9 @@ import psutil
 from msgspec import Struct
 
 from harness import kernel_cache
-from harness.bench.flight import FlightCost, FlightJob
-from harness.bench.floor import FloorCost, FloorJob
+from harness.bench.flight_job import FlightCost, FlightJob
+from harness.bench.floor_job import FloorCost, FloorJob
+from harness.profiling import VEHICLES
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 FEW = 8
@@ -94,7 +95,10 @@ class Run(Struct, frozen=True, kw_only=True):
     uss_mb_per_uav: float
     uss_mb: dict[str, float]
     """Of one process, by kind"""
+    pss_mb: float
+    """Of all processes, what they share counted once"""
     startup_s: float
+    """From the launch to the end of the first step"""
     formed_s: float | None
     """Simulated time at which the formation was reached; None: not in time, in any repeat"""
     other_processors: float
@@ -184,8 +188,9 @@ def summarise(
         },
         waiting_fraction={kind: told.waiting_fraction for kind, told in profiled.profile.items()},
         queueing_fraction={kind: told.queueing_fraction for kind, told in profiled.profile.items()},
-        uss_mb_per_uav=uss_mb["vehicles"],
+        uss_mb_per_uav=uss_mb[VEHICLES],
         uss_mb=uss_mb,
+        pss_mb=_median(flight.pss_mb for flight in flights),
         startup_s=_median(flight.startup_s for flight in flights),
         formed_s=statistics.median(formed_s) if formed_s else None,
         other_processors=max(flight.steady.other_processors for flight in flights),

@@ -15,60 +15,14 @@ import msgspec
 import psutil
 from msgspec import Struct
 
-from harness.processes import PHYSICS, RADIO, SwarmError
-from harness.profiling import VEHICLES, KindProfile, kind_of
+from harness.bench.flight_job import LAUNCHER, FlightCost, FlightJob, Span
+from harness.messages import VehicleLost
+from harness.processes import SwarmError, uav
+from harness.profiling import kind_of
 from harness.scenario import ScenarioError, load
 from harness.swarm import Swarm, SwarmTimeoutError
 
-LAUNCHER = "launcher"
 _MB = 1e6
-
-
-class FlightJob(Struct, frozen=True, kw_only=True):
-    """What is to be flown."""
-
-    scenario: str
-    agents: int
-    seed: int
-    duration_s: float
-    """After the formation is reached"""
-    folder: str
-    """For what the flight writes; not there yet"""
-    wall_launched_s: float
-    """By `time.monotonic`, which all processes of a machine share"""
-    profile_from_s: float | None = None
-
-
-class Span(Struct, frozen=True, kw_only=True):
-    """A stretch of a flight."""
-
-    simulated_s: float
-    wall_s: float
-    cpu_s_per_simulated_s: dict[str, float]
-    """By kind of process"""
-    other_processors: float
-    """That were busy with what is not of the flight, on average: 0 on a quiet machine"""
-
-    @property
-    def real_time_factor(self) -> float:
-        """Simulated against wall time."""
-        return self.simulated_s / self.wall_s
-
-
-class FlightCost(Struct, frozen=True, kw_only=True):
-    """What the flight cost."""
-
-    startup_s: float
-    """From the launch to the end of the first step"""
-    formed_s: float | None
-    """Simulated time at which the formation was reached; None: it was not in time"""
-    whole: Span
-    """From the first step on"""
-    steady: Span
-    """From the formation, or the limit for it, on"""
-    uss_mb: dict[str, float]
-    """Memory that goes with the process, by kind, a process's median, at the end"""
-    profile: dict[str, KindProfile]
 
 
 class _Mark(Struct, frozen=True):
@@ -97,16 +51,25 @@ def fly(job: FlightJob) -> FlightCost:
                 raise
         formed = _mark(swarm)
         swarm.run_for(job.duration_s)
+        _check_complete(swarm)
         last = _mark(swarm)
-        uss_mb = _uss_mb(swarm)
+        uss_mb, pss_mb = _memory_mb(swarm)
     return FlightCost(
         startup_s=startup_s,
         formed_s=formed_s,
         whole=_span(first, last),
         steady=_span(formed, last),
         uss_mb=uss_mb,
+        pss_mb=pss_mb,
         profile=swarm.profile,
     )
+
+
+def _check_complete(swarm: Swarm) -> None:
+    """See that all are still there: what is left of a swarm costs less. Raises SwarmError."""
+    for event in swarm.events:
+        if isinstance(event, VehicleLost):
+            raise SwarmError(f"{uav(event.instance)} was lost: {event.reason}")
 
 
 def _mark(swarm: Swarm) -> _Mark:
@@ -115,16 +78,12 @@ def _mark(swarm: Swarm) -> _Mark:
         kind = kind_of(name)
         cpu_s[kind] = cpu_s.get(kind, 0.0) + _cpu_s(pid)
     machine = psutil.cpu_times()
-    # not what guests of this machine use: it is in the others
     machine_cpu_s = machine.user + machine.nice + machine.system
     return _Mark(swarm.simulated_s, time.monotonic(), cpu_s, machine_cpu_s)
 
 
 def _cpu_s(pid: int) -> float:
-    try:
-        times = psutil.Process(pid).cpu_times()
-    except psutil.NoSuchProcess:
-        return 0.0
+    times = psutil.Process(pid).cpu_times()
     return float(times.user + times.system)
 
 
@@ -140,26 +99,22 @@ def _span(begin: _Mark, end: _Mark) -> Span:
     )
 
 
-def _uss_mb(swarm: Swarm) -> dict[str, float]:
-    found: dict[str, list[float]] = {LAUNCHER: [_own_uss_mb(os.getpid())]}
-    for name, pid in swarm.pids.items():
-        found.setdefault(kind_of(name), []).append(_own_uss_mb(pid))
-    return {kind: statistics.median(values) for kind, values in found.items()}
-
-
-def _own_uss_mb(pid: int) -> float:
-    return float(psutil.Process(pid).memory_full_info().uss) / _MB
-
-
-KINDS = (PHYSICS, RADIO, VEHICLES, LAUNCHER)
-"""In the order in which they are told; others, if there are any, come after them."""
+def _memory_mb(swarm: Swarm) -> tuple[dict[str, float], float]:
+    """USS of a process by kind, and PSS of all together."""
+    uss_mb: dict[str, list[float]] = {}
+    pss_mb = 0.0
+    for name, pid in {LAUNCHER: os.getpid(), **swarm.pids}.items():
+        memory = psutil.Process(pid).memory_full_info()
+        uss_mb.setdefault(kind_of(name), []).append(memory.uss / _MB)
+        pss_mb += getattr(memory, "pss", memory.uss) / _MB
+    return {kind: statistics.median(values) for kind, values in uss_mb.items()}, pss_mb
 
 
 def main(arguments: Sequence[str]) -> int:
     """Fly what the one argument, a `FlightJob` in JSON, says; the cost is the last line on stdout."""
     try:
         cost = fly(msgspec.json.decode(arguments[0], type=FlightJob))
-    except (ScenarioError, SwarmError) as error:
+    except (ScenarioError, SwarmError, psutil.NoSuchProcess) as error:
         sys.stderr.write(f"{error}\n")
         return 2
     sys.stdout.write(msgspec.json.encode(cost).decode() + "\n")

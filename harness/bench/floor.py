@@ -22,8 +22,8 @@ from collections.abc import Callable, Iterator, Sequence
 
 import msgspec
 from fastcrc import crc16
-from msgspec import Struct
 
+from harness.bench.floor_job import FloorCost, FloorJob, FloorSpeed
 from harness.physics.bare import GRAVITY_M_S2, MASS_KG, BareWorld
 
 STEP_US = 4_000
@@ -41,31 +41,6 @@ _FIELDS_UPDATED = 0x1FFF
 _ARMED = 129
 _LOCKSTEP = 1
 _RECEIVE_BYTES = 4096
-
-
-class FloorJob(Struct, frozen=True, kw_only=True):
-    """What is to be measured."""
-
-    agents: int
-    wall_s: float
-    """For each of the two"""
-
-
-class FloorSpeed(Struct, frozen=True, kw_only=True):
-    """One floor's cost."""
-
-    real_time_factor: float
-    server_cpu_s_per_simulated_s: float
-    vehicles_cpu_s_per_simulated_s: float
-    """Of all together"""
-
-
-class FloorCost(Struct, frozen=True, kw_only=True):
-    """Both floors' cost."""
-
-    agents: int
-    lockstep: FloorSpeed
-    echo: FloorSpeed
 
 
 class LostError(Exception):

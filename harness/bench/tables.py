@@ -6,7 +6,7 @@ from msgspec import Struct
 from rich.table import Table
 
 from harness.bench.bench import Bench, Run
-from harness.bench.flight import KINDS
+from harness.bench.flight_job import KINDS
 from harness.profiling import KINDS as KIND_NAMES
 
 LEAST_SHARE = 0.005
@@ -59,6 +59,7 @@ def sheets(found: Bench) -> tuple[Sheet, ...]:
                     (f"{_name(kind)}, MB", *(f"{run.uss_mb.get(kind, 0.0):.0f}" for run in runs))
                     for kind in _kinds(runs)
                 ),
+                ("all, shared memory once (PSS), MB", *(f"{run.pss_mb:.0f}" for run in runs)),
                 ("launch to first step, s", *(f"{run.startup_s:.1f}" for run in runs)),
             ),
         ),
