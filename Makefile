@@ -6,7 +6,7 @@ STAMP := $(VENV)/.set-up
 CLIENTS := $(VENV)/.set-up-clients
 ARGS ?=
 
-.PHONY: help setup swarm test test-clients validate validate-radio validate-antenna codesign campaign article antenna bench-radio lint format clean
+.PHONY: help setup swarm test test-clients validate validate-radio validate-antenna codesign campaign article antenna bench bench-radio lint format clean
 help:
 	@echo "make swarm [ARGS='--duration 20 --seed 3']   fly scenarios/article.toml"
 	@echo "make test  [ARGS='-k radio']                 run the tests"
@@ -18,6 +18,7 @@ help:
 	@echo "make article [ARGS='--quick | --out docs']    fly the article's cases and judge its statements (docs/article.md)"
 	@echo "make campaign ARGS='CAMPAIGN.toml --out DIR'  many flights, one table (docs/campaigns.md)"
 	@echo "make antenna ARGS='pattern --wavelength 10'   the antenna alone: pattern, statistics, benchmark (docs/antenna.md)"
+	@echo "make bench [ARGS='--quick | --agents 8 --json']   measure what flying costs (docs/performance.md)"
 	@echo "make bench-radio [ARGS='--peer COMMAND']      measure what the radio costs"
 	@echo "make lint | format | setup | clean"
 
@@ -64,6 +65,9 @@ campaign: $(STAMP)
 
 antenna: $(STAMP)
 	$(BIN)/python scripts/antenna_lab.py $(ARGS)
+
+bench: $(STAMP)
+	$(BIN)/python scripts/bench.py $(ARGS)
 
 bench-radio: $(STAMP)
 	$(BIN)/python scripts/bench_radio.py $(ARGS)

@@ -1,14 +1,12 @@
-"""What the vehicles' motor controllers report: ESC_STATUS, packed for all vehicles at once."""
+"""What the vehicles' motor controllers report."""
 
-from collections.abc import Iterator
-from struct import Struct
 from typing import NamedTuple
 
 import numpy as np
-from fastcrc import crc16
+from numpy.typing import NDArray
 
-from autopilot.mavlink.dialect import ESC_STATUS, EscStatus
 from autopilot.types import Array
+from harness.hil_frames import ESC_STATUS
 
 PERIOD_US = 50_000
 """20 Hz"""
@@ -16,13 +14,6 @@ HOVER_CURRENT_A = 4.0
 HOVER_SPEED_RAD_S = 806.7
 """Of the Iris: 3.8 N per rotor."""
 RPM_PER_RAD_S = 60.0 / (2.0 * np.pi)
-
-_HEADER = Struct("<BBBBBBBHB")
-"""Magic, payload's length, incompatible and compatible flags, sequence, system, component, kind (24 bit)."""
-_CHECKSUM = Struct("<H")
-_MAGIC = 0xFD
-_FIRST_CHECKED = 1
-_NO_VOLTAGE = (0.0, 0.0, 0.0, 0.0)
 
 
 class EscReadings(NamedTuple):
@@ -51,17 +42,10 @@ def readings(
     return EscReadings(rotor_speed_rad_s * RPM_PER_RAD_S, current_a)
 
 
-def pack_escs(
-    time_us: int, escs: EscReadings, *, sequence: int, system: int, component: int
-) -> Iterator[bytes]:
-    """Give a whole ESC_STATUS frame for one vehicle after the other; the voltage is 0, not known."""
-    speeds_rpm: list[list[int]] = np.rint(escs.speed_rpm).astype(np.int64).tolist()
-    currents_a: list[list[float]] = escs.current_a.tolist()
-    crc_extra = bytes([EscStatus.crc_extra])
-    for speed_rpm, current_a in zip(speeds_rpm, currents_a, strict=True):
-        payload = (
-            EscStatus.unpacker.pack(time_us, *speed_rpm, *_NO_VOLTAGE, *current_a, 0).rstrip(b"\0") or b"\0"
-        )
-        header = _HEADER.pack(_MAGIC, len(payload), 0, 0, sequence, system, component, ESC_STATUS, 0)
-        frame = header + payload
-        yield frame + _CHECKSUM.pack(crc16.mcrf4xx(frame[_FIRST_CHECKED:] + crc_extra))
+def statuses(time_us: int, escs: EscReadings) -> NDArray[np.void]:
+    """ESC_STATUS of each vehicle, as `harness.hil_frames` has it; the voltage is 0, not known."""
+    rows = np.zeros(len(escs.speed_rpm), ESC_STATUS.dtype)
+    rows["time_usec"] = time_us
+    rows["rpm"] = np.rint(escs.speed_rpm)
+    rows["current"] = escs.current_a
+    return rows

@@ -9,6 +9,7 @@ PARTS = {
     "harness.faults": "sensors",
     "harness.esc": "sensors",
     "harness.hil": "link codec",
+    "harness.hil_frames": "link codec",
     "autopilot.mavlink": "link codec",
     "harness.lockstep": LINK,
     "harness.patience": LINK,

@@ -16,7 +16,9 @@ from netsim.profiler import KEY, Profile
 
 VEHICLES = "vehicles"
 KINDS = {PHYSICS: "physics server", RADIO: "802.11 emulator", VEHICLES: "vehicles"}
-"""Kinds of process, as they are called in results and to people."""
+"""Kinds of process that tell, as they are called in results and to people."""
+_MANY = {"uav": VEHICLES, "application": "applications"}
+"""Kinds of those that are numbered"""
 
 
 class KindProfile(Struct, frozen=True, kw_only=True):
@@ -40,13 +42,13 @@ def by_kind(finished: Mapping[str, Mapping[str, Any]]) -> dict[str, KindProfile]
     told: dict[str, list[Profile]] = {kind: [] for kind in KINDS}
     for name, details in finished.items():
         if KEY in details:
-            told[kind_of(name)].append(msgspec.convert(details[KEY], Profile))
+            told.setdefault(kind_of(name), []).append(msgspec.convert(details[KEY], Profile))
     return {kind: _together(profiles) for kind, profiles in told.items() if profiles}
 
 
 def kind_of(name: str) -> str:
     """Kind of the process of that name."""
-    return name if name in (PHYSICS, RADIO) else VEHICLES
+    return _MANY.get(name.partition(" ")[0], name)
 
 
 def _together(profiles: list[Profile]) -> KindProfile:
@@ -83,7 +85,7 @@ def profile_table(profile: Mapping[str, KindProfile], *, step_us: int) -> Table:
 
     for name, kind in profile.items():
         processes = f" ({kind.processes})" if name == VEHICLES else ""
-        row(f"{KINDS[name]}{processes}", kind.cpu_s_per_simulated_s, "bold")
+        row(f"{KINDS.get(name, name)}{processes}", kind.cpu_s_per_simulated_s, "bold")
         for part, spent in kind.parts_cpu_s_per_simulated_s.items():
             row(f"  {part}", spent)
         waits = f"waits {kind.waiting_fraction:.0%}, queues {kind.queueing_fraction:.0%} of wall time"

@@ -2,9 +2,8 @@
 
 The operating system interrupts the process whenever it has used some more processor time, and what runs then
 is charged to the part whose module is innermost on the stack. So the parts are a table of modules, nothing is
-wrapped, a run that is not profiled pays nothing, and one that is pays some 10 us in 4 ms. A few
-thousand samples tell shares to a percent. What is called in compiled code or by the operating system is its
-caller's.
+wrapped, a run that is not profiled pays nothing, and one that is pays 3 us in 4 ms. A few thousand samples
+tell shares to a percent. What is called in compiled code or by the operating system is its caller's.
 
 Next to `netsim.child`, for it is every process's; reads clocks, so it is for the edges.
 """

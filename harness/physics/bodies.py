@@ -6,67 +6,80 @@ belong to the middle of their step, and the pose at t_k is Bullet's less half a 
 one, comes out exactly; taken at face value it would be off by half a step of speed.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
-from autopilot.estimation.rotation import (
-    quat_from_rotation_vector,
-    quat_multiply,
-    quat_rotate,
-    quat_rotate_inverse,
-)
 from autopilot.types import Array
+from harness.physics.rotation import Vector, in_frd, in_ned, turned
 
-
-class Bodies(NamedTuple):
-    """State of n vehicles as Bullet has it; the poses are half a step ahead of the velocities."""
-
-    pos_ned_m: Array
-    """(n, 3)"""
-    q_ned_frd: Array
-    """(n, 4) wxyz"""
-    vel_ned_m_s: Array
-    """(n, 3)"""
-    omega_ned_rad_s: Array
-    """(n, 3)"""
-
-
-class Observation(NamedTuple):
-    """Fields of `harness.physics.truth.Truth`, by the same names."""
-
-    pos_ned_m: Array
-    q_ned_frd: Array
-    omega_frd_rad_s: Array
-    acc_ned_m_s2: Array
-    specific_force_frd_m_s2: Array
-    mean_omega_frd_rad_s: Array
+BODY = np.dtype(
+    [
+        ("pos_ned_m", "f8", 3),
+        ("q_ned_frd", "f8", 4),
+        ("vel_ned_m_s", "f8", 3),
+        ("omega_ned_rad_s", "f8", 3),
+    ]
+)
+"""Row of one vehicle as Bullet has it, wxyz; the pose is half a step ahead of the velocities."""
+BODY_NUMBERS = BODY.itemsize // 8
 
 
 @njit(cache=True)
-def observe(before: Bodies, after: Bodies, gravity_m_s2: float, step_s: float) -> Observation:
-    """Read the state at the end of a step from what Bullet held before and after it."""
-    pos_ned_m = after.pos_ned_m - 0.5 * step_s * after.vel_ned_m_s
-    acc_ned_m_s2 = (after.vel_ned_m_s - before.vel_ned_m_s) / step_s
-    q_ned_frd = np.empty_like(after.q_ned_frd)
-    omega_frd_rad_s = np.empty_like(acc_ned_m_s2)
-    specific_force_frd_m_s2 = np.empty_like(acc_ned_m_s2)
-    mean_omega_frd_rad_s = np.empty_like(acc_ned_m_s2)
-    for vehicle in range(pos_ned_m.shape[0]):
-        omega_ned = after.omega_ned_rad_s[vehicle]
-        half_turn_back = quat_from_rotation_vector(-0.5 * step_s * omega_ned)
-        q_ned_frd[vehicle] = quat_multiply(half_turn_back, after.q_ned_frd[vehicle])
-        omega_frd_rad_s[vehicle] = quat_rotate_inverse(after.q_ned_frd[vehicle], omega_ned)
-        mid_step_q = before.q_ned_frd[vehicle]
-        specific_force_ned = acc_ned_m_s2[vehicle].copy()
-        specific_force_ned[2] -= gravity_m_s2
-        specific_force_frd_m_s2[vehicle] = quat_rotate_inverse(mid_step_q, specific_force_ned)
-        mean_omega_ned = 0.5 * (before.omega_ned_rad_s[vehicle] + omega_ned)
-        mean_omega_frd_rad_s[vehicle] = quat_rotate_inverse(mid_step_q, mean_omega_ned)
-    return Observation(
-        pos_ned_m, q_ned_frd, omega_frd_rad_s, acc_ned_m_s2, specific_force_frd_m_s2, mean_omega_frd_rad_s
-    )
+def observe(
+    before: NDArray[np.void],
+    after: NDArray[np.void],
+    gravity_m_s2: float,
+    step_s: float,
+    truth: NDArray[np.void],
+) -> None:
+    """Read the state at the end of a step from what Bullet held before and after it, rows (n,) of `BODY`.
+
+    Fills all of ``truth`` (n,), rows of `harness.physics.truth.TRUTH`, but the rotors' speeds.
+    """
+    for i in range(len(after)):
+        vel_ned, omega_ned = after[i]["vel_ned_m_s"], after[i]["omega_ned_rad_s"]
+        q_mid_step, q_ahead = before[i]["q_ned_frd"], after[i]["q_ned_frd"]
+        seen = truth[i]
+        for axis in range(3):
+            seen["vel_ned_m_s"][axis] = vel_ned[axis]
+            seen["pos_ned_m"][axis] = after[i]["pos_ned_m"][axis] - 0.5 * step_s * vel_ned[axis]
+            seen["acc_ned_m_s2"][axis] = (vel_ned[axis] - before[i]["vel_ned_m_s"][axis]) / step_s
+        half_step_back_s = -0.5 * step_s
+        seen["q_ned_frd"][:] = turned(
+            half_step_back_s * omega_ned[0],
+            half_step_back_s * omega_ned[1],
+            half_step_back_s * omega_ned[2],
+            q_ahead,
+        )
+        seen["omega_frd_rad_s"][:] = in_frd(q_ahead, omega_ned[0], omega_ned[1], omega_ned[2])
+        acc_ned = seen["acc_ned_m_s2"]
+        seen["specific_force_frd_m_s2"][:] = in_frd(
+            q_mid_step, acc_ned[0], acc_ned[1], acc_ned[2] - gravity_m_s2
+        )
+        omega_before_ned = before[i]["omega_ned_rad_s"]
+        seen["mean_omega_frd_rad_s"][:] = in_frd(
+            q_mid_step,
+            0.5 * (omega_before_ned[0] + omega_ned[0]),
+            0.5 * (omega_before_ned[1] + omega_ned[1]),
+            0.5 * (omega_before_ned[2] + omega_ned[2]),
+        )
+
+
+@njit(cache=True)
+def any_two_within(bodies: NDArray[np.void], reach_m: float) -> bool:
+    """Whether any two of n bodies, rows (n,) of `BODY`, are no farther from each other along any axis."""
+    for i in range(len(bodies)):
+        here = bodies[i]["pos_ned_m"]
+        for j in range(i):
+            there = bodies[j]["pos_ned_m"]
+            if (
+                abs(here[0] - there[0]) <= reach_m
+                and abs(here[1] - there[1]) <= reach_m
+                and abs(here[2] - there[2]) <= reach_m
+            ):
+                return True
+    return False
 
 
 @njit(cache=True)
@@ -74,35 +87,37 @@ def in_body_axes(q_ned_frd: Array, vector_ned: Array) -> Array:
     """One vector (3,) as each of n bodies at ``q_ned_frd`` (n, 4) sees it: (n, 3) FRD."""
     vectors_frd = np.empty((q_ned_frd.shape[0], 3))
     for vehicle in range(q_ned_frd.shape[0]):
-        vectors_frd[vehicle] = quat_rotate_inverse(q_ned_frd[vehicle], vector_ned)
+        vectors_frd[vehicle] = in_frd(q_ned_frd[vehicle], vector_ned[0], vector_ned[1], vector_ned[2])
     return vectors_frd
 
 
 @njit(cache=True)
-def integrable_torques(inertia_kg_m2: Array, bodies: Bodies, torque_ned_n_m: Array, step_s: float) -> Array:
-    """Torques (n, 3) to hand to Bullet, in newton metres, NED, so that those given act on the bodies.
+def integrable_torque(
+    inertia_kg_m2: Array, q_ned_frd: Array, omega_ned_rad_s: Array, torque_ned_n_m: Array, step_s: float
+) -> Vector:
+    """Torque to hand to Bullet, in newton metres, NED, so that ``torque_ned_n_m`` (3,) acts on a body.
 
     Bullet adds the gyroscopic torque -ω x Iω as it is at the start of a step, which feeds energy into a
     spinning body. The difference to its value at the middle of the step, added here, makes that the midpoint
     rule. ``inertia_kg_m2`` (3,) is diagonal in the body's axes.
     """
-    corrected_ned_n_m = np.empty_like(torque_ned_n_m)
-    for vehicle in range(torque_ned_n_m.shape[0]):
-        q_ned_frd = bodies.q_ned_frd[vehicle]
-        omega = quat_rotate_inverse(q_ned_frd, bodies.omega_ned_rad_s[vehicle])
-        torque = quat_rotate_inverse(q_ned_frd, torque_ned_n_m[vehicle])
-        gyroscopic = _gyroscopic_torque(inertia_kg_m2, omega)
-        mid_omega = omega + 0.5 * step_s * (torque + gyroscopic) / inertia_kg_m2
-        correction = _gyroscopic_torque(inertia_kg_m2, mid_omega) - gyroscopic
-        corrected_ned_n_m[vehicle] = torque_ned_n_m[vehicle] + quat_rotate(q_ned_frd, correction)
-    return corrected_ned_n_m
+    ix, iy, iz = inertia_kg_m2[0], inertia_kg_m2[1], inertia_kg_m2[2]
+    p, q, r = in_frd(q_ned_frd, omega_ned_rad_s[0], omega_ned_rad_s[1], omega_ned_rad_s[2])
+    tx, ty, tz = in_frd(q_ned_frd, torque_ned_n_m[0], torque_ned_n_m[1], torque_ned_n_m[2])
+    gx, gy, gz = _gyroscopic_torque(ix, iy, iz, p, q, r)
+    mid_x, mid_y, mid_z = _gyroscopic_torque(
+        ix,
+        iy,
+        iz,
+        p + 0.5 * step_s * (tx + gx) / ix,
+        q + 0.5 * step_s * (ty + gy) / iy,
+        r + 0.5 * step_s * (tz + gz) / iz,
+    )
+    x, y, z = in_ned(q_ned_frd, mid_x - gx, mid_y - gy, mid_z - gz)
+    return torque_ned_n_m[0] + x, torque_ned_n_m[1] + y, torque_ned_n_m[2] + z
 
 
 @njit(cache=True)
-def _gyroscopic_torque(inertia_kg_m2: Array, omega_rad_s: Array) -> Array:
-    """(3,) -ω x Iω for a diagonal inertia."""
-    torque = np.empty(3)
-    torque[0] = (inertia_kg_m2[1] - inertia_kg_m2[2]) * omega_rad_s[1] * omega_rad_s[2]
-    torque[1] = (inertia_kg_m2[2] - inertia_kg_m2[0]) * omega_rad_s[2] * omega_rad_s[0]
-    torque[2] = (inertia_kg_m2[0] - inertia_kg_m2[1]) * omega_rad_s[0] * omega_rad_s[1]
-    return torque
+def _gyroscopic_torque(ix: float, iy: float, iz: float, p: float, q: float, r: float) -> Vector:
+    """-ω x Iω for a diagonal inertia and body rates."""
+    return (iy - iz) * q * r, (iz - ix) * r * p, (ix - iy) * p * q

@@ -3,6 +3,7 @@
 import numpy as np
 
 from autopilot.config import Site
+from harness.hil import SensorEncoder
 from harness.physics.model import IRIS
 from harness.physics.world import World
 from harness.sensors.config import SensorsConfig
@@ -16,7 +17,7 @@ _STEP_US = 4_000
 def rehearse() -> None:
     """Two vehicles lift off and are measured, for a fraction of a second."""
     spawn_ned_m = np.array([[0.0, 0.0, -IRIS.standing_height_m], [0.0, 5.0, -IRIS.standing_height_m]])
-    vehicles = len(spawn_ned_m)
+    vehicles, encoder = len(spawn_ned_m), SensorEncoder()
     sensors = SensorSuite(
         config=SensorsConfig(),
         site=Site(),
@@ -31,7 +32,8 @@ def rehearse() -> None:
         )
         dt_s, height_m = _STEP_US * 1e-6, np.full(vehicles, 1.0)
         for step in range(STEPS):
-            sensors.sample(step * _STEP_US, world.truth)
+            encoder.encode(step * _STEP_US, sensors.sample(step * _STEP_US, world.truth))
+            world.vehicle_contacts  # noqa: B018  looks who is near
             world.step(
                 np.full((vehicles, 4), 0.8),
                 np.ones(vehicles, dtype=bool),

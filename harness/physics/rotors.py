@@ -15,11 +15,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from autopilot.estimation.rotation import quat_rotate, quat_rotate_inverse
 from autopilot.types import Array
 from harness.physics.environment import Surroundings
 from harness.physics.frames import frd_from_flu
 from harness.physics.model import VehicleModel
+from harness.physics.rotation import in_frd, in_ned
 
 
 class RotorKernelModel(NamedTuple):
@@ -132,13 +132,15 @@ def wrenches(
     torque_ned_n_m = np.empty((vehicles, 3))
     force = np.empty(3)
     torque = np.empty(3)
-    down_ned = np.array((0.0, 0.0, 1.0))
     for vehicle in range(vehicles):
         density = surroundings.density_ratio[vehicle]
-        airspeed_ned_m_s = vel_ned_m_s[vehicle] - surroundings.air_vel_ned_m_s[vehicle]
-        vel = quat_rotate_inverse(q_ned_frd[vehicle], airspeed_ned_m_s)
-        omega = quat_rotate_inverse(q_ned_frd[vehicle], omega_ned_rad_s[vehicle])
-        down = quat_rotate_inverse(q_ned_frd[vehicle], down_ned)
+        q, air_vel, turn = q_ned_frd[vehicle], surroundings.air_vel_ned_m_s[vehicle], omega_ned_rad_s[vehicle]
+        north_m_s = vel_ned_m_s[vehicle, 0] - air_vel[0]
+        east_m_s = vel_ned_m_s[vehicle, 1] - air_vel[1]
+        down_m_s = vel_ned_m_s[vehicle, 2] - air_vel[2]
+        vel = in_frd(q, north_m_s, east_m_s, down_m_s)
+        omega = in_frd(q, turn[0], turn[1], turn[2])
+        down = in_frd(q, 0.0, 0.0, 1.0)
         force[:] = 0.0
         torque[:] = 0.0
         for rotor in range(4):
@@ -167,8 +169,11 @@ def wrenches(
             torque[0] += -y * up - z * drag_y - rolling_x
             torque[1] += z * drag_x + x * up - rolling_y
             torque[2] += x * drag_y - y * drag_x + turning * model.moment_m * static_thrust
-        force_ned_n[vehicle] = quat_rotate(q_ned_frd[vehicle], force)
+        force_ned_n[vehicle] = in_ned(q, force[0], force[1], force[2])
         if model.body_drag_n_s_m > 0.0:
-            force_ned_n[vehicle] -= density * model.body_drag_n_s_m * airspeed_ned_m_s
-        torque_ned_n_m[vehicle] = quat_rotate(q_ned_frd[vehicle], torque)
+            body_drag_n_s_m = density * model.body_drag_n_s_m
+            force_ned_n[vehicle, 0] -= body_drag_n_s_m * north_m_s
+            force_ned_n[vehicle, 1] -= body_drag_n_s_m * east_m_s
+            force_ned_n[vehicle, 2] -= body_drag_n_s_m * down_m_s
+        torque_ned_n_m[vehicle] = in_ned(q, torque[0], torque[1], torque[2])
     return force_ned_n, torque_ned_n_m

@@ -1,35 +1,90 @@
 """What the physics knows about the vehicles after a step; sensors, recorder and emulator read it."""
 
 from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
 
 from autopilot.types import Array
 
+TRUTH = np.dtype(
+    [
+        ("pos_ned_m", "f8", 3),
+        ("vel_ned_m_s", "f8", 3),
+        ("q_ned_frd", "f8", 4),
+        ("omega_frd_rad_s", "f8", 3),
+        ("rotor_speed_rad_s", "f8", 4),
+        ("acc_ned_m_s2", "f8", 3),
+        ("specific_force_frd_m_s2", "f8", 3),
+        ("mean_omega_frd_rad_s", "f8", 3),
+    ]
+)
+"""Row of one vehicle; the fields are `Truth`'s. Compiled code takes it as one argument."""
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+
 class Truth:
     """State of n vehicles at the end of a step, and means over that step.
 
-    The arrays are never written again.
+    A view of ``rows`` (n,) of `TRUTH`, which are never written again.
     """
 
-    pos_ned_m: Array
-    """(n, 3) centre of mass, from the site's origin; the ground is down = 0."""
-    vel_ned_m_s: Array
-    """(n, 3)"""
-    q_ned_frd: Array
-    """(n, 4) wxyz"""
-    omega_frd_rad_s: Array
-    """(n, 3)"""
-    rotor_speed_rad_s: Array
-    """(n, 4)"""
-    acc_ned_m_s2: Array
-    """(n, 3) change of velocity over the step, per second: contact forces are in it."""
-    specific_force_frd_m_s2: Array
-    """(n, 3) what an accelerometer at the centre of mass would report of the step: acceleration less gravity,
-    in the body axes half-way through it; (0, 0, -9.8066) standing level. Before the first step: as if held
-    still."""
-    mean_omega_frd_rad_s: Array
-    """(n, 3) what a gyroscope would report of the step: mean body rate."""
+    __slots__ = ("rows",)
+
+    def __init__(self, rows: NDArray[np.void]) -> None:
+        self.rows = rows
+
+    @classmethod
+    def of(cls, **fields: Array) -> Self:
+        """Put all fields together, each (n, 3) or (n, 4)."""
+        rows = np.empty(len(fields["pos_ned_m"]), TRUTH)
+        for name in TRUTH.names or ():
+            rows[name] = fields[name]
+        return cls(rows)
+
+    @property
+    def pos_ned_m(self) -> Array:
+        """(n, 3) centre of mass, from the site's origin; the ground is down = 0."""
+        return self.rows["pos_ned_m"]
+
+    @property
+    def vel_ned_m_s(self) -> Array:
+        """(n, 3)."""
+        return self.rows["vel_ned_m_s"]
+
+    @property
+    def q_ned_frd(self) -> Array:
+        """(n, 4) wxyz."""
+        return self.rows["q_ned_frd"]
+
+    @property
+    def omega_frd_rad_s(self) -> Array:
+        """(n, 3)."""
+        return self.rows["omega_frd_rad_s"]
+
+    @property
+    def rotor_speed_rad_s(self) -> Array:
+        """(n, 4)."""
+        return self.rows["rotor_speed_rad_s"]
+
+    @property
+    def acc_ned_m_s2(self) -> Array:
+        """(n, 3) change of velocity over the step, per second: contact forces are in it."""
+        return self.rows["acc_ned_m_s2"]
+
+    @property
+    def specific_force_frd_m_s2(self) -> Array:
+        """(n, 3) what an accelerometer at the centre of mass would report of the step.
+
+        That is acceleration less gravity, in the body axes half-way through it: (0, 0, -9.8066) standing
+        level. Before the first step: as if held still.
+        """
+        return self.rows["specific_force_frd_m_s2"]
+
+    @property
+    def mean_omega_frd_rad_s(self) -> Array:
+        """(n, 3) what a gyroscope would report of the step: mean body rate."""
+        return self.rows["mean_omega_frd_rad_s"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

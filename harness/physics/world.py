@@ -12,13 +12,12 @@ import pybullet
 from numpy.typing import ArrayLike, NDArray
 
 from autopilot.types import Array
-from harness.physics.bodies import Bodies, observe
-from harness.physics.environment import STANDARD, EnvironmentConfig, Surroundings
-from harness.physics.frames import wxyz_from_xyzw
+from harness.physics.bodies import BODY, any_two_within, observe
+from harness.physics.environment import STANDARD, EnvironmentConfig
 from harness.physics.loads import loads
 from harness.physics.model import VehicleModel
 from harness.physics.rotors import kernel_model
-from harness.physics.truth import Contact, Truth
+from harness.physics.truth import TRUTH, Contact, Truth
 
 GRAVITY_M_S2 = 9.8066
 """As Gazebo-classic's worlds have it."""
@@ -26,6 +25,11 @@ GROUND_HALF_WIDTH_M = 10_000.0
 SOLVER_RESIDUAL = 1e-16
 """Squared change of the contact impulses at which Bullet stops iterating. At its default of 1e-7 a standing
 vehicle creeps by 30 um/s; at this it stays within 1 nm/s, and still stops before its 50 iterations."""
+
+REACH_DIAGONALS = 2.0
+"""Distance between two vehicles, in diagonals of their shape, from which on they cannot have touched: they do
+so at one at most, and would have to leave each other at hundreds of metres a second to be that far apart when
+the step ends."""
 
 _CONTACT_BODY_A, _CONTACT_BODY_B, _CONTACT_POS_ON_A, _CONTACT_DISTANCE, _CONTACT_FORCE = 1, 2, 5, 8, 9
 
@@ -68,8 +72,8 @@ class World:
         vehicles = len(spawn)
         self._air_at_rest = np.zeros((vehicles, 3))
         self._whole_rotors = np.ones((vehicles, 4))
-        self._every_rotor = np.ones((vehicles, 4), dtype=np.bool_)
         self._density_ratio = np.ones(vehicles)
+        self._reach_m = REACH_DIAGONALS * math.dist(model.box_m, (0.0, 0.0, 0.0))
         self._rotor_speed_rad_s = np.zeros((vehicles, 4))
         self._body_pos_m: list[tuple[float, float, float]] = []
         self._bodies = self._read_bodies()
@@ -135,38 +139,32 @@ class World:
         ``rotor_effectiveness`` (n, 4): part of its thrust and torques that a rotor still has, None for whole
         ones.
         """
-        client = self._client
         before = self._bodies
-        height_m = -before.pos_ned_m[:, 2]
         if self._environment.density != "standard":
+            height_m = -before["pos_ned_m"][:, 2]
             self._density_ratio = self._environment.density_ratio(self._ground_altitude_m + height_m)
-        stopped = rotors_stopped if rotors_stopped.ndim == 2 else rotors_stopped[:, None]
-        self._rotor_speed_rad_s, force_ned_n, torque_ned_n_m = loads(
+        if rotors_stopped.ndim == 1:
+            rotors_stopped = np.repeat(rotors_stopped[:, None], 4, axis=1)
+        self._rotor_speed_rad_s, applied = loads(
             self._kernel_model,
             self._inertia_kg_m2,
             before,
             self._rotor_speed_rad_s,
             controls,
-            (armed[:, None] & ~stopped) & self._every_rotor,
+            armed,
+            rotors_stopped,
+            self._whole_rotors if rotor_effectiveness is None else rotor_effectiveness,
             wind_force_ned_n,
-            Surroundings(
-                self._air_at_rest if air_vel_ned_m_s is None else air_vel_ned_m_s,
-                self._density_ratio,
-                height_m,
-                self._whole_rotors if rotor_effectiveness is None else rotor_effectiveness,
-            ),
+            self._air_at_rest if air_vel_ned_m_s is None else air_vel_ned_m_s,
+            self._density_ratio,
             self._step_s,
         )
-        per_body = zip(
-            self._vehicle_of_body,
-            force_ned_n.tolist(),
-            self._body_pos_m,
-            torque_ned_n_m.tolist(),
-            strict=True,
-        )
-        for body, force_n, pos_m, torque_n_m in per_body:
-            pybullet.applyExternalForce(body, -1, force_n, pos_m, pybullet.WORLD_FRAME, client)
-            pybullet.applyExternalTorque(body, -1, torque_n_m, pybullet.WORLD_FRAME, client)
+        client, frame = self._client, pybullet.WORLD_FRAME
+        apply_force, apply_torque = pybullet.applyExternalForce, pybullet.applyExternalTorque
+        each = zip(self._vehicle_of_body, self._body_pos_m, applied.tolist(), strict=True)
+        for body, pos_m, (force_n, torque_n_m) in each:
+            apply_force(body, -1, force_n, pos_m, frame, client)
+            apply_torque(body, -1, torque_n_m, frame, client)
         pybullet.stepSimulation(client)
         self._bodies = self._read_bodies()
         self._truth = self._observe(before, self._bodies)
@@ -185,8 +183,10 @@ class World:
     @property
     def vehicle_contacts(self) -> tuple[Contact, ...]:
         """Pairs of vehicles that touched in the last step, in order of their numbers, each pair once."""
-        self._read_contacts()
-        return self._vehicle_contacts
+        if self._contacts_read or any_two_within(self._bodies, self._reach_m):
+            self._read_contacts()
+            return self._vehicle_contacts
+        return ()
 
     @property
     def on_ground(self) -> NDArray[np.bool_]:
@@ -208,27 +208,24 @@ class World:
     ) -> None:
         self.close()
 
-    def _read_bodies(self) -> Bodies:
+    def _read_bodies(self) -> NDArray[np.void]:
+        """Rows (n,) of `BODY`."""
         client = self._client
-        rows = []
-        self._body_pos_m = []
+        read_pose, read_velocity = pybullet.getBasePositionAndOrientation, pybullet.getBaseVelocity
+        numbers: list[float] = []
+        self._body_pos_m.clear()
         for body in self._vehicle_of_body:
-            pos_ned_m, q_xyzw = pybullet.getBasePositionAndOrientation(body, client)
-            vel_ned_m_s, omega_ned_rad_s = pybullet.getBaseVelocity(body, client)
+            pos_ned_m, (x, y, z, w) = read_pose(body, client)
+            vel_ned_m_s, omega_ned_rad_s = read_velocity(body, client)
             self._body_pos_m.append(pos_ned_m)
-            rows.append(pos_ned_m + q_xyzw + vel_ned_m_s + omega_ned_rad_s)
-        state = np.array(rows)
-        return Bodies(  # contiguous, so that every kernel is compiled for one layout only
-            state[:, :3].copy(), wxyz_from_xyzw(state[:, 3:7]), state[:, 7:10].copy(), state[:, 10:].copy()
-        )
+            numbers += (*pos_ned_m, w, x, y, z, *vel_ned_m_s, *omega_ned_rad_s)
+        return np.array(numbers).view(BODY)
 
-    def _observe(self, before: Bodies, after: Bodies) -> Truth:
-        observation = observe(before, after, GRAVITY_M_S2, self._step_s)
-        return Truth(
-            vel_ned_m_s=after.vel_ned_m_s,
-            rotor_speed_rad_s=self._rotor_speed_rad_s,
-            **observation._asdict(),
-        )
+    def _observe(self, before: NDArray[np.void], after: NDArray[np.void]) -> Truth:
+        rows = np.empty(len(after), TRUTH)
+        rows["rotor_speed_rad_s"] = self._rotor_speed_rad_s
+        observe(before, after, GRAVITY_M_S2, self._step_s, rows)
+        return Truth(rows)
 
     def _read_contacts(self) -> None:
         """Ask Bullet, once per step and only if somebody wants to know."""

@@ -196,7 +196,7 @@ class Solo:
         self.now_us += STEP_US
         if self._setpoint is not None and self.now_us % SETPOINT_PERIOD_US == 0:
             self._to_send.append(self._setpoint)
-        data = next(self._hil.encode(self.now_us, self._read_sensors(), self._escs()))
+        (data,) = self._hil.encode(self.now_us, self._read_sensors(), self._escs())
         if self.stream is not None:
             self.stream.append(data)
         messages = self._parser.push(data)

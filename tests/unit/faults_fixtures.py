@@ -65,7 +65,7 @@ def fly(*faults, until_us=3_000_000, profile="consumer", seed=5):
 def truth_at(time_us):
     t = time_us * 1e-6
     q = [quat_from_rotation_vector(np.array((0.1, 0.2, 0.5 * vehicle + 0.3 * t))) for vehicle in range(N)]
-    return Truth(
+    return Truth.of(
         pos_ned_m=np.array([(5.0 * vehicle, 1.0 * t, -10.0 - 2.0 * t) for vehicle in range(N)]),
         vel_ned_m_s=np.tile((0.0, 1.0, -2.0), (N, 1)),
         q_ned_frd=np.array(q),

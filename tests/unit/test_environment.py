@@ -12,7 +12,7 @@ from autopilot.estimation.rotation import quat_from_rotation_vector
 from harness.physics.environment import EnvironmentConfig, Surroundings
 from harness.physics.model import IRIS
 from harness.physics.rotors import ground_effect, kernel_model, wrenches
-from harness.physics.truth import Truth
+from harness.physics.truth import TRUTH, Truth
 from harness.physics.world import GRAVITY_M_S2, World
 from harness.sensors.config import SensorsConfig
 from harness.sensors.suite import SensorSuite
@@ -195,7 +195,7 @@ def test_air_at_rest_and_whole_rotors_are_what_nothing_said_means_to_the_last_bi
             for controls, wind_n in inputs:
                 world.step(controls, np.ones(3, bool), wind_n, rotors_stopped=stopped, **options)
             truth = world.truth
-            seen.append(b"".join(getattr(truth, name).tobytes() for name in Truth.__slots__))
+            seen.append(b"".join(getattr(truth, name).tobytes() for name in TRUTH.names))
     assert seen[0] == seen[1]
 
 
@@ -303,8 +303,8 @@ def test_ground_effect_is_off_unless_asked_for_and_not_for_a_vehicle_on_its_back
 
 def test_thermometers_report_the_offset_and_barometers_do_not():
     four = ("q_ned_frd", "rotor_speed_rad_s")
-    truth = Truth(**{
-        name: np.zeros((1, 4 if name in four else 3)) for name in Truth.__slots__
+    truth = Truth.of(**{
+        name: np.zeros((1, 4 if name in four else 3)) for name in TRUTH.names
     })  # fmt: skip
     samples = [
         SensorSuite(

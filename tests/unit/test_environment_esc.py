@@ -10,6 +10,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.hil import HilParser, HilSensor
 from harness import esc
 from harness.hil import SensorEncoder
+from harness.hil_frames import ESC_STATUS
 from harness.sensors.suite import GpsFixes, SensorFrame
 
 SPEEDS = np.array([[806.7, 0.0, 1100.0, 403.35], [806.7] * 4])
@@ -66,8 +67,8 @@ def frame_of(time_us, *, fix):
 @pytest.mark.parametrize("fix", [False, True])
 def test_it_comes_first_with_sequence_numbers_that_go_on(fix):
     encoder = SensorEncoder()
-    plain = [list(encoder.encode(4_000, frame_of(4_000, fix=False)))]
-    sent = list(encoder.encode(8_000, frame_of(8_000, fix=fix), esc.readings(SPEEDS)))
+    plain = [encoder.encode(4_000, frame_of(4_000, fix=False))]
+    sent = encoder.encode(8_000, frame_of(8_000, fix=fix), esc.readings(SPEEDS))
     assert plain[0][0][4] == 0
     for vehicle, data in enumerate(sent):
         length = 10 + data[1] + 2
@@ -83,10 +84,10 @@ def test_it_comes_first_with_sequence_numbers_that_go_on(fix):
             common.MAVLINK_MSG_ID_HIL_SENSOR
         ]
         assert data[length + 4] == 2
-    assert next(encoder.encode(12_000, frame_of(12_000, fix=False)))[4] == 3 + fix
+    assert encoder.encode(12_000, frame_of(12_000, fix=False))[0][4] == 3 + fix
 
 
 def test_a_motor_that_stands_shortens_the_frame_and_not_what_it_says():
-    (frame,) = esc.pack_escs(1, esc.readings(np.zeros((1, 4))), sequence=255, system=0, component=1)
+    (frame,) = ESC_STATUS.frames(esc.statuses(1, esc.readings(np.zeros((1, 4)))), 255)
     assert frame[1] == 1  # only the low byte of the time is left of the payload
     assert payload_of(frame)[2] == (1, *[0] * 4, *[0.0] * 8, 0)

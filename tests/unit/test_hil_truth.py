@@ -17,7 +17,7 @@ SITE = Site(latitude_deg=60.2, longitude_deg=24.8, altitude_m=30.0)
 
 def truth_of(pos_ned_m, vel_ned_m_s):
     n = len(pos_ned_m)
-    return Truth(
+    return Truth.of(
         pos_ned_m=np.array(pos_ned_m),
         vel_ned_m_s=np.array(vel_ned_m_s),
         q_ned_frd=np.tile((1.0, 0.0, 0.0, 0.0), (n, 1)),

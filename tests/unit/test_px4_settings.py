@@ -190,7 +190,7 @@ def second_of_sensors(encoder, vehicles, steps=250, *, escs=False):
     """Messages to each vehicle in a second, by step, of vehicles that rest."""
     still = np.zeros((vehicles, 3))
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (vehicles, 1))
-    truth = Truth(
+    truth = Truth.of(
         pos_ned_m=still, vel_ned_m_s=still, q_ned_frd=upright, omega_frd_rad_s=still,
         mean_omega_frd_rad_s=still, specific_force_frd_m_s2=np.tile([0.0, 0.0, -9.8066], (vehicles, 1)),
         rotor_speed_rad_s=np.zeros((vehicles, 4)), acc_ned_m_s2=still,

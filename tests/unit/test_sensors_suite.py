@@ -1,7 +1,6 @@
 """The suite on made-up truth: schedules, delay, frames, and the errors of each profile."""
 
 import math
-from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -24,7 +23,7 @@ def truth_of(
     """Vehicles at (n, 3) positions, alike in all else."""
     pos = np.array(pos_ned_m, dtype=float).reshape(-1, 3)
     n = len(pos)
-    return Truth(
+    return Truth.of(
         pos_ned_m=pos,
         vel_ned_m_s=np.tile(np.array(vel_ned_m_s, dtype=float), (n, 1)),
         q_ned_frd=np.tile(np.array(q_ned_frd, dtype=float), (n, 1)),
@@ -112,11 +111,10 @@ def test_ideal_sensors_report_the_truth():
 def test_a_fix_describes_the_past(delay_s, lag_s):
     """At 5 m/s north a fix lies 5 m/s x 0.12 s behind; delays are rounded to whole steps of 4 ms."""
     suite = suite_of(SensorsConfig(profile="ideal", gps=GpsOverrides(delay_s=delay_s)))
-    start = truth_of((0.0, 0.0, 0.0), vel_ned_m_s=(5.0, 0.0, 0.0))
     behind_m = []
     for step in range(1, 301):
         north_m = 5.0 * step * STEP_US * 1e-6
-        truth = replace(start, pos_ned_m=np.array([(north_m, 0.0, 0.0)]))
+        truth = truth_of((north_m, 0.0, 0.0), vel_ned_m_s=(5.0, 0.0, 0.0))
         fix = suite.sample(step * STEP_US, truth).gps
         if fix is not None:
             seen_m = position_of(fix)

@@ -1,0 +1,32 @@
+"""What is flown without the compiler is what is flown with it: kernels are plain Python to the last bit."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.multiprocess
+ARTICLE = Path(__file__).parents[2] / "scenarios" / "article.toml"
+FLY = """
+import sys
+from harness.one_process import OneProcessSwarm
+with OneProcessSwarm(sys.argv[1], agents=3, seed=5, out=sys.argv[2]) as swarm:
+    swarm.run(until_s=13.0)  # armed, up in the wind, in offboard, with beacons and distances
+assert {vehicle.armed for vehicle in swarm.truth.vehicles} == {True}
+print(swarm.summary(draw=False)["log_sha256"])
+"""
+
+
+@pytest.mark.timeout(900)
+def test_a_flight_without_the_compiler_has_the_same_bytes_in_every_log(tmp_path):
+    """In processes of their own, for Numba reads the variable when it is imported."""
+    hashes = []
+    for disabled in ("0", "1"):
+        command = [sys.executable, "-c", FLY, str(ARTICLE), str(tmp_path / disabled)]
+        environment = os.environ | {"NUMBA_DISABLE_JIT": disabled}
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        hashes.append(done.stdout.split()[-1])
+    assert len(hashes[0]) == 64
+    assert hashes[0] == hashes[1]

@@ -1,0 +1,199 @@
+"""The bench: floors' frames, medians and shares of given costs, tables, its command line's refusals."""
+
+import json
+import socket
+import struct
+
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+from typer.testing import CliRunner
+
+from autopilot.mavlink.hil import HilActuatorControls, HilParser, HilSensor
+from harness.bench import floor
+from harness.bench.bench import Bench, Machine, Plan, summarise, to_json
+from harness.bench.cli import bench_app
+from harness.bench.flight_job import LAUNCHER, FlightCost, Span
+from harness.bench.floor_job import FloorCost, FloorJob, FloorSpeed
+from harness.bench.tables import markdown, sheets, terminal_table
+from harness.profiling import VEHICLES, KindProfile
+
+SENSOR = (4_000, *range(13), 0x1FFF)
+
+
+def sensor_frame(sequence=7):
+    return floor.frame(floor._SENSOR, 107, 108, sequence, *SENSOR)
+
+
+def test_a_bare_vehicle_and_its_server_speak_mavlink():
+    (sensed,) = HilParser(HilSensor).push(sensor_frame())
+    assert (sensed.time_usec, sensed.temperature, sensed.fields_updated) == (4_000, 12.0, 0x1FFF)
+    (answered,) = HilParser(HilActuatorControls).push(floor.answer(sensor_frame(), 3))
+    assert (answered.time_usec, list(answered.controls[:5]), answered.flags) == (
+        4_000,
+        pytest.approx([0.7, 0.7, 0.7, 0.7, 0.0]),
+        1,
+    )
+    # pymavlink is the other witness
+    parsed = mavlink.MAVLink(None).parse_buffer(bytearray(sensor_frame()))
+    assert [message.get_type() for message in parsed] == ["HIL_SENSOR"]
+
+
+@pytest.mark.parametrize("at", [0, 7, 12, 70, 75])
+def test_a_wrong_byte_is_no_frame(at):
+    wrong = bytearray(sensor_frame())
+    wrong[at] ^= 0x10
+    assert floor.fields_of(bytes(wrong), floor._SENSOR, 107, 108) is None
+    with pytest.raises(floor.LostError):
+        floor.answer(bytes(wrong), 0)
+
+
+def test_the_floors_are_of_as_many_processes_and_cost_something():
+    cost = floor.measure(FloorJob(agents=3, wall_s=0.2))
+    assert cost.agents == 3
+    for speed in (cost.lockstep, cost.echo):
+        assert speed.real_time_factor > 0.1
+        assert speed.server_cpu_s_per_simulated_s > 0.0
+        assert speed.vehicles_cpu_s_per_simulated_s > 0.0
+
+
+def test_a_bare_process_that_ends_is_noticed():
+    def hang_up(link: socket.socket) -> None:
+        link.recv(4_096)
+
+    with floor.bare_processes(2, hang_up) as links, pytest.raises((floor.LostError, ConnectionError)):
+        next(floor._echo_steps(links))
+
+
+def span(factor, scale=1.0):
+    return Span(
+        simulated_s=10.0,
+        wall_s=10.0 / factor,
+        cpu_s_per_simulated_s={
+            "physics": 0.1 * scale, "radio": 0.05 * scale, VEHICLES: 0.2 * scale, LAUNCHER: 0.0,
+        },
+        other_processors=0.1 * scale,
+    )  # fmt: skip
+
+
+def flight(factor, scale=1.0, profile=None):
+    return FlightCost(
+        startup_s=3.0 * scale,
+        formed_s=15.0,
+        whole=span(factor * 1.1, scale),
+        steady=span(factor, scale),
+        uss_mb={"physics": 100.0, "radio": 25.0, VEHICLES: 40.0 * scale, LAUNCHER: 60.0},
+        pss_mb=700.0 * scale,
+        profile=profile or {},
+    )
+
+
+def profiled():
+    def kind(**parts):
+        return KindProfile(
+            processes=1,
+            cpu_s_per_simulated_s=sum(parts.values()),
+            parts_cpu_s_per_simulated_s=parts,
+            waiting_fraction=0.5,
+            queueing_fraction=0.1,
+            samples=1_000,
+        )
+
+    # what sampled itself took longer, and is asked for shares alone
+    return flight(
+        1.0,
+        profile={"physics": kind(sensors=0.2, physics=0.2), VEHICLES: kind(control=0.3, link=0.1, log=1e-4)},
+    )
+
+
+def floor_cost(factor):
+    speed = FloorSpeed(
+        real_time_factor=factor, server_cpu_s_per_simulated_s=0.02, vehicles_cpu_s_per_simulated_s=0.03
+    )
+    return FloorCost(agents=8, lockstep=speed, echo=speed)
+
+
+@pytest.fixture
+def run():
+    return summarise(
+        8,
+        "article.toml",
+        floors=[floor_cost(20.0), floor_cost(30.0), floor_cost(10.0)],
+        flights=[flight(7.0), flight(1.0, scale=5.0), flight(8.0)],  # a hiccup in the second
+        profiled=profiled(),
+    )
+
+
+def test_medians_count_and_the_parts_add_up_to_them(run):
+    assert run.real_time_factor == pytest.approx(7.0)
+    assert run.whole_real_time_factor == pytest.approx(7.7)
+    assert run.floor_real_time_factor == 20.0
+    assert run.startup_s == 3.0
+    assert run.uss_mb_per_uav == 40.0
+    assert run.other_processors == pytest.approx(0.5)  # of a noisy repeat one should know
+    assert run.cpu_s_per_simulated_s[VEHICLES] == pytest.approx(0.2)
+    assert run.parts_cpu_s_per_simulated_s["physics"] == {
+        "sensors": pytest.approx(0.05),
+        "physics": pytest.approx(0.05),
+    }
+    for kind, parts in run.parts_cpu_s_per_simulated_s.items():
+        assert sum(parts.values()) == pytest.approx(run.cpu_s_per_simulated_s[kind])
+
+
+def found(*runs):
+    machine = Machine(processors=2, model="any", memory_gb=8.0, system="Linux", python="3.11", load=0.1)
+    return Bench(machine=machine, duration_s=10.0, repeats=3, runs=runs)
+
+
+def test_tables_have_a_column_for_every_number_of_uavs(run):
+    for sheet in sheets(found(run, run)):
+        assert sheet.heading == ("UAVs", "8", "8")
+        assert all(len(row) == 3 for row in sheet.rows), sheet.title
+        assert terminal_table(sheet).row_count == len(sheet.rows)
+    cells = {row[0]: row[1] for sheet in sheets(found(run)) for row in sheet.rows}
+    assert cells["in formation"] == "7.00"
+    assert cells["slowest to fastest"] == "1.00 to 8.00"
+    assert cells["  control"] == "150"
+    assert cells["  log"] == "0.0"  # too little to be told alone, and nobody beside it
+
+
+def test_markdown_has_the_machine_and_every_table(run):
+    text = markdown(found(run))
+    assert text.startswith("any, 2 processors, 8 GB; Linux, Python 3.11; load 0.1 before it began.\n")
+    assert "| in formation | 7.00 |\n" in text
+    assert "| &nbsp;&nbsp;control | 150 |\n" in text
+
+
+def test_json_has_what_programs_look_for(run):
+    (told,) = json.loads(to_json(found(run)))["runs"]
+    assert {"agents", "real_time_factor", "floor_real_time_factor", "uss_mb_per_uav", "startup_s"} <= set(
+        told
+    )
+    assert set(told["cpu_s_per_simulated_s"]) == {"physics", "radio", VEHICLES, LAUNCHER}
+    assert len(told["flights"]) == len(told["floors"]) == 3
+
+
+def test_few_fly_the_article_and_many_a_large_swarm():
+    plan = Plan(agents=(8, 9), duration_s=1.0, repeats=1, floor_wall_s=0.1)
+    assert [plan.scenario_for(number).name for number in plan.agents] == ["article.toml", "swarm64.toml"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["--agents", "1,two"], "bench: --agents 1,two: expected numbers of UAVs: 1,8,16"),
+        (["--agents", "0"], "bench: --agents 0: expected numbers of UAVs: 1,8,16"),
+        (["--agents", "1", "--scenario", "nowhere.toml"], "bench: nowhere.toml"),
+        (["--agents", "1,1000"], "bench: "),
+    ],
+)
+def test_bad_input_is_one_line_before_anything_flies(arguments, line):
+    result = CliRunner().invoke(bench_app, arguments)
+    assert result.exit_code == 2
+    assert result.stderr.startswith(line)
+    assert result.stderr.count("\n") == 1
+    assert result.stdout == ""
+
+
+def test_frame_lengths_are_a_flights():
+    assert floor._SENSOR.size == struct.calcsize("<Q13fI") == 64
+    assert floor._ANSWER.size == 81

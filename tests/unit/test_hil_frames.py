@@ -1,0 +1,93 @@
+"""Frames of all vehicles at once, against pymavlink's of the same fields. Under 1 s."""
+
+import numpy as np
+import pytest
+from fastcrc import crc16
+from pymavlink.dialects.v20 import common
+
+from autopilot.mavlink import dialect
+from harness import hil_frames
+from harness.hil_frames import Kind
+
+KINDS = {
+    common.MAVLINK_MSG_ID_HIL_SENSOR: hil_frames.HIL_SENSOR,
+    common.MAVLINK_MSG_ID_HIL_GPS: hil_frames.HIL_GPS,
+    common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION: hil_frames.HIL_STATE_QUATERNION,
+    common.MAVLINK_MSG_ID_RC_CHANNELS: hil_frames.RC_CHANNELS,
+    dialect.ESC_STATUS: hil_frames.ESC_STATUS,
+}
+
+
+@pytest.mark.parametrize("message_id", KINDS)
+def test_a_row_lies_in_memory_as_its_message_lies_on_the_wire(message_id):
+    unpacker = common.mavlink_map[message_id].unpacker
+    kind = KINDS[message_id]
+    assert kind.dtype.itemsize == unpacker.size
+    letters = {"f": "f", "i": "iqhb", "u": "IQHB"}
+    wire = [code for count, code in _counted(unpacker.format.lstrip("<")) for _ in range(count)]
+    rows = [
+        (base.kind, base.itemsize)
+        for name in kind.dtype.names
+        for base, shape in [kind.dtype[name].subdtype or (kind.dtype[name], ())]
+        for _ in range(int(np.prod(shape)))
+    ]
+    assert len(rows) == len(wire)
+    for (letter, size), code in zip(rows, wire, strict=True):
+        assert code in letters[letter]
+        assert np.dtype(code).itemsize == size
+
+
+def _counted(codes):
+    """Letters of a format of `struct` with how often each is repeated."""
+    number = ""
+    for code in codes:
+        if code.isdigit():
+            number += code
+        else:
+            yield int(number or 1), code
+            number = ""
+
+
+@pytest.mark.parametrize("message_id", KINDS)
+def test_frames_are_those_that_pymavlink_makes_of_the_same_payload(message_id):
+    """Of every length that is left when trailing zeros are cut off."""
+    kind, size = KINDS[message_id], KINDS[message_id].dtype.itemsize
+    rng = np.random.default_rng(message_id)
+    payloads = rng.integers(1, 256, (size + 1, size), dtype=np.uint8)
+    for length, payload in enumerate(payloads):
+        payload[length:] = 0
+    rows = np.frombuffer(payloads.tobytes(), dtype=kind.dtype)
+    sender = common.MAVLink(None, srcSystem=0, srcComponent=1)
+    extra = common.mavlink_map[message_id].crc_extra
+    for sequence in (0, 7, 255):
+        sender.seq = sequence
+        message = common.MAVLink_message(message_id, "any")
+        expected = [message._pack(sender, extra, payload.tobytes()) for payload in payloads]
+        assert kind.frames(rows, sequence) == expected
+    assert [len(frame) for frame in expected] == [12 + max(length, 1) for length in range(size + 1)]
+
+
+def test_the_sum_is_the_standards():
+    """CRC-16/MCRF4XX of "123456789" is 0x6F91: https://reveng.sourceforge.io/crc-catalogue/16.htm."""
+    crc = 0xFFFF
+    for byte in b"123456789":
+        crc = (crc >> 8) ^ int(hil_frames._CRC_TABLE[(crc ^ byte) & 0xFF])
+    assert crc == crc16.mcrf4xx(b"123456789") == 0x6F91
+
+
+def test_an_interpreted_kernel_makes_the_same_frames():
+    kernel = hil_frames.make_frames
+    interpreted = getattr(kernel, "py_func", kernel)
+    payloads = np.random.default_rng(1).integers(0, 256, (3, 65), dtype=np.uint8)
+    payloads[1, 40:] = payloads[2] = 0
+    made = []
+    for function in (kernel, interpreted):
+        frames, lengths = np.zeros((3, 77), dtype=np.uint8), np.zeros(3, dtype=np.int64)
+        function(np.arange(10, dtype=np.uint8), 200, 108, payloads, frames, lengths)
+        made.append([frame[:length].tobytes() for frame, length in zip(frames, lengths, strict=True)])
+    assert made[0] == made[1]
+    assert [len(frame) for frame in made[0]] == [77, 52, 13]
+
+
+def test_nobody_gets_nothing():
+    assert Kind(common.MAVLINK_MSG_ID_HIL_GPS, [("time_usec", "<u8")]).frames(np.zeros(0, "<u8"), 0) == []
