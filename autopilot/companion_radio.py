@@ -9,7 +9,10 @@ from collections.abc import Sequence
 
 from autopilot.mavlink.codec import Encoder, Message
 from autopilot.protocol.service import APPLICATION_COMPONENT
-from netsim.radio import RadioClient
+from netsim.free_radio import FreeRadio
+from netsim.radio import Deliveries
+from netsim.transport import Transport
+from netsim.wire.messages import TxItem
 
 SAID_LIMIT_S = 5.0
 """Wall time that the simulator has to acknowledge; nobody waits for it."""
@@ -20,13 +23,37 @@ def said_key(run_id: str) -> str:
     return f"coflight/{run_id}/application/said"
 
 
-class CompanionRadio(RadioClient):
-    """A station's radio, and its application's word to the simulator. Close it; see `RadioClient`."""
+class CompanionRadio:
+    """A station's radio, and its application's word to the simulator. Close it; for one thread.
+
+    Raises TransportError or RadioLost if the emulator cannot be reached.
+    """
 
     def __init__(self, *, endpoint: str, run_id: str, station: int) -> None:
-        super().__init__(endpoint=endpoint, run_id=run_id, station=station)
+        deliveries = Deliveries()
+        self.receive = deliveries.take
+        """What may be seen at a time, in order of (time, source, sequence)."""
         self._encoder = Encoder(system=station + 1, component=APPLICATION_COMPONENT)
-        self._sayer = self._transport.asker(said_key(run_id), timeout_s=SAID_LIMIT_S, lossy=True)
+        self._transport = Transport.connect(endpoint)
+        try:
+            self._radio = FreeRadio(self._transport, run_id=run_id, station=station, put=deliveries.put)
+            self._sayer = self._transport.asker(said_key(run_id), timeout_s=SAID_LIMIT_S, lossy=True)
+        except BaseException:
+            self._transport.close()
+            raise
+
+    @property
+    def malformed(self) -> int:
+        """Count of what came in on this station's key and was no delivery."""
+        return self._radio.malformed
+
+    def send(self, now_us: int, items: Sequence[TxItem]) -> None:
+        """Hand over transmissions and wait until the emulator has them. Raises RadioLost."""
+        self._radio.hand_over(items, now_us=now_us)
+
+    def close(self) -> None:
+        """Leave the channel; harmless when repeated."""
+        self._transport.close()
 
     def tell(self, messages: Sequence[Message]) -> None:
         """Tell the simulator, without waiting; each message with its source, if it has one."""

@@ -20,8 +20,8 @@ from autopilot.protocol.service import AUTOPILOT_COMPONENT, GROUND_STATION, Addr
 from autopilot.protocol.status import TEXT_BYTES
 from autopilot.recording import VEHICLE_RECORD, record
 from autopilot.vehicle import Vehicle, is_clock
-from netsim.radio import BATCH_HANDED_OVER
 from netsim.record_log import RecordLog
+from netsim.wire.lockstep import BATCH_DELIVERED, BATCH_HANDED_OVER
 from netsim.wire.messages import RxItem, TxItem
 
 Links = list[Addressed]
@@ -38,8 +38,8 @@ class Radio(Protocol):
     def send(self, now_us: int, items: Sequence[TxItem]) -> None:
         """Hand over transmissions."""
 
-    def receive(self, now_us: int) -> list[RxItem]:
-        """What may be seen at ``now_us``."""
+    def receive(self, now_us: int) -> Sequence[RxItem]:
+        """What may be seen from ``now_us`` on, for a step in which there is something."""
 
 
 class Host:
@@ -88,7 +88,8 @@ class Host:
         A HIL_SENSOR that is not later than the one before is answered with the controls of before; what came
         with it otherwise is kept for the next step.
         """
-        now_us: int = simulator_messages[-1].time_usec
+        clock = simulator_messages[-1]
+        now_us: int = clock.time_usec
         if self.vehicle.has_been_at(now_us):
             self._waiting = simulator_messages[:-1] + self._waiting
             self._links_waiting += link_messages
@@ -96,10 +97,13 @@ class Host:
             return self._encoder.encode(repeated.actuators), []
         if self._links_waiting:
             link_messages, self._links_waiting = self._links_waiting + link_messages, []
+        radio_items: Sequence[RxItem] = ()
+        if self._radio is not None and clock.fields_updated & BATCH_DELIVERED:
+            radio_items = self._radio.receive(now_us)
         output = self.vehicle.step(
             sim_messages=simulator_messages,
             link_messages=link_messages,
-            radio_items=self._radio.receive(now_us) if self._radio is not None else (),
+            radio_items=radio_items,
             link_active=link_active,
         )
         if link_messages and self._may_log:

@@ -7,8 +7,7 @@ import msgspec
 
 from harness.physics.truth import Truth
 from netsim.hosted import LEAD_US
-from netsim.radio import ADVANCE_LIMIT_S, advance_key
-from netsim.wire.messages import Advance, Advanced, decode, encode, pack_rows
+from netsim.wire.lockstep import Advance, Advanced, pack_rows
 
 LONGEST_REST_US = LEAD_US // 2
 """How far a quiet air may be left behind. The emulator refuses a vehicle that is `LEAD_US` ahead of it."""
@@ -18,25 +17,14 @@ class RadioSilent(ConnectionError):
     """The 802.11 emulator does not answer the time master."""
 
 
-class Answering(Protocol):
-    """A question under way: see `netsim.transport.Pending`."""
+class EmulatorLine(Protocol):
+    """The way to the emulator: see `netsim.clock_line.ClockLine`."""
 
-    def answer(self) -> bytes | None:
-        """Wait for the answer; None: there is none."""
+    def send(self, message: Advance) -> None:
+        """Ask for an interval."""
 
-
-class Asking(Protocol):
-    """Asks one key: see `netsim.transport.Asker`."""
-
-    def ask(self, payload: bytes) -> Answering:
-        """Send a question."""
-
-
-class Carrier(Protocol):
-    """Brings questions to the emulator: see `netsim.transport.Transport`."""
-
-    def asker(self, key: str, *, timeout_s: float) -> Asking:
-        """Declare that ``key`` will be asked."""
+    def receive(self) -> Advanced | None:
+        """Wait until it is done; None: the emulator is gone. Raises TimeoutError."""
 
 
 class Air:
@@ -46,73 +34,86 @@ class Air:
     on the channel at every step.
     """
 
-    def __init__(self, transport: Carrier, run_id: str, *, guests: bool = False) -> None:
+    def __init__(self, line: EmulatorLine, *, guests: bool = False) -> None:
         self._guests = guests
-        self._asker = transport.asker(advance_key(run_id), timeout_s=ADVANCE_LIMIT_S)
+        self._line = line
         self._request: Advance | None = None
-        self._pending: Answering | None = None
+        """What the emulator has not answered yet."""
         self._quiet_until_us = 0
-        self._handed_over = True
         self._asked_us = 0
         """How far it was let go on."""
+        self._delivered: dict[int, tuple[int, ...]] = {}
+        """By time of release, vehicles that have a delivery."""
         self.extra_attenuation_db: float | None = None
         """On every link, in the intervals that begin from now on; None is the scenario's own value."""
         self.range_offsets_m: Mapping[int, float] = {}
         """By station, how much farther than it is its radio measures, from then on too."""
         self.busy_ns = 0
 
-    def begin(self, time_us: int, step_us: int, truth: Truth, silent: tuple[int, ...]) -> None:
+    def delivered(self, time_us: int) -> tuple[int, ...]:
+        """Vehicles whose radio has brought something for the step of ``time_us``; to be asked once a step."""
+        return self._delivered.pop(time_us, ()) if self._delivered else ()
+
+    def begin(
+        self,
+        time_us: int,
+        step_us: int,
+        truth: Truth,
+        *,
+        senders: tuple[int, ...] = (),
+        silent: tuple[int, ...] = (),
+    ) -> None:
         """Let the emulator simulate the step that begins now, unless the air stays quiet for so long.
 
         It works beside the physics, so it is given where the vehicles are and how they move now: what their
-        acceleration changes in a step is less than a tenth of a millimetre. The ``silent`` are gone.
+        acceleration changes in a step is less than a tenth of a millimetre. The ``senders`` have handed
+        something over in this step; the ``silent`` are gone.
         """
         to_us = time_us + step_us
         quiet_us = min(self._quiet_until_us, self._asked_us + LONGEST_REST_US)
-        if not self._guests and not self._handed_over and to_us < quiet_us:
+        if not self._guests and not senders and to_us < quiet_us:
             return
-        self._handed_over = False
         self._asked_us = to_us
-        self._ask(
-            Advance(
-                to_us=to_us,
-                release_us=to_us + step_us,
-                at_us=time_us,
-                pos_ned_m=pack_rows(truth.pos_ned_m),
-                vel_ned_m_s=pack_rows(truth.vel_ned_m_s),
-                q_ned_frd=pack_rows(truth.q_ned_frd),
-                silent=silent,
-                extra_attenuation_db=self.extra_attenuation_db,
-                range_offsets_m=tuple(self.range_offsets_m.items()),
-            )
+        self._request = Advance(
+            to_us=to_us,
+            release_us=to_us + step_us,
+            at_us=time_us,
+            pos_ned_m=pack_rows(truth.pos_ned_m),
+            vel_ned_m_s=pack_rows(truth.vel_ned_m_s),
+            q_ned_frd=pack_rows(truth.q_ned_frd),
+            senders=senders,
+            silent=silent,
+            extra_attenuation_db=self.extra_attenuation_db,
+            range_offsets_m=tuple(self.range_offsets_m.items()),
         )
+        self._line.send(self._request)
 
     def end(self) -> tuple[int, ...]:
-        """Wait until the emulator is through and its deliveries are in the vehicles' hands.
+        """Wait until the emulator is through with what it was let do.
 
-        Returns the vehicles that have not taken theirs, for which there is `wait_on`. Raises RadioSilent.
+        Returns the vehicles whose batches it misses, for which there is `wait_on`. Raises RadioSilent.
         """
-        if self._pending is None:
+        request = self._request
+        if request is None:
             return ()
-        answer = self._pending.answer()
-        self._pending = None
-        advanced = decode(Advanced, answer) if answer is not None else None
+        try:
+            advanced = self._line.receive()
+        except TimeoutError:
+            raise RadioSilent("the 802.11 emulator does not answer") from None
         if advanced is None:
-            raise RadioSilent("the 802.11 emulator does not answer")
+            raise RadioSilent("the 802.11 emulator is gone")
+        if advanced.missing:
+            return advanced.missing
+        self._request = None
         self._quiet_until_us = advanced.quiet_until_us
         self.busy_ns = advanced.busy_ns
-        return advanced.unresponsive
+        if advanced.delivered:
+            self._delivered[request.release_us] = advanced.delivered
+        return ()
 
     def wait_on(self, silent: tuple[int, ...]) -> tuple[int, ...]:
-        """After `end`: go on waiting for those who have not taken their deliveries, less the silent."""
+        """After `end`: go on waiting for those whose batches are missing, less the silent."""
         if self._request is not None:
-            self._ask(msgspec.structs.replace(self._request, silent=silent))
+            self._request = msgspec.structs.replace(self._request, silent=silent)
+            self._line.send(self._request)
         return self.end()
-
-    def _ask(self, request: Advance) -> None:
-        self._request = request
-        self._pending = self._asker.ask(encode(request))
-
-    def handed_over(self) -> None:
-        """A vehicle gave its radio something to send: the step that begins now is not quiet."""
-        self._handed_over = True

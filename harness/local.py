@@ -7,7 +7,6 @@ import contextlib
 import os
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Self
 
 import msgspec
 
@@ -19,9 +18,10 @@ from autopilot.recording import VEHICLE_RECORD
 from harness.lockstep import CLOSED, Voice
 from netsim.child import Warned
 from netsim.hosted import HostedEmulator
-from netsim.radio import Deliveries
+from netsim.radio import Deliveries, checked
 from netsim.record_log import BLOCK_ROWS
-from netsim.wire.messages import Advance, TxBatch, TxItem, decode, encode
+from netsim.wire.lockstep import Advance, Advanced
+from netsim.wire.messages import TxBatch, TxItem
 
 NOBODY_LISTENS = (False, False)
 """On the links to the outside, of which there are none here."""
@@ -39,42 +39,35 @@ class LocalRadio:
 
     def send(self, now_us: int, items: Sequence[TxItem]) -> None:
         """Hand over transmissions. Raises ValueError for what no station can send."""
-        # the wire's own checks are made where it is decoded
-        sent = decode(TxBatch, encode(TxBatch(station=self._station, now_us=now_us, items=tuple(items))))
-        if sent is None or not self._emulator.submit(sent):
+        batch = TxBatch(station=self._station, now_us=now_us, items=tuple(items))
+        checked(batch)
+        if not self._emulator.submit(batch):
             raise ValueError(f"station {self._station}: the 802.11 emulator refuses what is sent")
 
 
-class LocalCarrier:
-    """The time master's way to the emulator, in place of `netsim.transport.Transport`: asks at once."""
+class LocalLine:
+    """The time master's way to the emulator, in place of `netsim.clock_line.ClockLine`: done when asked."""
 
     def __init__(self, emulator: HostedEmulator, radios: Sequence[LocalRadio]) -> None:
         self._emulator = emulator
         self._radios = radios
-        self._answer: bytes | None = None
+        self._advanced: Advanced | None = None
 
-    def asker(self, _key: str, *, timeout_s: float) -> Self:  # noqa: ARG002  answers do not take time
-        """See `harness.air.Carrier`."""
-        return self
+    def send(self, message: Advance) -> None:
+        """Have the emulator simulate and deliver what is asked for.
 
-    def ask(self, payload: bytes) -> Self:
-        """Have the emulator simulate and deliver what an `Advance` asks for.
-
-        Raises ValueError for one that it does not take.
+        Raises ValueError for what it does not take.
         """
-        request = decode(Advance, payload)
-        motion = None if request is None else self._emulator.motion(request)
-        if request is None or motion is None:
-            raise ValueError("the 802.11 emulator refuses to go on as it is told")
-        for station, batch in (self._emulator.advance(request, motion) or {}).items():
+        delivered = []
+        for station, batch in self._emulator.advance(message).items():
             if station < len(self._radios):  # a guest is not here
                 self._radios[station].deliveries.put(batch)
-        self._answer = encode(self._emulator.advanced())
-        return self
+                delivered.append(station)
+        self._advanced = self._emulator.advanced(delivered=tuple(sorted(delivered)))
 
-    def answer(self) -> bytes | None:
+    def receive(self) -> Advanced | None:
         """What the emulator answered."""
-        return self._answer
+        return self._advanced
 
 
 class LocalSeat(Voice):

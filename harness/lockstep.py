@@ -64,8 +64,6 @@ class Voice:
         self.answered_ever = False
         self.silent_since_s: float | None = None
         """Wall time since which a vehicle that may be late has not answered, if steps went on without it."""
-        self.on_air = True
-        """Whether its radio is in use."""
 
     def take(self, data: bytes, time_us: int) -> list[Message]:
         """Take in the next bytes: keep the answer to the sensors of ``time_us``, return all but answers."""
@@ -113,8 +111,7 @@ class Lockstep:
 
     ``on_message(instance, message)`` is called for everything but the answers; ``on_silent(instance,
     wall_silence_s)`` once per silence; ``on_lost(instance, reason)`` when a vehicle leaves for good.
-    ``manners`` are the vehicles', own ones' if not given; ``applications`` is the patience with the radios of
-    those whose on-board application is a process beside them.
+    ``manners`` are the vehicles', own ones' if not given.
     """
 
     def __init__(
@@ -126,13 +123,12 @@ class Lockstep:
         on_silent: Callable[[int, float], None],
         on_lost: Callable[[int, str], None],
         manners: Sequence[Manners] = (),
-        applications: Patience | None = None,
     ) -> None:
         manners = manners or [OWN] * len(listeners)
         self.seats = [Seat(i, manners[i]) for i in range(len(listeners))]
         self._listeners = list(listeners)
         self._reception = Reception(dict(enumerate(listeners)))
-        self._patience, self._applications = patience, applications
+        self._patience = patience
         self._on_message, self._on_silent, self._on_lost = on_message, on_silent, on_lost
         self._pending: list[Seat] = []
         """Seats that were sent this step's sensors and are waited for."""
@@ -221,8 +217,6 @@ class Lockstep:
             seat.instance: seat.silent_since_s for seat in self._tolerated if seat.silent_since_s is not None
         }
         self._patience.begin(self._wall_sent_s, silent_since_s=since_s)
-        if self._applications is not None:
-            self._applications.begin(self._wall_sent_s)
 
     def answers(self, time_us: int) -> list[HilActuatorControls | None]:
         """Wait until every vehicle has answered the sensors of ``time_us`` that were sent; None: it is gone.
@@ -241,16 +235,10 @@ class Lockstep:
         return [seat.answer for seat in self.seats]
 
     def judge(self, instances: Iterable[int]) -> None:
-        """Decide on vehicles that have not done their part of the step elsewhere than here.
-
-        That is their radio's; an application that is a process of its own may have ended without its vehicle.
-        """
+        """Decide on vehicles whose radio batches have not come, though they have answered."""
         for seat in (self.seats[instance] for instance in instances):
-            if seat.alive and seat.manners.late_after_s is None:
+            if seat.alive:
                 self._judge(seat)
-            elif seat.alive and self._applications is not None:
-                verdict = self._applications.judge(seat.instance, time.monotonic(), starting=False)
-                seat.on_air &= verdict.give_up is None
 
     def lose(self, instance: int, reason: str) -> None:
         """Take a vehicle out of the run."""

@@ -54,11 +54,8 @@ class SetAttenuation(Command, frozen=True, kw_only=True):
 class SetPid(Command, frozen=True, kw_only=True):
     """Process id of a vehicle, so that a starved vehicle can be told from a stopped one."""
 
-    instance: int | None
-    """None: the 802.11 emulator, on which vehicles wait."""
+    instance: int
     pid: int
-    application: bool = False
-    """Of the vehicle's on-board application, where that is a process beside it."""
 
 
 class InjectFault(Command, frozen=True, kw_only=True):

@@ -36,7 +36,7 @@ from numba.core.dispatcher import Dispatcher
 from autopilot.config import VehicleConfig
 from harness import kernel_cache
 from harness.air import Air
-from harness.local import LocalCarrier, LocalRadio, LocalVehicles
+from harness.local import LocalLine, LocalRadio, LocalVehicles
 from harness.messages import AnyCommand
 from harness.physics_server import obey
 from harness.processes import (
@@ -86,7 +86,7 @@ class _Flight:
         self._emulator = stack.enter_context(contextlib.closing(HostedEmulator(radio)))
         self._emulator.open_logs()
         radios = [LocalRadio(self._emulator, config.instance) for config in vehicles]
-        air = Air(LocalCarrier(self._emulator, radios), physics.run_id, guests=bool(radio.radio.guests))
+        air = Air(LocalLine(self._emulator, radios), guests=bool(radio.radio.guests))
 
         def meet(simulation: Simulation) -> LocalVehicles:
             self.vehicles = LocalVehicles(

@@ -18,10 +18,6 @@ class Seat(Protocol):
     def alive(self) -> bool:
         """Whether the vehicle is still in the run."""
 
-    @property
-    def on_air(self) -> bool:
-        """Whether its radio is in use: an on-board application may end without its vehicle."""
-
 
 class Vehicles(Protocol):
     """The step's rendezvous with the vehicles: see `harness.lockstep.Lockstep`."""
@@ -57,14 +53,22 @@ class Channel(Protocol):
     range_offsets_m: Mapping[int, float]
     busy_ns: int
 
-    def begin(self, time_us: int, step_us: int, truth: Truth, silent: tuple[int, ...]) -> None:
+    def delivered(self, time_us: int) -> tuple[int, ...]:
+        """Vehicles whose radio has brought something for the step of ``time_us``."""
+
+    def begin(
+        self,
+        time_us: int,
+        step_us: int,
+        truth: Truth,
+        *,
+        senders: tuple[int, ...] = (),
+        silent: tuple[int, ...] = (),
+    ) -> None:
         """Let the air go on over the step that begins now."""
 
     def end(self) -> tuple[int, ...]:
-        """Wait until it has; returns the vehicles that have not taken their deliveries."""
+        """Wait until it has; returns the vehicles whose batches it misses."""
 
     def wait_on(self, silent: tuple[int, ...]) -> tuple[int, ...]:
         """Go on waiting for those, less the silent."""
-
-    def handed_over(self) -> None:
-        """A vehicle gave its radio something to send."""

@@ -2,8 +2,8 @@
 
 A machine under load starves processes for seconds; a run must not come out differently for it. So silence
 counts only while the process could have answered: stopped or dead it is given up at once; runnable but
-without a processor its silence does not count; sleeping or computing it does. A vehicle sleeps too while the
-802.11 emulator owes it an answer, so sleep does not count while that one is held up.
+without a processor its silence does not count; sleeping or computing it does, for nobody else can keep a
+vehicle from answering: what its radio has brought is there before it is told so.
 """
 
 from collections.abc import Mapping
@@ -20,8 +20,6 @@ COMPUTING_LIMIT_S = 30.0
 """One that computes may come to an end: what loops forever cannot be told from what takes long."""
 LEAST_SHARE = 0.25
 """Part of a processor that tells computing from waiting, and below which a runnable process is starved."""
-LEAST_LOOK_S = 0.05
-"""Shares of a processor over less than this say nothing."""
 _HELD = {psutil.STATUS_STOPPED, psutil.STATUS_TRACING_STOP}
 _GONE = _HELD | {psutil.STATUS_ZOMBIE, psutil.STATUS_DEAD}
 _NOBODY: Mapping[int, float] = {}
@@ -57,15 +55,13 @@ class Patience:
 
     def __init__(self, limit_s: float) -> None:
         self._limit_s = limit_s
-        self._processes: dict[int | None, psutil.Process] = {}
+        self._processes: dict[int, psutil.Process] = {}
         self._wall_begin_s = 0.0
         self._since_s: Mapping[int, float] = _NOBODY
         self._looked: dict[int, _Looked] = {}
-        self._emulator_looked: _Looked | None = None
-        self._emulator_held_up = False
 
-    def set_pid(self, instance: int | None, pid: int) -> None:
-        """Name the process of a vehicle, None being the emulator; one that is gone counts as unknown."""
+    def set_pid(self, instance: int, pid: int) -> None:
+        """Name the process of a vehicle; one that is gone counts as unknown."""
         try:
             self._processes[instance] = psutil.Process(pid)
         except psutil.NoSuchProcess:
@@ -79,8 +75,6 @@ class Patience:
             self._looked = {i: looked for i, looked in self._looked.items() if i in silent_since_s}
         else:
             self._looked.clear()
-        self._emulator_looked = None
-        self._emulator_held_up = False
 
     def judge(self, instance: int, wall_s: float, *, starting: bool) -> Verdict:
         """Decide on a vehicle that has not answered since `begin`; called a few times per second."""
@@ -100,7 +94,7 @@ class Patience:
         starved = status == psutil.STATUS_RUNNING and share < LEAST_SHARE
         if share >= LEAST_SHARE:
             looked.computing_s += elapsed_s
-        elif not starved and not self._is_emulator_held_up(wall_s):
+        elif not starved:
             looked.waiting_s += elapsed_s
         newly = not looked.reported and not starved and not starting and silence_s >= REPORT_AFTER_S
         looked.reported |= newly
@@ -109,19 +103,7 @@ class Patience:
         reason = f"it has not answered for {silence_s:.1f} s" if over else None
         return Verdict(wall_silence_s=silence_s, newly_silent=newly, give_up=reason)
 
-    def _is_emulator_held_up(self, wall_s: float) -> bool:
-        """Whether the emulator is stopped, or runnable without a processor, since it was last looked at."""
-        last = self._emulator_looked
-        if last is not None and wall_s - last.wall_s < LEAST_LOOK_S:
-            return self._emulator_held_up
-        status, cpu_s = self._look(None)
-        self._emulator_looked = _Looked(wall_s=wall_s, cpu_s=cpu_s)
-        share = (cpu_s - last.cpu_s) / (wall_s - last.wall_s) if last is not None else 0.0
-        starved = status == psutil.STATUS_RUNNING and share < LEAST_SHARE
-        self._emulator_held_up = starved or status in _HELD
-        return self._emulator_held_up
-
-    def _look(self, instance: int | None) -> tuple[str, float]:
+    def _look(self, instance: int) -> tuple[str, float]:
         process = self._processes.get(instance)
         if process is None:
             return "unknown", 0.0

@@ -39,6 +39,7 @@ from harness.patience import Patience
 from harness.run_folder import PhysicsConfig
 from harness.simulation import Simulation, run
 from netsim.child import Finished, Ready, Stop, commands, emit
+from netsim.clock_line import time_masters_end
 from netsim.profiler import profiled
 from netsim.transport import Question, Transport, TransportError
 
@@ -139,10 +140,9 @@ def obey(
     *,
     connect_timeout_s: float,
     emit: Callable[[AnyEvent], None],
-    set_pid: Callable[[int | None, int], None] = lambda _instance, _pid: None,
-    set_application_pid: Callable[[int | None, int], None] = lambda _instance, _pid: None,
+    set_pid: Callable[[int, int], None] = lambda _instance, _pid: None,
 ) -> None:
-    """Do as commanded until Stop; ``set_pid`` and the other are told which processes are whose.
+    """Do as commanded until Stop; ``set_pid`` is told which processes are whose.
 
     Raises what the simulation's vehicles and its air raise.
     """
@@ -164,8 +164,8 @@ def obey(
                 simulation.set_extra_attenuation_db(attenuation_db)
             case InjectFault(fault=fault):
                 simulation.inject(fault)
-            case SetPid(instance=instance, pid=pid, application=application):
-                (set_application_pid if application else set_pid)(instance, pid)
+            case SetPid(instance=instance, pid=pid):
+                set_pid(instance, pid)
             case Stop():
                 return
 
@@ -247,13 +247,20 @@ def _run(
     return msgspec.structs.replace(paused, wall_paused_s=wall_paused_s)
 
 
-def serve(config: PhysicsConfig, listeners: list[socket.socket], radio_endpoint: str | None) -> None:
-    """Do as commanded until Stop. Raises ConnectTimeout, RadioSilent or TransportError."""
+def serve(
+    config: PhysicsConfig,
+    listeners: list[socket.socket],
+    clock: socket.socket | None,
+    radio_endpoint: str | None,
+) -> None:
+    """Do as commanded until Stop; ``clock`` leads to the 802.11 emulator, if there is one.
+
+    Raises ConnectTimeout, RadioSilent or TransportError.
+    """
     inbox: queue.SimpleQueue[AnyCommand] = queue.SimpleQueue()
     commands(AnyCommand, inbox)  # type: ignore[arg-type]  # a union is a type to msgspec
     scenario = config.scenario
     patience = Patience(scenario.run.silence_limit_s)
-    applications = Patience(scenario.run.silence_limit_s)
     manners = [PX4 if scenario.autopilot.is_px4(i) else OWN for i in range(scenario.agents)]
     has_px4 = PX4 in manners
 
@@ -267,21 +274,21 @@ def serve(config: PhysicsConfig, listeners: list[socket.socket], radio_endpoint:
             on_silent=simulation.on_silent,
             on_lost=simulation.on_lost,
             manners=manners,
-            applications=applications,
         )
         met.append(lockstep)
         return lockstep
 
     with contextlib.ExitStack() as stack:
         air = None
-        if radio_endpoint is not None:
-            transport = stack.enter_context(contextlib.closing(Transport.connect(radio_endpoint)))
+        if clock is not None:
+            line = time_masters_end(stack.enter_context(clock))
             # applications beside PX4s are in no lockstep, so their radios are as unforeseeable as guests'
-            air = Air(transport, config.run_id, guests=bool(scenario.radio.guests) or has_px4)
+            air = Air(line, guests=bool(scenario.radio.guests) or has_px4)
         simulation = stack.enter_context(
             contextlib.closing(Simulation(config, meet=meet, air=air, emit=emit))
         )
-        if air is not None and has_px4:
+        if has_px4 and radio_endpoint is not None:
+            transport = stack.enter_context(contextlib.closing(Transport.connect(radio_endpoint)))
             transport.serve(said_key(config.run_id), lambda question: _overhear(question, met[0]))
         emit(Ready(name="physics", pid=os.getpid()))
         with profiled(PARTS, now_us=lambda: simulation.time_us, from_us=config.profile_from_us) as profile:
@@ -291,7 +298,6 @@ def serve(config: PhysicsConfig, listeners: list[socket.socket], radio_endpoint:
                 connect_timeout_s=config.connect_timeout_s,
                 emit=emit,
                 set_pid=patience.set_pid,
-                set_application_pid=applications.set_pid,
             )
     details: dict[str, Any] = {"time_us": simulation.time_us, "formed": simulation.formed, **profile}
     if has_px4:
@@ -318,7 +324,12 @@ def main() -> int:
         "--listen-fds", required=True, help="inherited listening TCP sockets, one per vehicle: 5,6,7"
     )
     parser.add_argument(
-        "--radio-endpoint", help="Zenoh locator of the 802.11 emulator; none flies without a radio"
+        "--clock-fd",
+        type=int,
+        help="inherited stream socket to the 802.11 emulator; none flies without a radio",
+    )
+    parser.add_argument(
+        "--radio-endpoint", help="the emulator's Zenoh locator, where applications beside PX4s are heard"
     )
     parser.add_argument(
         "--supervised", action="store_true", help="accepted for likeness: this server always is"
@@ -327,7 +338,8 @@ def main() -> int:
     try:
         config = msgspec.json.decode(arguments.config.read_bytes(), type=PhysicsConfig)
         listeners = [socket.socket(fileno=int(fd)) for fd in arguments.listen_fds.split(",")]
-        serve(config, listeners, arguments.radio_endpoint)
+        clock = None if arguments.clock_fd is None else socket.socket(fileno=arguments.clock_fd)
+        serve(config, listeners, clock, arguments.radio_endpoint)
     except (ConnectTimeout, RadioSilent, TransportError, OSError, ValueError) as error:
         print(f"physics: {error}", file=sys.stderr)
         return 2

@@ -187,16 +187,19 @@ class Processes:
             RunFolder.create(self._folder.path)
             if self._has_hangar:  # it takes longest, and needs none of the others
                 self._supervisor.start_forker(HANGAR, python_module("autopilot.hangar"))
+            clock = [sockets.enter_context(end) for end in socket.socketpair()]
+            radio_fd, physics_fd = (end.fileno() for end in clock)
             config = self._folder.write_radio_config(scenario, run_id=run_id)
-            self._supervisor.start(RADIO, python_module("netsim", *supervised(config)))
-            self._await_ready([RADIO])
-            endpoint: str = self.ready[RADIO].details["endpoint"]
-            self._ports.add(int(endpoint.rpartition(":")[2]))
+            command = python_module("netsim", *supervised(config), "--clock-fd", str(radio_fd))
+            self._supervisor.start(RADIO, command, pass_fds=[radio_fd])
             fds = [listener.fileno() for listener in listeners]
             config = self._folder.write_physics_config(scenario, run_id=run_id)
             command = python_module("harness.physics_server", *supervised(config))
-            command += ["--listen-fds", ",".join(map(str, fds)), "--radio-endpoint", endpoint]
-            self._supervisor.start(PHYSICS, command, pass_fds=fds)
+            command += ["--listen-fds", ",".join(map(str, fds)), "--clock-fd", str(physics_fd)]
+            if self._px4:  # whose applications' words reach it by way of the radio
+                command += ["--radio-endpoint", self._radio_endpoint()]
+            self._supervisor.start(PHYSICS, command, pass_fds=[*fds, physics_fd])
+        endpoint = self._radio_endpoint()
         if self._has_hangar:
             self._await_ready([HANGAR])
         for i in vehicles:
@@ -211,9 +214,6 @@ class Processes:
             else:
                 self._supervisor.fork(uav(i), supervised(config), forker=HANGAR)
         self._await_ready([PHYSICS, *map(uav, vehicles), *map(application, self._px4)])
-        self.send(SetPid(instance=None, pid=self.pids[RADIO]))
-        for i in self._px4:
-            self.send(SetPid(instance=i, pid=self.pids[application(i)], application=True))
         for i in vehicles:
             details = self.ready[uav(i)].details
             self._ports |= {details["gcs_local_udp"], details["companion_local_udp"]}
@@ -226,6 +226,13 @@ class Processes:
         config = self._folder.config / f"px4-{instance}.json"
         config.write_bytes(msgspec.json.format(msgspec.json.encode(seat), indent=2))
         self._supervisor.start(uav(instance), python_module("harness.keeper", *supervised(config)))
+
+    def _radio_endpoint(self) -> str:
+        """Where the stations connect, once the emulator listens."""
+        self._await_ready([RADIO])
+        endpoint: str = self.ready[RADIO].details["endpoint"]
+        self._ports.add(int(endpoint.rpartition(":")[2]))
+        return endpoint
 
     def _check_ports(self) -> None:
         """Find a port in use before anything starts; a process that loses one afterwards says so itself."""

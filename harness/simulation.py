@@ -42,8 +42,8 @@ from harness.recording import AIR_RECORD, EVENT_KINDS, TRUTH_RECORD
 from harness.run_folder import PhysicsConfig
 from harness.sensors.suite import SensorSuite
 from harness.wind import Wind, WindNow
-from netsim.radio import BATCH_HANDED_OVER
 from netsim.record_log import RecordLog
+from netsim.wire.lockstep import BATCH_HANDED_OVER
 
 STREAM = 250
 """Sets the physics' random streams apart from those of the run's other processes."""
@@ -104,6 +104,8 @@ class Simulation:
         self._armed = [False] * n
         self._stopped = np.zeros(n, dtype=bool)
         self._wind_now = WindNow(np.zeros((n, 3)), np.zeros((n, 3)))
+        self._gone: tuple[int, ...] = ()
+        """Vehicles that were lost."""
         self._modes = [""] * n
         self._phases: list[Phase | None] = [None] * n
         self._starts_us: list[int | None] = [None] * n
@@ -146,14 +148,15 @@ class Simulation:
         """One step: sensors of this instant out, answers in, air, world and wind on to the next instant.
 
         What needs no answer is done between the two, beside the vehicles: they idle while the rest is done.
-        The air goes on beside world and vehicles; its deliveries have to be there by the next answers.
+        The air goes on beside world and vehicles, and is waited for with the next answers.
         """
         truth = self._world.truth
         alive = [seat.alive for seat in self.lockstep.seats]
         self._advance_faults()
         frame = self._sensors.sample(self.time_us, truth, self._faults)
         told = truth if self._tells_truth and self.time_us % TRUTH_PERIOD_US < self._step_us else None
-        self.lockstep.send(self._encoder.encode(self.time_us, frame, self._escs(truth), told))
+        delivered = self._air.delivered(self.time_us) if self._air is not None else ()
+        self.lockstep.send(self._encoder.encode(self.time_us, frame, self._escs(truth), told, delivered))
         recorded = self.time_us % self._scenario.record_period_us == 0
         if recorded:
             self._record(truth, alive)
@@ -164,11 +167,11 @@ class Simulation:
         self._sensors.look_ahead()
         answers = self.lockstep.answers(self.time_us)
         self.settle()
-        self._obey(answers)
+        senders = self._obey(answers)
         if self._air is not None:
             if recorded:
                 self._air_log.append([(self.time_us, self._air.busy_ns)])
-            self._air.begin(self.time_us, self._step_us, truth, self._gone())
+            self._air.begin(self.time_us, self._step_us, truth, senders=senders, silent=self._gone)
         stopped = self._faults.rotor_stopped
         self._world.step(
             np.array(self._controls),
@@ -230,29 +233,28 @@ class Simulation:
         )
 
     def settle(self) -> None:
-        """Wait until the air is through with what it was let do, and every vehicle has its deliveries."""
+        """Wait until the air is through with what it was let do."""
         if self._air is not None:
             waited_for = self._air.end()
             while waited_for:
                 self.lockstep.judge(waited_for)
-                waited_for = self._air.wait_on(self._gone())
+                waited_for = self._air.wait_on(self._gone)
 
-    def _gone(self) -> tuple[int, ...]:
-        """Stations whose radios are silent for good."""
-        return tuple(seat.instance for seat in self.lockstep.seats if not (seat.alive and seat.on_air))
+    def _obey(self, answers: list[HilActuatorControls | None]) -> tuple[int, ...]:
+        """Set motors as the vehicles say; the world limits what is out of range.
 
-    def _obey(self, answers: list[HilActuatorControls | None]) -> None:
-        """Set motors as the vehicles say; the world limits what is out of range."""
-        flags = 0
+        Returns who has handed a batch over to the radio.
+        """
+        senders = []
         for i, answer in enumerate(answers):
             if answer is None:
                 if not self.lockstep.seats[i].alive:
                     self._stopped[i], self._armed[i] = True, False
                 continue
             self._controls[i], self._armed[i] = answer.controls[:ROTORS], is_armed(answer)
-            flags |= answer.flags
-        if self._air is not None and flags & BATCH_HANDED_OVER:
-            self._air.handed_over()
+            if answer.flags & BATCH_HANDED_OVER:
+                senders.append(i)
+        return tuple(senders)
 
     def vehicles(self) -> tuple[VehicleTruth, ...]:
         """Everyone as they are now."""
@@ -357,6 +359,7 @@ class Simulation:
 
     def on_lost(self, instance: int, reason: str) -> None:
         """Report a vehicle that has left for good."""
+        self._gone += (instance,)
         self._phase_news = True  # the others may be all there
         self._emit(VehicleLost(time_us=self.time_us, instance=instance, reason=reason))
 

@@ -12,10 +12,13 @@ def main() -> int:
     """Serve until told to stop; a failure is one line and status 2."""
     parser = argparse.ArgumentParser(prog="python -m netsim", description="The 802.11 emulator of one run.")
     parser.add_argument("--config", type=Path, required=True, help="JSON file with the emulator's settings")
+    parser.add_argument(
+        "--clock-fd", type=int, required=True, help="inherited stream socket to the time master"
+    )
     parser.add_argument("--supervised", action="store_true", help="take commands on stdin and end with it")
     arguments = parser.parse_args()
     try:
-        run(arguments.config, supervised=arguments.supervised)
+        run(arguments.config, arguments.clock_fd, supervised=arguments.supervised)
     except (TransportError, OSError, ValueError) as error:  # the last of settings, each alone or together
         print(f"radio: {error}", file=sys.stderr)
         return 2

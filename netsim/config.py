@@ -175,6 +175,8 @@ class ServerConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     port: Annotated[int, Meta(ge=0, le=65_535)] = 0
     stations: Annotated[int, Meta(ge=0)]
     """Vehicles; the guests of ``radio`` are numbered after them."""
+    companions: tuple[Annotated[int, Meta(ge=0, le=65_535)], ...] = ()
+    """Those of the vehicles whose radio's host is in no lockstep: an application beside a PX4."""
     seed: Annotated[int, Meta(ge=0)]
     radio: RadioConfig = RadioConfig()
     frame_log_path: str | None = None

@@ -13,19 +13,18 @@ import queue
 from types import TracebackType
 from typing import Self
 
-from netsim.radio import ANSWER_LIMIT_S, Inbox, RadioLost, directory_key, receive_key, transmit_key
+from netsim.free_radio import FreeRadio
+from netsim.radio import RadioLost, directory_key
 from netsim.transport import Transport
 from netsim.wire.messages import (
     MAX_PAYLOAD_BYTES,
     MAX_STATION,
-    Ack,
     Broadcast,
     Directory,
     DirectoryRequest,
     FtmRequest,
     RxBatch,
     RxItem,
-    TxBatch,
     TxItem,
     Unicast,
     decode,
@@ -54,11 +53,12 @@ class Guest:
             """Simulated time up to which `receive` has told what arrived."""
             self._seq = 0
             self._batches: queue.SimpleQueue[RxBatch] = queue.SimpleQueue()
-            self._inbox = Inbox(self.station, self._batches.put)
-            run_id = self.directory.run_id
-            self._transport.serve(receive_key(run_id, self.station), self._inbox.take)
-            self._asker = self._transport.asker(transmit_key(run_id), timeout_s=ANSWER_LIMIT_S)
-            self._hand_over()  # acknowledged only after the declaration above is known: see RadioClient
+            self._radio = FreeRadio(
+                self._transport,
+                run_id=self.directory.run_id,
+                station=self.station,
+                put=self._batches.put,
+            )
         except BaseException:
             self._transport.close()
             raise
@@ -108,15 +108,9 @@ class Guest:
         self._transport.close()
 
     def _send(self, item: TxItem) -> int:
-        self._hand_over(item)
+        self._radio.hand_over((item,))
         self._seq = item.seq
         return item.seq
-
-    def _hand_over(self, *items: TxItem) -> None:
-        batch = TxBatch(station=self.station, now_us=0, items=items)
-        answer = self._asker.ask(encode(batch)).answer()
-        if answer is None or decode(Ack, answer) is None:
-            raise RadioLost(f"station {self.station}: the 802.11 emulator does not acknowledge")
 
     def __enter__(self) -> Self:
         return self

@@ -1,7 +1,7 @@
 """The emulator as a run's processes know it: batches in, intervals on request, deliveries out, logs written.
 
-What is between `netsim.emulator` and whoever carries its messages: a Zenoh session (`netsim.server`), or
-plain calls in one process. Does no I/O but for its logs.
+What is between `netsim.emulator` and whoever carries its messages: sockets (`netsim.server`), or plain calls
+in one process. Does no I/O but for its logs.
 """
 
 import contextlib
@@ -17,7 +17,8 @@ from netsim.emulator import Emulator
 from netsim.logs import FRAME_LOG, SESSION_LOG
 from netsim.phy.medium import Transmission
 from netsim.record_log import RecordLog
-from netsim.wire.messages import Advance, Advanced, RxBatch, RxItem, Station, TxBatch, unpack_rows
+from netsim.wire.lockstep import Advance, Advanced, unpack_rows
+from netsim.wire.messages import RxBatch, RxItem, Station, TxBatch
 
 Doubles = NDArray[np.float64]
 
@@ -34,6 +35,7 @@ LEAD_US = 60_000_000
 """How far ahead of the air a transmission's time may lie."""
 FARTHEST_M, FASTEST_M_S, NORM_TOLERANCE = 1e8, 1e5, 1e-3
 """What a vehicle's state may be: limits against senseless numbers."""
+_REFUSED = "the 802.11 emulator refuses to go on as it is told"
 STREAM = 802
 """Sets the emulator's random streams apart from those of the run's other processes."""
 
@@ -115,22 +117,33 @@ class HostedEmulator:
         if self._capture is not None:
             self._capture.append(transmission)
 
-    def motion(self, request: Advance) -> Motion | None:
-        """Where an `Advance` puts the vehicles; None unless it is all of them, somewhere, and ahead."""
+    def missing(self, request: Advance) -> set[Station]:
+        """Those of an interval's senders whose batches have not been submitted whole."""
+        missing = set(request.senders) - set(request.silent)
+        if missing:
+            at_us = request.at_us
+            missing -= {b.station for b in self._submitted if b.now_us == at_us and not b.more}
+        return missing
+
+    def _motion(self, request: Advance) -> Motion:
+        """Where an `Advance` puts the stations. Raises ValueError."""
         vehicles = self._config.stations
         pos_ned_m = unpack_rows(request.pos_ned_m, stations=vehicles, columns=3)
         vel_ned_m_s = unpack_rows(request.vel_ned_m_s, stations=vehicles, columns=3)
         q_ned_frd = unpack_rows(request.q_ned_frd, stations=vehicles, columns=4)
         if pos_ned_m is None or vel_ned_m_s is None or q_ned_frd is None:
-            return None
+            raise ValueError(_REFUSED)
         motion = Motion(pos_ned_m, vel_ned_m_s, q_ned_frd)
-        norms = np.linalg.norm(q_ned_frd, axis=1)
+        with np.errstate(over="ignore"):
+            norms = np.linalg.norm(q_ned_frd, axis=1)
         # comparisons that what is not a number fails as well
         somewhere = (np.abs(pos_ned_m) <= FARTHEST_M).all() and (np.abs(vel_ned_m_s) <= FASTEST_M_S).all()
         upright = (np.abs(norms - 1.0) <= NORM_TOLERANCE).all()
-        named = (*request.silent, *(station for station, _ in request.range_offsets_m))
+        named = (*request.senders, *request.silent, *(station for station, _ in request.range_offsets_m))
         known = all(station < self.stations for station in named)
-        return motion if known and somewhere and upright and request.to_us >= self._reached_us else None
+        if not (known and somewhere and upright and request.to_us > self._reached_us):
+            raise ValueError(_REFUSED)
+        return self._with_guests(motion)
 
     def _with_guests(self, motion: Motion) -> Motion:
         """Motion of all stations: guests stand still, upright."""
@@ -143,24 +156,27 @@ class HostedEmulator:
             np.vstack([motion.q_ned_frd, np.tile([1.0, 0.0, 0.0, 0.0], (guests, 1))]),
         )
 
-    def advance(self, request: Advance, motion: Motion) -> dict[Station, RxBatch] | None:
-        """Simulate what an `Advance` asks for and return its deliveries; None if that was done before."""
+    def advance(self, request: Advance) -> dict[Station, RxBatch]:
+        """Simulate what an `Advance` asks for and return its deliveries.
+
+        Raises ValueError unless it is about all vehicles, somewhere, and goes on in time.
+        """
+        motion = self._motion(request)
         for station in frozenset(request.silent) - self._silent:
             self._emulator.set_silent(station)
         self._silent = frozenset(request.silent)
-        if request.to_us <= self._reached_us:
-            return None
-        deliveries = self._simulate(request, self._with_guests(motion))
+        deliveries = self._simulate(request, motion)
         self._reached_us = request.to_us
         return deliveries
 
-    def advanced(self, unresponsive: tuple[Station, ...] = ()) -> Advanced:
-        """What the time master is told after `advance`."""
+    def advanced(self, *, delivered: tuple[Station, ...] = (), missing: tuple[Station, ...] = ()) -> Advanced:
+        """What the time master is told after `advance`, or instead of it if somebody is missing."""
         return Advanced(
             to_us=self._reached_us,
             quiet_until_us=self._emulator.next_event_us,
             busy_ns=self._emulator.busy_ns,
-            unresponsive=unresponsive,
+            delivered=delivered,
+            missing=missing,
         )
 
     def _simulate(self, request: Advance, motion: Motion) -> dict[Station, RxBatch]:

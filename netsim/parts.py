@@ -16,6 +16,7 @@ PARTS = {
     "netsim.records": "records",
     "netsim.record_log": "records",
     "netsim.capture": "records",
+    "netsim.clock_line": LINK,
     "netsim.transport": LINK,
     "netsim.server": LINK,
 }

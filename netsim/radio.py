@@ -1,42 +1,37 @@
-"""A vehicle's way to the emulated channel: hand over transmissions, take what arrived, in lockstep.
+"""A vehicle's way to the emulated channel, in lockstep: hand over transmissions, take what arrived.
 
-With the keys of the run's radio. Programs outside the lockstep use `netsim.guest`.
+Everything is sent one way, for what has to come is known: the vehicle tells the time master that it has
+handed over a batch, and is told when one has been delivered to it (`netsim.wire.lockstep`). Stations
+outside the lockstep have `netsim.free_radio`. Here are the keys of the run's radio too.
 """
 
 import logging
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from typing import TypeVar
 
-from netsim.transport import Question, Transport
+import msgspec
+
+from netsim.transport import Asker, Transport
 from netsim.wire.messages import Ack, RxBatch, RxItem, TxBatch, TxItem, decode, encode
 
 logger = logging.getLogger(__name__)
+BatchT = TypeVar("BatchT", TxBatch, RxBatch)
 
 ANSWER_LIMIT_S = 20.0
-"""Wall time that the emulator has to acknowledge transmissions; far beyond what a loaded machine needs."""
-DELIVERY_LIMIT_S = 0.25
-"""Wall time that a station has to acknowledge a delivery before the time master is asked about it."""
-ADVANCE_LIMIT_S = 20.0
-"""Wall time that the emulator has for one interval; for stations it waits `DELIVERY_LIMIT_S` alone."""
-
-
-BATCH_HANDED_OVER = 1 << 32
-"""Bit of HIL_ACTUATOR_CONTROLS.flags, free in the standard: the vehicle gave its radio something to send."""
+"""Wall time within which what is owed has to come; far beyond what a loaded machine needs."""
+MOST_ITEMS = 24
+"""In one batch on a direct connection, where they must fit `netsim.transport.LONGEST_DIRECT_BYTES`."""
 
 
 def transmit_key(run_id: str) -> str:
-    """Served by the emulator: TxBatch -> Ack."""
+    """TxBatch, sent by vehicles; or asked by other stations and answered with an Ack by the emulator."""
     return f"coflight/{run_id}/radio/tx"
 
 
 def receive_key(run_id: str, station: int) -> str:
-    """Served by each station: RxBatch -> Ack."""
+    """RxBatch, sent to a vehicle; or asked of another station, which answers with an Ack."""
     return f"coflight/{run_id}/radio/rx/{station}"
-
-
-def advance_key(run_id: str) -> str:
-    """Served by the emulator: Advance -> Advanced."""
-    return f"coflight/{run_id}/radio/advance"
 
 
 def directory_key(run_id: str) -> str:
@@ -45,7 +40,7 @@ def directory_key(run_id: str) -> str:
 
 
 class RadioLost(ConnectionError):
-    """The emulator does not acknowledge; the text is one line."""
+    """The emulator does not answer or deliver; the text is one line."""
 
 
 class Deliveries:
@@ -64,70 +59,78 @@ class Deliveries:
         return items
 
 
-class Inbox:
-    """Takes a station's deliveries as they come in by Zenoh's threads, each once, and acknowledges them."""
+def checked(batch: TxBatch) -> bytes:
+    """Bytes of a batch that an emulator takes. Raises ValueError for what no station can send."""
+    payload = encode(batch)
+    if decode(TxBatch, payload) is None:  # the wire's own checks are made where it is decoded
+        raise ValueError(f"station {batch.station}: the 802.11 emulator refuses what is sent")
+    return payload
 
-    def __init__(self, station: int, put: Callable[[RxBatch], None]) -> None:
-        self._station = station
-        self._put = put
-        self._newest_us = -1
-        self.malformed = 0
-        """Bytes on this station's key that were no delivery."""
 
-    def take(self, question: Question) -> None:
-        """Answer one question on the station's key."""
-        batch = decode(RxBatch, question.payload)
-        if batch is None or batch.station != self._station:
-            self.malformed += 1
-            logger.warning("dropped %d bytes that are no delivery", len(question.payload))
-            return
-        if batch.release_us > self._newest_us:  # else a repetition, for the first acknowledgement was late
-            self._newest_us = batch.release_us
-            self._put(batch)
-        question.answer(_ACK)
+def hand_over(asker: Asker, batch: TxBatch) -> None:
+    """Have the emulator take a batch and acknowledge it. Raises RadioLost."""
+    answer = asker.ask(encode(batch)).answer()
+    if answer is None or decode(Ack, answer) is None:
+        raise RadioLost(f"station {batch.station}: the 802.11 emulator does not acknowledge")
 
 
 class RadioClient:
-    """One station's radio. Blocking, for one thread; deliveries come in by Zenoh's threads.
+    """A vehicle's radio, for one thread.
 
     Raises TransportError or RadioLost if the emulator cannot be reached. A station number that is in use is
-    not refused: the deliveries go to the first.
+    not refused: both hear.
     """
 
     def __init__(self, *, endpoint: str, run_id: str, station: int) -> None:
         self._station = station
-        self._deliveries = Deliveries()
-        self._inbox = Inbox(station, self._deliveries.put)
-        self._transport = Transport.connect(endpoint)
+        self.malformed = 0
+        """Count of what came in on this station's key and was no delivery."""
+        self._transport = Transport.connect(endpoint, direct=True)
         try:
-            self._transport.serve(receive_key(run_id, station), self._inbox.take)
-            self._asker = self._transport.asker(transmit_key(run_id), timeout_s=ANSWER_LIMIT_S)
-            # The declaration above travels ahead of this empty batch: once it is acknowledged, deliveries
+            self._mailbox = self._transport.mailbox(receive_key(run_id, station))
+            self._sender = self._transport.sender(transmit_key(run_id))
+            # The declarations above travel ahead of this empty batch: once it is acknowledged, deliveries
             # find the way.
-            self.send(0, ())
+            asker = self._transport.asker(transmit_key(run_id), timeout_s=ANSWER_LIMIT_S)
+            hand_over(asker, TxBatch(station=station, now_us=0, items=()))
         except BaseException:
             self._transport.close()
             raise
 
     def send(self, now_us: int, items: Sequence[TxItem]) -> None:
-        """Hand over transmissions and wait until the emulator has them. Raises RadioLost."""
-        batch = TxBatch(station=self._station, now_us=now_us, items=tuple(items))
-        answer = self._asker.ask(encode(batch)).answer()
-        if answer is None or decode(Ack, answer) is None:
-            raise RadioLost(f"station {self._station}: the 802.11 emulator does not acknowledge")
+        """Hand over transmissions. Raises ValueError for what no station can send."""
+        for batch in in_pieces(TxBatch(station=self._station, now_us=now_us, items=tuple(items))):
+            self._sender.send(checked(batch))
 
     def receive(self, now_us: int) -> list[RxItem]:
-        """What may be seen at ``now_us``, in order of (time, source, sequence)."""
-        return self._deliveries.take(now_us)
+        """What is released at ``now_us``, in order of (time, source, sequence), waiting for it if need be.
 
-    @property
-    def malformed(self) -> int:
-        """Count of what came in on this station's key and was no delivery."""
-        return self._inbox.malformed
+        To be called in the steps for which a delivery is announced, and in no other. Raises RadioLost.
+        """
+        items: list[RxItem] = []
+        while True:
+            payload = self._mailbox.take(ANSWER_LIMIT_S)
+            if payload is None:
+                raise RadioLost(f"station {self._station}: the 802.11 emulator does not deliver")
+            batch = decode(RxBatch, payload)
+            if batch is None or batch.station != self._station:
+                self.malformed += 1
+                logger.warning("dropped %d bytes that are no delivery", len(payload))
+                continue
+            items.extend(batch.items)
+            if batch.release_us >= now_us and not batch.more:
+                return items
 
     def close(self) -> None:
         """Leave the channel."""
         self._transport.close()
 
 
-_ACK = encode(Ack())
+def in_pieces(batch: BatchT) -> Iterator[BatchT]:
+    """A batch as one that a direct connection takes, or as several; almost always it is one."""
+    if len(batch.items) <= MOST_ITEMS:
+        yield batch
+        return
+    for first in range(0, len(batch.items), MOST_ITEMS):
+        items, rest = batch.items[first : first + MOST_ITEMS], len(batch.items) - first - MOST_ITEMS
+        yield msgspec.structs.replace(batch, items=items, more=rest > 0)

@@ -1,8 +1,9 @@
-"""The 802.11 emulator's process: Zenoh in front, the emulator behind.
+"""The 802.11 emulator's process: Zenoh and the time master's line in front, the emulator behind.
 
-Transmissions are acknowledged at once, in Zenoh's threads, and wait in a list; the main thread takes those
-that belong before the interval it is asked to simulate. What belongs to later steps stays, so the air does
-not depend on which of two messages happened to come first.
+One thread takes an interval from the time master, what the vehicles have sent for it, simulates and sends
+what arrived. Vehicles send one way and nothing of Python's runs when they do; the time master says whose
+batches there are, and they are waited for. What belongs to later steps stays, so the air does not depend on
+which of two messages happened to come first. Stations in no lockstep are answered in threads of Zenoh's.
 """
 
 import contextlib
@@ -10,6 +11,7 @@ import gc
 import logging
 import os
 import queue
+import socket
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,18 +19,19 @@ from typing import Any
 import msgspec
 
 from netsim.child import Finished, Influenced, Ready, Stop, commands, emit
+from netsim.clock_line import BATCH_LIMIT_S, ClockLine, emulators_end
 from netsim.config import ServerConfig
-from netsim.hosted import HostedEmulator, Motion
+from netsim.hosted import HostedEmulator
 from netsim.parts import PARTS
 from netsim.profiler import profiled
-from netsim.radio import DELIVERY_LIMIT_S, advance_key, directory_key, receive_key, transmit_key
-from netsim.transport import Asker, Question, Transport
+from netsim.radio import directory_key, in_pieces, receive_key, transmit_key
+from netsim.transport import Asker, Question, Sender, Transport
+from netsim.wire.lockstep import Advance, Advanced
 from netsim.wire.messages import (
     Ack,
-    Advance,
-    Advanced,
     Directory,
     DirectoryRequest,
+    RxBatch,
     Station,
     TxBatch,
     decode,
@@ -36,25 +39,18 @@ from netsim.wire.messages import (
 )
 
 logger = logging.getLogger(__name__)
-
-__all__ = ["Motion", "Server", "ServerConfig", "run"]
+OFFER_LIMIT_S = 0.25
+"""Wall time for which Zenoh remembers that a station in no lockstep may answer; nobody waits for it."""
 
 
 class Server:
-    """Owns the session and the emulator; `serve` runs until it is told to stop.
+    """Owns the session and the emulator.
 
     ``on_visit`` is called when a guest first sends. Raises TransportError, OSError for a log, ValueError for
     settings that do not go together.
     """
 
-    def __init__(
-        self,
-        config: ServerConfig,
-        inbox: "queue.SimpleQueue[Question | Stop]",
-        *,
-        on_visit: Callable[[], None] = lambda: None,
-    ) -> None:
-        self._inbox = inbox
+    def __init__(self, config: ServerConfig, *, on_visit: Callable[[], None] = lambda: None) -> None:
         self._hosted = HostedEmulator(config)
         self._directory = encode(
             Directory(
@@ -66,24 +62,25 @@ class Server:
         self._visited = False
         self._on_visit = on_visit
         self._malformed = 0
-        self._undelivered: dict[Station, bytes] = {}
         self._transport = Transport.listen(config.host, config.port)
         try:
             self._hosted.open_logs()  # last: a start that is refused leaves what was there
         except OSError:
             self.close()
             raise
-        self._receivers: list[Asker] = [
-            self._transport.asker(
-                receive_key(config.run_id, station),
-                timeout_s=DELIVERY_LIMIT_S,
-                lossy=self._hosted.is_guest(station),
-            )
-            for station in range(self._hosted.stations)
-        ]
-        self._transport.serve(directory_key(config.run_id), self._on_directory)
+        self._askers: dict[Station, Asker] = {}
+        """By station in no lockstep."""
+        self._senders: dict[Station, Sender] = {}
+        """By vehicle in lockstep."""
+        for station in range(self._hosted.stations):
+            key = receive_key(config.run_id, station)
+            if station in config.companions or self._hosted.is_guest(station):
+                self._askers[station] = self._transport.asker(key, timeout_s=OFFER_LIMIT_S, lossy=True)
+            else:
+                self._senders[station] = self._transport.sender(key)
+        self._transmissions = self._transport.mailbox(transmit_key(config.run_id))
         self._transport.serve(transmit_key(config.run_id), self._on_transmissions)
-        self._transport.serve(advance_key(config.run_id), inbox.put)
+        self._transport.serve(directory_key(config.run_id), self._on_directory)
 
     @property
     def endpoint(self) -> str:
@@ -95,19 +92,13 @@ class Server:
         """How far the air has been simulated."""
         return self._hosted.reached_us
 
-    def serve(self) -> dict[str, Any]:
-        """Answer the time master until a Stop; returns the run's counters."""
-        while True:
-            item = self._inbox.get()
-            if isinstance(item, Stop):
-                break
-            request = decode(Advance, item.payload)
-            motion = None if request is None else self._hosted.motion(request)
-            if request is None or motion is None:
-                self._malformed += 1
-                logger.warning("dropped %d bytes that tell of no step", len(item.payload))
-                continue
-            item.answer(encode(self.advance(request, motion)))
+    def serve(self, clock: ClockLine[Advanced, Advance]) -> dict[str, Any]:
+        """Simulate as the time master asks until it hangs up; returns the run's counters.
+
+        Raises ValueError for what it cannot mean.
+        """
+        while (request := clock.receive()) is not None:
+            clock.send(self.advance(request))
         return {"counters": self._hosted.counters, "malformed": self._malformed}
 
     def close(self) -> None:
@@ -115,17 +106,52 @@ class Server:
         self._transport.close()
         self._hosted.close()
 
-    def _on_transmissions(self, question: Question) -> None:
-        batch = decode(TxBatch, question.payload)
+    def advance(self, request: Advance) -> Advanced:
+        """Simulate and deliver what an `Advance` asks for, if all that it takes is there.
+
+        Raises ValueError for what the time master cannot mean.
+        """
+        missing = self._take_in(request)
+        if missing:
+            return self._hosted.advanced(missing=tuple(sorted(missing)))
+        delivered = []
+        for station, batch in self._hosted.advance(request).items():
+            if (asker := self._askers.get(station)) is not None:
+                asker.ask(encode(batch))  # it may not be there, or slow: nobody waits for it
+            else:
+                self._send(self._senders[station], batch)
+                delivered.append(station)
+        return self._hosted.advanced(delivered=tuple(sorted(delivered)))
+
+    def _take_in(self, request: Advance) -> set[Station]:
+        """Take what vehicles have sent; returns those whose batches do not come."""
+        missing = self._hosted.missing(request)
+        while (payload := self._transmissions.take(BATCH_LIMIT_S if missing else 0.0)) is not None:
+            batch = self._submit(payload)
+            if batch is not None and batch.now_us == request.at_us and not batch.more:
+                missing.discard(batch.station)
+        return missing
+
+    def _send(self, sender: Sender, batch: RxBatch) -> None:
+        for piece in in_pieces(batch):
+            sender.send(encode(piece))
+
+    def _submit(self, payload: bytes) -> TxBatch | None:
+        """Keep a batch for its interval; None for bytes that are none that a station can have sent."""
+        batch = decode(TxBatch, payload)
         if batch is not None and batch.items and not self._visited and self._hosted.is_guest(batch.station):
             # a guest's traffic depends on more than scenario and seed
             self._visited = True
             self._on_visit()
         if batch is None or not self._hosted.submit(batch):
             self._malformed += 1
-            logger.warning("dropped %d bytes that are no transmission", len(question.payload))
-            return
-        question.answer(_ACK)
+            logger.warning("dropped %d bytes that are no transmission", len(payload))
+            return None
+        return batch
+
+    def _on_transmissions(self, question: Question) -> None:
+        if self._submit(question.payload) is not None:
+            question.answer(_ACK)
 
     def _on_directory(self, question: Question) -> None:
         if decode(DirectoryRequest, question.payload) is None:
@@ -133,36 +159,21 @@ class Server:
             return
         question.answer(self._directory)
 
-    def advance(self, request: Advance, motion: Motion) -> Advanced:
-        """Simulate and deliver what an `Advance` asks for, if that has not been done before."""
-        deliveries = self._hosted.advance(request, motion)
-        if deliveries is not None:
-            self._undelivered = {station: encode(batch) for station, batch in deliveries.items()}
-        for station in request.silent:
-            self._undelivered.pop(station, None)
-        self._deliver()
-        return self._hosted.advanced(tuple(self._undelivered))
-
-    def _deliver(self) -> None:
-        """Hand every station its arrivals, all at once, and wait a while for the acknowledgements.
-
-        A guest may not be there, or slow: nobody waits for it.
-        """
-        asked = {station: self._receivers[station].ask(batch) for station, batch in self._undelivered.items()}
-        for station, pending in asked.items():
-            if self._hosted.is_guest(station) or pending.answer() is not None:
-                del self._undelivered[station]
-
 
 _ACK = encode(Ack())
 
 
-def run(config_path: Path, *, supervised: bool) -> None:
-    """Serve as the configuration file says. Raises TransportError, OSError or msgspec.DecodeError."""
-    config = msgspec.json.decode(config_path.read_bytes(), type=ServerConfig)
-    inbox: queue.SimpleQueue[Question | Stop] = queue.SimpleQueue()
-    server = Server(config, inbox, on_visit=lambda: emit(Influenced(name="radio", by="a guest on the radio")))
-    with contextlib.closing(server):
+def run(config_path: Path, clock_fd: int, *, supervised: bool) -> None:
+    """Serve as the configuration file says, as long as the time master at the other end of the socket does.
+
+    Raises TransportError, OSError, or ValueError, of which msgspec.DecodeError is one.
+    """
+    with contextlib.ExitStack() as stack:
+        clock = emulators_end(stack.enter_context(socket.socket(fileno=clock_fd)))
+        config = msgspec.json.decode(config_path.read_bytes(), type=ServerConfig)
+        server = Server(config, on_visit=lambda: emit(Influenced(name="radio", by="a guest on the radio")))
+        stack.enter_context(contextlib.closing(server))
+        inbox: queue.SimpleQueue[Stop] = queue.SimpleQueue()
         if supervised:
             commands(Stop, inbox)
         # what is there by now stays: no collection need look at it again
@@ -170,5 +181,7 @@ def run(config_path: Path, *, supervised: bool) -> None:
         gc.freeze()
         emit(Ready(name="radio", pid=os.getpid(), details={"endpoint": server.endpoint}))
         with profiled(PARTS, now_us=lambda: server.reached_us, from_us=config.profile_from_us) as profile:
-            details = server.serve()
+            details = server.serve(clock)
+        if supervised:
+            inbox.get()  # who still talks to it has time to end
     emit(Finished(name="radio", details=details | profile))

@@ -1,11 +1,15 @@
-"""Questions and answers over Zenoh: the one module that imports it.
+"""Questions, answers and one-way messages over Zenoh: the one module that imports it.
 
 One process of a run listens (the 802.11 emulator, as router) and all others connect to it by an explicit
-endpoint; there is no scouting, so runs on one machine or network never meet. Everything is a query with a
-reply: nothing on the control path can be lost unnoticed.
+endpoint; there is no scouting, so runs on one machine or network never meet.
+
+Who is in lockstep sends one way, for both ends know what has to come, and connects without buffers of Zenoh's
+(`Transport.connect`, ``direct``): what was sent is in the receiver's socket when `Sender.send` returns, so
+that not even the sender's death loses it. All others ask, and are answered.
 """
 
 import os
+import time
 from collections.abc import Callable
 
 import psutil
@@ -18,6 +22,12 @@ RUNTIME = """(
 """Zenoh's thread pools in one thread: a question then wakes one thread of Zenoh's at each end instead of two
 or three. Python is called in threads beside it, one per served key, so that it never waits for Python.
 """
+
+LONGEST_DIRECT_BYTES = 49_000
+"""What a direct connection takes in one message, less than Zenoh's 49 152: it takes nothing to pieces."""
+_CHANNEL_MESSAGES = 4_096
+_SHORTEST_NAP_S, _LONGEST_NAP_S = 50e-6, 2e-3
+"""Between two looks for a message that is late; Zenoh's channels know no time limit."""
 
 
 class TransportError(ConnectionError):
@@ -50,6 +60,41 @@ class Asker:
     def ask(self, payload: bytes) -> Pending:
         """Send a question; returns at once."""
         return Pending(self._querier.get(payload=payload))
+
+
+class Sender:
+    """Sends to one key again and again, one way, in order, and to whoever listens at the time."""
+
+    def __init__(self, publisher: zenoh.Publisher) -> None:
+        self._publisher = publisher
+
+    def send(self, payload: bytes) -> None:
+        """Send; waits while the connection is full."""
+        self._publisher.put(payload)
+
+
+class Mailbox:
+    """What was sent to a key, in its order. Filled beside Python's threads, and read by one of them."""
+
+    def __init__(self, subscriber: zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]]) -> None:
+        self._subscriber = subscriber
+        self._messages = subscriber.handler
+
+    def take(self, wall_limit_s: float) -> bytes | None:
+        """Next message, waiting for it that long at most; None if there is none."""
+        sample = self._messages.try_recv()
+        if sample is None:
+            if wall_limit_s <= 0.0:
+                return None
+            sample = self._wait(wall_limit_s)
+        return None if sample is None else sample.payload.to_bytes()
+
+    def _wait(self, wall_limit_s: float) -> zenoh.Sample | None:
+        wall_deadline_s, nap_s = time.monotonic() + wall_limit_s, _SHORTEST_NAP_S
+        while (sample := self._messages.try_recv()) is None and time.monotonic() < wall_deadline_s:
+            time.sleep(nap_s)
+            nap_s = min(2.0 * nap_s, _LONGEST_NAP_S)
+        return sample
 
 
 class Question:
@@ -87,10 +132,15 @@ class Transport:
         return cls(session, f"tcp/{host}:{port}")
 
     @classmethod
-    def connect(cls, endpoint: str) -> "Transport":
-        """Connect to a router's endpoint. Raises TransportError."""
+    def connect(cls, endpoint: str, *, direct: bool = False) -> "Transport":
+        """Connect to a router's endpoint. Raises TransportError.
+
+        A ``direct`` connection is written to by whoever sends, at either end, in messages of at most
+        `LONGEST_DIRECT_BYTES`. It takes half the time, but one that does not read holds up all who send to
+        it, so it is for those that everybody waits for anyway.
+        """
         try:
-            return cls(zenoh.open(_config("client", "connect", endpoint)), endpoint)
+            return cls(zenoh.open(_config("client", "connect", endpoint, direct=direct)), endpoint)
         except zenoh.ZError as error:
             raise TransportError(f"cannot connect to {endpoint}: {_first_line(error)}") from None
 
@@ -101,6 +151,14 @@ class Transport:
         """
         control = zenoh.CongestionControl.DROP if lossy else zenoh.CongestionControl.BLOCK
         return Asker(self._session.declare_querier(key, timeout=timeout_s, congestion_control=control))
+
+    def sender(self, key: str) -> Sender:
+        """Declare that this process will send to ``key``."""
+        return Sender(self._session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK))
+
+    def mailbox(self, key: str) -> Mailbox:
+        """Have what is sent to ``key`` from now on kept for this process."""
+        return Mailbox(self._session.declare_subscriber(key, zenoh.handlers.FifoChannel(_CHANNEL_MESSAGES)))
 
     @property
     def connected(self) -> bool:
@@ -120,7 +178,7 @@ class Transport:
             self._session.close()  # type: ignore[no-untyped-call]
 
 
-def _config(mode: str, verb: str, endpoint: str) -> zenoh.Config:
+def _config(mode: str, verb: str, endpoint: str, *, direct: bool = True) -> zenoh.Config:
     # Zenoh reads this once, when its first session opens
     os.environ.setdefault("ZENOH_RUNTIME", RUNTIME)
     config = zenoh.Config()
@@ -133,6 +191,8 @@ def _config(mode: str, verb: str, endpoint: str) -> zenoh.Config:
     config.insert_json5(f"{verb}/exit_on_failure", "true")
     # one queue per connection instead of one per priority: all messages here have the same
     config.insert_json5("transport/unicast/qos/enabled", "false")
+    # a connection has the mode if both its ends want it: a router's with a guest as Zenoh comes has not
+    config.insert_json5("transport/unicast/lowlatency", "true" if direct else "false")
     return config
 
 

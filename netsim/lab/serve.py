@@ -1,21 +1,18 @@
 """An emulator whose time follows the wall clock, for programs that join as its guests."""
 
 import contextlib
-import queue
 import sys
 import threading
 import time
 
 import msgspec
-import numpy as np
 
 from netsim.config import GuestConfig, RadioConfig, ServerConfig
 from netsim.lab.bench import ring_ned_m
-from netsim.server import Motion, Server
-from netsim.wire.messages import Advance
+from netsim.server import Server
+from netsim.wire.lockstep import Advance
 
 STEP_US = 4_000
-NOBODY = Motion(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 4)))
 
 
 def with_guests(radio: RadioConfig, stations: int, radius_m: float) -> RadioConfig:
@@ -29,7 +26,7 @@ def with_guests(radio: RadioConfig, stations: int, radius_m: float) -> RadioConf
 def serve_in_real_time(config: ServerConfig, *, speed: float) -> None:
     """Serve until Ctrl-C; one line says when guests may join. Raises TransportError, OSError, ValueError."""
     pause = threading.Event()
-    with contextlib.closing(Server(config, queue.SimpleQueue())) as server:
+    with contextlib.closing(Server(config)) as server:
         names = ", ".join(guest.name for guest in config.radio.guests)
         sys.stdout.write(f"{server.endpoint} stations {names}\n")
         sys.stdout.flush()
@@ -45,7 +42,7 @@ def serve_in_real_time(config: ServerConfig, *, speed: float) -> None:
                 vel_ned_m_s=b"",
                 q_ned_frd=b"",
             )
-            server.advance(request, NOBODY)
+            server.advance(request)
             ahead_s = to_us * 1e-6 / speed - (time.monotonic() - wall_start_s)
             if ahead_s > 0.0:
                 pause.wait(ahead_s)

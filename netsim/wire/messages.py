@@ -1,4 +1,4 @@
-"""Messages between the radio's users, the emulator and the time master.
+"""Messages between the radio's users and the emulator.
 
 Versioned, typed, MessagePack on the wire.
 
@@ -9,15 +9,12 @@ Times are simulated: integer microseconds (``_us``) at the host's side, nanoseco
 from typing import Annotated, TypeVar
 
 import msgspec
-import numpy as np
 from msgspec import Meta, Struct
-from numpy.typing import NDArray
 
 VERSION = 5
 """First field of every message; a change of any message's fields raises it."""
 MAX_PAYLOAD_BYTES = 1472
 """Largest UDP payload that fits one 1500-byte IP packet."""
-_FLOAT64_BYTES = 8
 
 MAX_STATION = 65_535
 Station = Annotated[int, Meta(ge=0, le=MAX_STATION)]
@@ -25,9 +22,6 @@ TimeUs = Annotated[int, Meta(ge=0, le=2**53)]
 """Some 285 years: what is later is no time, and its nanoseconds would not fit the logs."""
 TimeNs = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Seq = Annotated[int, Meta(ge=0, le=2**63 - 1)]
-RangeOffset = Annotated[float, Meta(ge=-1e6, le=1e6)]
-Rows = bytes
-"""A matrix of little-endian float64, row after row, one row per station: `pack_rows`, `unpack_rows`."""
 
 
 class Broadcast(Struct, frozen=True, kw_only=True, array_like=True, tag="b"):
@@ -61,12 +55,18 @@ TxItem = Broadcast | FtmRequest | Unicast
 
 
 class TxBatch(Struct, frozen=True, kw_only=True, array_like=True):
-    """All that one station hands to its radio in one step. Answered by `Ack`."""
+    """All that one station hands to its radio in one step.
+
+    Vehicles put it and say in lockstep that they did (`netsim.wire.lockstep`); who is in none asks, and has
+    an `Ack`.
+    """
 
     version: int = VERSION
     station: Station
     now_us: TimeUs
     items: tuple[TxItem, ...]
+    more: bool = False
+    """Another batch of the same step follows."""
 
 
 class Delivery(Struct, frozen=True, kw_only=True, array_like=True, tag="d"):
@@ -135,63 +135,25 @@ RxItem = Delivery | FtmResult | Sent | Survey
 
 
 class RxBatch(Struct, frozen=True, kw_only=True, array_like=True):
-    """All that one station gets from one interval of the air. Answered by `Ack`.
+    """All that one station gets from one interval of the air.
 
     Items are in order of (time, source, seq), and a vehicle's last is a `Survey`; for that alone there is no
-    batch. The application may see them at ``release_us`` and not before.
+    batch. The application may see them at ``release_us`` and not before. A vehicle is told of it in that
+    step's sensors; others are asked to take it, answer with an `Ack`, and are not waited for.
     """
 
     version: int = VERSION
     station: Station
     release_us: TimeUs
     items: tuple[RxItem, ...]
+    more: bool = False
+    """Another batch of the same interval follows."""
 
 
 class Ack(Struct, frozen=True, kw_only=True, array_like=True):
     """The batch has been received whole."""
 
     version: int = VERSION
-
-
-class Advance(Struct, frozen=True, kw_only=True, array_like=True):
-    """From the time master: simulate the air up to ``to_us``. Answered by `Advanced`.
-
-    Repeated for the same ``to_us``, it only delivers once more to stations that have not acknowledged, less
-    those that it calls silent.
-    """
-
-    version: int = VERSION
-    to_us: TimeUs
-    release_us: TimeUs
-    """When the hosts may see what arrives in this interval."""
-    at_us: TimeUs
-    """Beginning of the interval, for which the positions hold; the stations go on at these velocities."""
-    pos_ned_m: Rows
-    """(stations, 3)"""
-    vel_ned_m_s: Rows
-    """(stations, 3)"""
-    q_ned_frd: Rows
-    """(stations, 4), Hamilton wxyz: attitude, from which the antennas' directions follow."""
-    silent: tuple[Station, ...] = ()
-    """Stations that are gone: their radios send and answer nothing."""
-    extra_attenuation_db: Annotated[float, Meta(ge=0.0, le=1_000.0)] | None = None
-    """From now on, this attenuation on every link instead of the scenario's."""
-    range_offsets_m: tuple[tuple[Station, RangeOffset], ...] = ()
-    """From now on, by how much stations' radios measure too far, each in the sessions that it began; none is
-    in force that is not named."""
-
-
-class Advanced(Struct, frozen=True, kw_only=True, array_like=True):
-    """The air has been simulated up to ``to_us``, and all but the unresponsive have its deliveries."""
-
-    version: int = VERSION
-    to_us: TimeUs
-    quiet_until_us: TimeUs
-    """Unless a station hands over something new, nothing happens on the air before this time."""
-    busy_ns: TimeNs = 0
-    """Time since the start for which the medium carried at least one transmission."""
-    unresponsive: tuple[Station, ...] = ()
-    """Stations that have not acknowledged their deliveries; whether to wait is the time master's choice."""
 
 
 class DirectoryRequest(Struct, frozen=True, kw_only=True, array_like=True):
@@ -211,12 +173,11 @@ class Directory(Struct, frozen=True, kw_only=True, array_like=True):
     """Names of the stations that follow; other programs are their hosts."""
 
 
-Message = TxBatch | RxBatch | Ack | Advance | Advanced | DirectoryRequest | Directory
-M = TypeVar("M", TxBatch, RxBatch, Ack, Advance, Advanced, DirectoryRequest, Directory)
+Message = TxBatch | RxBatch | Ack | DirectoryRequest | Directory
+M = TypeVar("M", TxBatch, RxBatch, Ack, DirectoryRequest, Directory)
 _encoder = msgspec.msgpack.Encoder()
 _decoders = {
-    kind: msgspec.msgpack.Decoder(kind)
-    for kind in (TxBatch, RxBatch, Ack, Advance, Advanced, DirectoryRequest, Directory)
+    kind: msgspec.msgpack.Decoder(kind) for kind in (TxBatch, RxBatch, Ack, DirectoryRequest, Directory)
 }
 
 
@@ -233,15 +194,3 @@ def decode(kind: type[M], buffer: bytes) -> M | None:
     except (msgspec.DecodeError, ValueError, OverflowError, RecursionError):
         return None
     return message if message.version == VERSION else None
-
-
-def pack_rows(matrix: NDArray[np.float64]) -> Rows:
-    """Bytes of a matrix with one row per station."""
-    return matrix.astype("<f8", copy=False).tobytes()
-
-
-def unpack_rows(rows: Rows, *, stations: int, columns: int) -> NDArray[np.float64] | None:
-    """Matrix (stations, columns), or None if the bytes are not of that many numbers."""
-    if len(rows) != _FLOAT64_BYTES * stations * columns:
-        return None
-    return np.frombuffer(rows, "<f8").astype(np.float64).reshape(stations, columns)

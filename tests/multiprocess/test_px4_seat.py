@@ -13,7 +13,7 @@ import pytest
 
 from harness.messages import VehicleLost
 from harness.one_process import OneProcessSwarm
-from harness.processes import application, uav
+from harness.processes import HANGAR, application, uav
 from harness.swarm import SetupError, Swarm, SwarmError
 
 pytestmark = pytest.mark.multiprocess
@@ -138,7 +138,7 @@ def test_a_px4_beside_one_of_coflights_own_in_one_formation(swarm):
         flown.run_until(lambda truth: truth.error_m.max() < 0.7, timeout_s=10.0)
         summary = flown.summary(draw=False)
     assert not summary["deterministic"]
-    assert set(flown.pids) == {"radio", "physics", uav(0), uav(1), application(1)}
+    assert set(flown.pids) == {"radio", "physics", HANGAR, uav(0), uav(1), application(1)}
 
 
 def test_px4s_without_applications_rise_and_their_companion_ports_are_left_to_others(swarm):

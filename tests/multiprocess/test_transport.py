@@ -1,11 +1,15 @@
-"""Questions and answers between sessions that share one Zenoh thread: a process can have it no tighter."""
+"""What Zenoh carries between sessions that share one thread of its: a process can have it no tighter."""
 
 import contextlib
 import queue
+import signal
+import subprocess
+import sys
+import time
 
 import pytest
 
-from netsim.transport import Question, Transport
+from netsim.transport import LONGEST_DIRECT_BYTES, Question, Transport
 
 pytestmark = pytest.mark.multiprocess
 
@@ -47,3 +51,53 @@ def test_an_answer_may_come_from_another_thread_and_later():
         assert second.ask(b"?").answer() == b"now"
         waiting.get(timeout=5.0).answer(b"late" * 100_000)
         assert later.answer() == b"late" * 100_000
+
+
+def known(client):
+    """Wait until what a client declared has arrived: what follows it on the same connection has an answer."""
+    assert client.asker("test/nobody", timeout_s=5.0).ask(b"").answer() is None
+
+
+@pytest.mark.parametrize(("direct", "size"), [(True, 0), (True, LONGEST_DIRECT_BYTES), (False, 1_000_000)])
+def test_what_is_sent_one_way_arrives_whole_and_in_order_at_either_end(direct, size):
+    with contextlib.ExitStack() as stack:
+        router = stack.enter_context(contextlib.closing(Transport.listen("127.0.0.1", 0)))
+        client = stack.enter_context(contextlib.closing(Transport.connect(router.endpoint, direct=direct)))
+        for one, other in ((router, client), (client, router)):
+            mailbox = other.mailbox("test/letters")
+            known(client)
+            sender = one.sender("test/letters")
+            letters = [bytes([i]) * size for i in range(20)]
+            for letter in letters:
+                sender.send(letter)
+            assert [mailbox.take(10.0) for _ in letters] == letters
+            assert mailbox.take(0.0) is None
+            del mailbox
+
+
+def test_who_waits_for_what_does_not_come_waits_that_long():
+    with contextlib.closing(Transport.listen("127.0.0.1", 0)) as router:
+        mailbox = router.mailbox("test/letters")
+        wall_begin_s = time.monotonic()
+        assert mailbox.take(0.2) is None
+        assert 0.2 <= time.monotonic() - wall_begin_s < 5.0
+
+
+SENDER = """
+import os, signal, sys
+from netsim.transport import Transport
+sender = Transport.connect(sys.argv[1], direct=True)
+letters = sender.sender("test/letters")
+sender.asker("test/nobody", timeout_s=5.0).ask(b"").answer()
+for i in range(10):
+    letters.send(bytes([i]) * 1_000)
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_what_was_sent_on_a_direct_connection_survives_its_sender():
+    with contextlib.closing(Transport.listen("127.0.0.1", 0)) as router:
+        mailbox = router.mailbox("test/letters")
+        done = subprocess.run([sys.executable, "-c", SENDER, router.endpoint], check=False, timeout=60.0)
+        assert done.returncode == -signal.SIGKILL
+        assert [mailbox.take(10.0) for _ in range(10)] == [bytes([i]) * 1_000 for i in range(10)]

@@ -7,7 +7,7 @@ import pytest
 
 from harness.air import LONGEST_REST_US, Air, RadioSilent
 from netsim.hosted import LEAD_US
-from netsim.wire.messages import Advance, Advanced, decode, encode, unpack_rows
+from netsim.wire.lockstep import Advanced, unpack_rows
 
 STEP_US = 4_000
 POS_NED_M = np.arange(6.0).reshape(2, 3)
@@ -17,23 +17,20 @@ TRUTH = SimpleNamespace(pos_ned_m=POS_NED_M, vel_ned_m_s=VEL_NED_M_S, q_ned_frd=
 
 
 class Emulator:
-    """Takes the place of transport, asker and pending question; answers with what the test puts in."""
+    """Takes the place of the line to it; answers with what the test puts in."""
 
     def __init__(self):
         self.asked = []
         self.answers = []
 
-    def asker(self, _key, *, timeout_s):
-        assert timeout_s > 0.0
-        return self
+    def send(self, message):
+        self.asked.append(message)
 
-    def ask(self, payload):
-        self.asked.append(decode(Advance, payload))
-        return self
-
-    def answer(self):
+    def receive(self):
         answer = self.answers.pop(0)
-        return None if answer is None else encode(answer)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
 
 
 @pytest.fixture
@@ -43,17 +40,17 @@ def emulator():
 
 @pytest.fixture
 def air(emulator):
-    return Air(emulator, "test")
+    return Air(emulator)
 
 
-def advanced(to_us, *, quiet_until_us=0, unresponsive=()):
-    return Advanced(to_us=to_us, quiet_until_us=quiet_until_us, unresponsive=unresponsive)
+def advanced(to_us, *, quiet_until_us=0, **changes):
+    return Advanced(to_us=to_us, quiet_until_us=quiet_until_us, **changes)
 
 
-def step(air, emulator, time_us, **answer):
+def step(air, emulator, time_us, senders=(), **answer):
     """The step that begins at ``time_us``, if it is not skipped."""
     emulator.answers = [advanced(time_us + STEP_US, **answer)]
-    air.begin(time_us, STEP_US, TRUTH, ())
+    air.begin(time_us, STEP_US, TRUTH, senders=senders)
     return air.end()
 
 
@@ -63,11 +60,11 @@ def test_a_quiet_air_is_left_alone_until_its_time_or_until_somebody_speaks(air, 
         step(air, emulator, time_us)
     assert [request.to_us for request in emulator.asked] == [4_000]
     step(air, emulator, 12_000, quiet_until_us=10**9)
-    air.handed_over()
-    step(air, emulator, 16_000, quiet_until_us=10**9)
+    step(air, emulator, 16_000, senders=(1,), quiet_until_us=10**9)
     step(air, emulator, 20_000)
     assert [request.to_us for request in emulator.asked] == [4_000, 16_000, 20_000]
     assert [request.at_us for request in emulator.asked] == [0, 12_000, 16_000]
+    assert [request.senders for request in emulator.asked] == [(), (), (1,)]
     assert [request.release_us for request in emulator.asked] == [8_000, 20_000, 24_000]
     (pos_ned_m,) = {request.pos_ned_m for request in emulator.asked}
     (vel_ned_m_s,) = {request.vel_ned_m_s for request in emulator.asked}
@@ -88,13 +85,13 @@ def test_an_air_that_stays_quiet_is_never_left_so_far_behind_that_it_refuses_who
         reached_us = emulator.asked[-1].to_us if emulator.asked else 0
         assert time_us + 1_000_000 <= reached_us + LEAD_US
         emulator.answers = [advanced(time_us + step_us, quiet_until_us=10**12)]
-        air.begin(time_us, step_us, TRUTH, ())
+        air.begin(time_us, step_us, TRUTH)
         air.end()
     assert len(emulator.asked) == end_us // LONGEST_REST_US
 
 
 def test_with_guests_no_step_is_left_out_for_they_may_speak_at_any_time(emulator):
-    air = Air(emulator, "test", guests=True)
+    air = Air(emulator, guests=True)
     for time_us in (0, 4_000, 8_000):
         step(air, emulator, time_us, quiet_until_us=10**9)
     assert [request.to_us for request in emulator.asked] == [4_000, 8_000, 12_000]
@@ -108,18 +105,31 @@ def test_attenuation_acts_on_the_steps_that_begin_after_it(air, emulator):
     assert told == {0: None, 4_000: 30.0, 8_000: 30.0, 12_000: None}
 
 
-def test_who_has_not_taken_a_delivery_is_asked_about_until_it_has_or_is_gone(air, emulator):
-    assert step(air, emulator, 0, unresponsive=(0, 1)) == (0, 1)
-    emulator.answers = [advanced(4_000, unresponsive=(1,)), advanced(4_000)]
+def test_whose_batch_is_missing_is_asked_about_until_it_has_come_or_is_gone(air, emulator):
+    assert step(air, emulator, 0, senders=(0, 1), missing=(0, 1)) == (0, 1)
+    emulator.answers = [advanced(0, missing=(1,)), advanced(4_000, delivered=(0,))]
     assert air.wait_on(()) == (1,)
     assert air.wait_on((1,)) == ()
-    assert [(request.to_us, request.silent) for request in emulator.asked] == [
-        (4_000, ()), (4_000, ()), (4_000, (1,)),
+    assert [(request.to_us, request.senders, request.silent) for request in emulator.asked] == [
+        (4_000, (0, 1), ()), (4_000, (0, 1), ()), (4_000, (0, 1), (1,)),
     ]  # fmt: skip
+    assert air.delivered(8_000) == (0,)
 
 
-def test_an_emulator_that_does_not_answer_is_an_error(air, emulator):
-    emulator.answers = [None]
-    air.begin(0, STEP_US, TRUTH, ())
-    with pytest.raises(RadioSilent, match=r"the 802\.11 emulator does not answer"):
+def test_a_delivery_is_told_at_its_release_and_once_however_early_the_emulator_is_through(air, emulator):
+    step(air, emulator, 0, delivered=(0, 1))
+    assert air.delivered(4_000) == ()
+    step(air, emulator, 4_000, delivered=(1,))  # as before a pause: two intervals are done
+    assert [air.delivered(time_us) for time_us in (8_000, 12_000, 16_000)] == [(0, 1), (1,), ()]
+    assert air.delivered(8_000) == ()
+
+
+@pytest.mark.parametrize(
+    ("answer", "reason"),
+    [(TimeoutError(), "the 802.11 emulator does not answer"), (None, "the 802.11 emulator is gone")],
+)
+def test_an_emulator_that_does_not_answer_or_is_gone_is_an_error(air, emulator, answer, reason):
+    emulator.answers = [answer]
+    air.begin(0, STEP_US, TRUTH)
+    with pytest.raises(RadioSilent, match=reason):
         air.end()

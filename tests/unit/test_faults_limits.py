@@ -11,7 +11,7 @@ from autopilot.mavlink.codec import Parser
 from harness import faults as catalogue
 from harness.faults import AnyFault, validated
 from harness.hil import SensorEncoder
-from netsim.wire.messages import Advance, decode, encode
+from netsim.wire.lockstep import Advance
 
 
 def test_a_fault_made_in_a_program_is_checked_before_it_is_sent():
@@ -121,6 +121,6 @@ def test_the_worst_of_all_radio_faults_together_can_be_sent():
         to_us=0, release_us=0, at_us=0, pos_ned_m=b"", vel_ned_m_s=b"", q_ned_frd=b"",
         extra_attenuation_db=state.extra_attenuation_db, range_offsets_m=tuple(state.range_offsets_m.items()),
     )  # fmt: skip
-    assert decode(Advance, encode(request)) == request
+    assert msgspec.msgpack.decode(msgspec.msgpack.encode(request), type=Advance) == request
     assert request.extra_attenuation_db == 1000.0
     assert request.range_offsets_m == tuple((uav, -1e6) for uav in range(N))

@@ -15,6 +15,7 @@ from autopilot.__main__ import _yield_to_the_simulator
 from autopilot.host import MOST_WAITING, Host
 from autopilot.mavlink.codec import Encoder, Parser, stamp
 from autopilot.protocol.service import GROUND_STATION, Addressed, Partner
+from netsim.wire.lockstep import BATCH_DELIVERED
 
 SIMULATOR = Encoder(system=0, component=1)
 ME, OTHER = Partner(GROUND_STATION, 0), Partner(GROUND_STATION, 1)
@@ -47,9 +48,10 @@ def host(radio):
         yield host
 
 
-def sensor(time_us):
+def sensor(time_us, *, delivered=True):
     at_rest = (0.0, 0.0, -9.81, 0.0, 0.0, 0.0, 0.2, 0.0, 0.4, 1013.25, 0.0, 0.0, 15.0)
-    return SIMULATOR.encode(common.MAVLink_hil_sensor_message(time_us, *at_rest, 0x1FFF, 0))
+    fields = 0x1FFF | (BATCH_DELIVERED if delivered else 0)
+    return SIMULATOR.encode(common.MAVLink_hil_sensor_message(time_us, *at_rest, fields, 0))
 
 
 def gps(time_us):
@@ -89,6 +91,12 @@ def test_a_time_that_is_repeated_or_goes_back_takes_nothing_that_the_next_step_i
     assert radio.emptied_us == [4_000, 8_000, 12_000]
     _, links = step(host, sensor(16_000))
     assert not any(message.get_type() == "PARAM_VALUE" for _, message in links)
+
+
+def test_the_radio_is_looked_at_in_the_steps_that_bring_something_and_in_no_other(host, radio):
+    for time_us in range(4_000, 40_000, 4_000):
+        assert step(host, sensor(time_us, delivered=time_us in {12_000, 32_000}))[0] == [time_us]
+    assert radio.emptied_us == [12_000, 32_000]
 
 
 @contextlib.contextmanager

@@ -23,7 +23,6 @@ class Run:
     def __init__(self, *manners, limit_s=5.0, kinds=None):
         self.listeners = [socket.create_server(("127.0.0.1", 0)) for _ in manners]
         self.messages, self.silent, self.lost = [], [], []
-        self.applications = Patience(limit_s)
         self.lockstep = Lockstep(
             self.listeners,
             patience=Patience(limit_s),
@@ -31,7 +30,6 @@ class Run:
             on_silent=lambda i, _: self.silent.append(i),
             on_lost=lambda i, reason: self.lost.append((i, reason)),
             manners=kinds or [PX4] * len(manners),
-            applications=self.applications,
         )
         self.px4s = [StandIn(i, self.port(i), each) for i, each in enumerate(manners)]
         self.threads = []
@@ -208,21 +206,6 @@ def test_one_of_coflights_own_beside_a_px4_is_waited_for_from_the_first_step(run
     while mixed.lockstep.seats[1].is_free:
         assert mixed.step()[0].time_usec == mixed.time_us
     assert mixed.lockstep.late_answers == {1: 0}
-
-
-def test_a_radio_whose_application_is_gone_falls_silent_and_its_px4_flies_on(run):
-    px4 = run(Manners(), limit_s=0.5)
-    px4.start()
-    (seat,) = px4.lockstep.seats
-    px4.step()
-    deadline_s = time.monotonic() + 5.0
-    while seat.on_air and time.monotonic() < deadline_s:
-        px4.lockstep.judge((0,))
-        time.sleep(0.05)
-    assert not seat.on_air
-    assert seat.alive
-    (answer,) = px4.step()
-    assert answer.time_usec == px4.time_us
 
 
 def test_what_is_overheard_is_passed_on_with_the_answers(run):

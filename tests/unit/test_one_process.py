@@ -28,7 +28,7 @@ from harness import aperture, kernel_cache, report
 from harness.air import Air
 from harness.analysis import gain_series
 from harness.cli import FINE, main
-from harness.local import LocalCarrier, LocalRadio
+from harness.local import LocalLine, LocalRadio
 from harness.messages import Progress, VehicleLost
 from harness.one_process import OneProcessSwarm, fly
 from harness.processes import SwarmError
@@ -38,7 +38,8 @@ from harness.tables import flight_of, read_flight
 from netsim.config import RadioConfig, ServerConfig
 from netsim.hosted import HostedEmulator
 from netsim.record_log import BLOCK_ROWS
-from netsim.wire.messages import MAX_PAYLOAD_BYTES, Advance, Broadcast, Delivery, pack_rows
+from netsim.wire.lockstep import Advance, pack_rows
+from netsim.wire.messages import MAX_PAYLOAD_BYTES, Broadcast, Delivery
 
 ARTICLE = Path(__file__).parents[2] / "scenarios" / "article.toml"
 STEP_US = 4_000
@@ -321,7 +322,7 @@ class Channel:
         config = ServerConfig(run_id="test", stations=2, seed=1, radio=RadioConfig(rician_k_db=None))
         self.emulator = HostedEmulator(config)
         self.radios = [LocalRadio(self.emulator, i) for i in range(2)]
-        self.asker = LocalCarrier(self.emulator, self.radios).asker("advance", timeout_s=1.0)
+        self.line = LocalLine(self.emulator, self.radios)
 
     def heard(self, station, now_us):
         """Datagrams that a station may see by now."""
@@ -336,7 +337,8 @@ class Channel:
             vel_ned_m_s=pack_rows(np.zeros((2, 3))),
             q_ned_frd=pack_rows(np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))),
         )
-        return self.asker.ask(msgspec.msgpack.encode(msgspec.structs.replace(request, **changes))).answer()
+        self.line.send(msgspec.structs.replace(request, **changes))
+        return self.line.receive()
 
 
 def test_what_the_wire_refuses_is_refused_here_too():
@@ -353,7 +355,7 @@ def test_a_datagram_is_seen_at_its_release_and_not_before():
     """It is handed over at 4 ms, on the air before 8 ms and released a step later, at 12 ms."""
     channel = Channel()
     channel.radios[0].send(STEP_US, [Broadcast(seq=0, at_us=STEP_US, payload=b"hello")])
-    channel.advance(STEP_US)
+    assert channel.advance(STEP_US).delivered == (1,)
     assert channel.heard(1, 3 * STEP_US - 1) == []
     (item,) = channel.heard(1, 3 * STEP_US)
     assert item.payload == b"hello"
@@ -374,19 +376,20 @@ def test_what_is_handed_over_in_a_later_step_waits_for_that_steps_interval():
 def test_who_speaks_after_minutes_of_silence_is_heard():
     """Nobody speaks for two minutes, in steps of a second, and the air has nothing to do."""
     channel, second_us = Channel(), 1_000_000
-    air = Air(channel.asker, "test")
+    air = Air(channel.line)
     truth = SimpleNamespace(
         pos_ned_m=np.array([[0.0, 0.0, -10.0], [10.0, 0.0, -10.0]]),
         vel_ned_m_s=np.zeros((2, 3)),
         q_ned_frd=np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)),
     )
     for time_us in range(0, 120 * second_us, second_us):
-        air.begin(time_us, second_us, truth, ())
+        air.begin(time_us, second_us, truth)
         air.end()
     now_us = 120 * second_us
     channel.radios[0].send(now_us, [Broadcast(seq=0, at_us=now_us, payload=b"again")])
-    air.handed_over()
-    air.begin(now_us, second_us, truth, ())
+    air.begin(now_us, second_us, truth, senders=(0,))
+    assert air.end() == ()
+    assert air.delivered(now_us + 2 * second_us) == (1,)
     assert [item.payload for item in channel.heard(1, now_us + 2 * second_us)] == [b"again"]
 
 

@@ -8,11 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from netsim.wire.lockstep import pack_rows, unpack_rows
 from netsim.wire.messages import (
     VERSION,
     Ack,
-    Advance,
-    Advanced,
     Broadcast,
     Delivery,
     Directory,
@@ -26,8 +25,6 @@ from netsim.wire.messages import (
     Unicast,
     decode,
     encode,
-    pack_rows,
-    unpack_rows,
 )
 
 MESSAGES = [
@@ -62,20 +59,8 @@ MESSAGES = [
         ),
     ),
     Ack(),
-    Advance(
-        to_us=4000,
-        release_us=8000,
-        at_us=0,
-        pos_ned_m=pack_rows(np.array([[0.0, 1.0, -2.0]])),
-        vel_ned_m_s=pack_rows(np.array([[0.0, 0.5, 0.0]])),
-        q_ned_frd=pack_rows(np.array([[1.0, 0.0, 0.0, 0.0]])),
-        silent=(4,),
-        extra_attenuation_db=200.0,
-        range_offsets_m=((0, 5.0), (2, -0.25)),
-    ),
     DirectoryRequest(),
     Directory(run_id="ab12", vehicles=8, guests=("ground",)),
-    Advanced(to_us=4000, quiet_until_us=2**52, busy_ns=12, unresponsive=(3,)),
 ]
 
 
@@ -103,6 +88,13 @@ def test_every_cut_is_none(message):
 def test_random_bytes_never_raise(data, kind):
     message = decode(kind, data)
     assert message is None or encode(message)
+
+
+def test_a_batch_that_does_not_say_whether_more_follow_is_the_only_one():
+    """What stations in no lockstep say, since before there were others."""
+    for kind in (TxBatch, RxBatch):
+        batch = decode(kind, msgspec.msgpack.encode([VERSION, 3, 4000, []]))
+        assert (batch.station, batch.items, batch.more) == (3, (), False)
 
 
 def test_out_of_range_fields_are_none():

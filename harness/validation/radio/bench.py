@@ -20,7 +20,8 @@ from harness.validation.radio.article_traffic import Step, advance, emulator_of,
 from harness.validation.radio.saturation_section import MODES
 from netsim.kernel import EventQueue
 from netsim.lab.saturation import WARM_UP_US, saturate
-from netsim.wire.messages import RxBatch, RxItem, TxBatch, decode, encode, pack_rows, unpack_rows
+from netsim.wire.lockstep import pack_rows, unpack_rows
+from netsim.wire.messages import RxBatch, RxItem, TxBatch, decode, encode
 
 WIFI_LAB = Path(__file__).parents[3] / "scripts" / "wifi_lab.py"
 PAYLOAD_BYTES = 1000
