@@ -73,7 +73,7 @@ def _mean(values: Iterable[float]) -> float:
 
 def profile_table(profile: Mapping[str, KindProfile], *, step_us: int) -> Table:
     """Lay out a profile: a row per part, below one per kind of process."""
-    table = Table(title="processor time")
+    table = Table(title="where the processor time went")
     table.add_column("")
     for column in ("ms per simulated s", "us per step", "share"):
         table.add_column(column, justify="right")

@@ -75,6 +75,7 @@ def main(
     else:
         console = Console(file=sys.stdout, highlight=False, width=None if sys.stdout.isatty() else 110)
         for sheet in sheets(found):
+            console.print(sheet.title, style="bold")
             console.print(terminal_table(sheet))
 
 

@@ -12,13 +12,14 @@ Wall clock, sockets and processes: an edge. It imports no more than it needs: it
 import contextlib
 import gc
 import os
-import resource
 import socket
 import statistics
 import struct
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 from fastcrc import crc16
@@ -91,8 +92,15 @@ def _echo_all(link: socket.socket) -> None:
         link.sendall(reply)
 
 
+class Bare(NamedTuple):
+    """Processes that do nothing but answer."""
+
+    links: list[socket.socket]
+    pids: list[int]
+
+
 @contextlib.contextmanager
-def bare_processes(agents: int, work: Callable[[socket.socket], None]) -> Iterator[list[socket.socket]]:
+def bare_processes(agents: int, work: Callable[[socket.socket], None]) -> Iterator[Bare]:
     """Fork so many processes, each of which does its work at its end of a TCP connection until it is closed.
 
     Raises OSError.
@@ -112,7 +120,7 @@ def bare_processes(agents: int, work: Callable[[socket.socket], None]) -> Iterat
                     _live(theirs, links, work)
                 pids.append(pid)
                 theirs.close()
-        yield links
+        yield Bare(links, pids)
     finally:
         for link in links:
             link.close()
@@ -175,43 +183,37 @@ def _echo_steps(links: Sequence[socket.socket]) -> Iterator[None]:
         yield
 
 
-def _factor_of(steps: Iterator[None], wall_s: float) -> tuple[float, int]:
-    """Step for so long; returns the real-time factor and how many steps were made in all."""
-    done, factors = WARM_UP_STEPS, []
-    for _ in range(WARM_UP_STEPS):
-        next(steps)  # sockets, caches and the scheduler find their ways
-    for _ in range(SLICES):
-        begin_s, before = time.perf_counter(), done
-        while time.perf_counter() - begin_s < wall_s / SLICES:
-            next(steps)
-            done += 1
-        factors.append((done - before) * STEP_US * 1e-6 / (time.perf_counter() - begin_s))
-    return statistics.median(factors), done
-
-
-def _cpu_s(who: int) -> float:
-    """Processor time of this process, or of its children that have ended."""
-    usage = resource.getrusage(who)
-    return usage.ru_utime + usage.ru_stime
-
-
 def _speed(
     agents: int,
     work: Callable[[socket.socket], None],
-    steps: Callable[[Sequence[socket.socket]], Iterator[None]],
+    make_steps: Callable[[Sequence[socket.socket]], Iterator[None]],
     wall_s: float,
 ) -> FloorSpeed:
-    theirs_s = _cpu_s(resource.RUSAGE_CHILDREN)
-    with bare_processes(agents, work) as links:
-        own_s = _cpu_s(resource.RUSAGE_SELF)
-        factor, done = _factor_of(steps(links), wall_s)
-        own_s = _cpu_s(resource.RUSAGE_SELF) - own_s
-    simulated_s = done * STEP_US * 1e-6
-    return FloorSpeed(
-        real_time_factor=factor,
-        server_cpu_s_per_simulated_s=own_s / simulated_s,
-        vehicles_cpu_s_per_simulated_s=(_cpu_s(resource.RUSAGE_CHILDREN) - theirs_s) / simulated_s,
-    )
+    """Step so many for so long."""
+    with bare_processes(agents, work) as bare:
+        steps = make_steps(bare.links)
+        for _ in range(WARM_UP_STEPS):
+            next(steps)  # sockets, caches and the scheduler find their ways
+        own_s, theirs_s = time.process_time(), sum(map(_cpu_s, bare.pids))
+        counts, factors = [], []
+        for _ in range(SLICES):
+            begin_s, count = time.perf_counter(), 0
+            while time.perf_counter() - begin_s < wall_s / SLICES:
+                next(steps)
+                count += 1
+            factors.append(count * STEP_US * 1e-6 / (time.perf_counter() - begin_s))
+            counts.append(count)
+        simulated_s = sum(counts) * STEP_US * 1e-6
+        return FloorSpeed(
+            real_time_factor=statistics.median(factors),
+            server_cpu_s_per_simulated_s=(time.process_time() - own_s) / simulated_s,
+            vehicles_cpu_s_per_simulated_s=(sum(map(_cpu_s, bare.pids)) - theirs_s) / simulated_s,
+        )
+
+
+def _cpu_s(pid: int) -> float:
+    """Processor time of another process of one thread, to the nanosecond: its `times` count in hundredths."""
+    return int(Path(f"/proc/{pid}/schedstat").read_text(encoding="ascii").split()[0]) * 1e-9
 
 
 def measure(job: FloorJob) -> FloorCost:

@@ -131,8 +131,8 @@ def _ms(value_s: float) -> str:
 
 
 def terminal_table(sheet: Sheet) -> Table:
-    """Lay one out for a terminal."""
-    table = Table(title=sheet.title, title_justify="left")
+    """Lay one out for a terminal, less its title, which may be longer than its lines."""
+    table = Table()
     for number, name in enumerate(sheet.heading):
         table.add_column(name, justify="right" if number else "left")
     for name, *cells in sheet.rows:

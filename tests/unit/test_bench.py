@@ -60,8 +60,8 @@ def test_a_bare_process_that_ends_is_noticed():
     def hang_up(link: socket.socket) -> None:
         link.recv(4_096)
 
-    with floor.bare_processes(2, hang_up) as links, pytest.raises((floor.LostError, ConnectionError)):
-        next(floor._echo_steps(links))
+    with floor.bare_processes(2, hang_up) as bare, pytest.raises((floor.LostError, ConnectionError)):
+        next(floor._echo_steps(bare.links))
 
 
 def span(factor, scale=1.0):

@@ -50,6 +50,7 @@ def test_missing_file_is_named(capsys: pytest.CaptureFixture[str]) -> None:
         (["--speed", "inf"], ["'inf'", "'max'"]),
         (["--port-offset", "61000"], ["simulator_tcp", "61000"]),
         (["--hold", "--one-process"], ["--hold", "one process"]),
+        (["--profile", "--one-process"], ["--profile", "one process"]),
         (["--no-such-option"], ["--no-such-option"]),
     ],
 )
