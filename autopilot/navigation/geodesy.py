@@ -6,6 +6,8 @@ geoid's undulation is constant over a flight and cancels. Pure functions; points
 shape.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -28,13 +30,11 @@ def geodetic_to_ned(
     origin_alt_m: float,
 ) -> Array:
     """Position (..., 3) in metres, NED from the origin, of geodetic points of common shape (...)."""
-    origin_ecef_m = _geodetic_to_ecef(
-        np.radians(origin_lat_deg), np.radians(origin_lon_deg), np.float64(origin_alt_m)
-    )
+    origin_ecef_m, dcm_ned_ecef = _origin(origin_lat_deg, origin_lon_deg, origin_alt_m)
     offset_ecef_m = (
         _geodetic_to_ecef(np.radians(lat_deg), np.radians(lon_deg), np.asarray(alt_m, float)) - origin_ecef_m
     )
-    return offset_ecef_m @ _dcm_ned_ecef(origin_lat_deg, origin_lon_deg).T
+    return offset_ecef_m @ dcm_ned_ecef.T
 
 
 def ned_to_geodetic(
@@ -49,10 +49,8 @@ def ned_to_geodetic(
     By one step of Bowring's formula ("Transformation from spatial to geographical coordinates", 1976); there
     and back stays within a micrometre up to 1 km from the origin.
     """
-    origin_ecef_m = _geodetic_to_ecef(
-        np.radians(origin_lat_deg), np.radians(origin_lon_deg), np.float64(origin_alt_m)
-    )
-    ecef_m = np.asarray(pos_ned_m, float) @ _dcm_ned_ecef(origin_lat_deg, origin_lon_deg) + origin_ecef_m
+    origin_ecef_m, dcm_ned_ecef = _origin(origin_lat_deg, origin_lon_deg, origin_alt_m)
+    ecef_m = np.asarray(pos_ned_m, float) @ dcm_ned_ecef + origin_ecef_m
     x_m, y_m, z_m = ecef_m[..., 0], ecef_m[..., 1], ecef_m[..., 2]
     from_axis_m = np.hypot(x_m, y_m)
     parametric_rad = np.arctan2(z_m * SEMI_MAJOR_AXIS_M, from_axis_m * _SEMI_MINOR_AXIS_M)
@@ -70,6 +68,16 @@ def ned_to_geodetic(
     return np.degrees(lat_rad), np.degrees(np.arctan2(y_m, x_m)), alt_m
 
 
+@lru_cache(maxsize=8)
+def _origin(lat_deg: float, lon_deg: float, alt_m: float) -> tuple[Array, Array]:
+    """Position (3,), m, and directions (3, 3) of a frame in earth-centred axes: a vehicle has one or two."""
+    ecef_m = _geodetic_to_ecef(np.radians(lat_deg), np.radians(lon_deg), np.float64(alt_m))
+    dcm_ned_ecef = _dcm_ned_ecef(lat_deg, lon_deg)
+    for array in (ecef_m, dcm_ned_ecef):
+        array.setflags(write=False)
+    return ecef_m, dcm_ned_ecef
+
+
 def _geodetic_to_ecef(
     lat_rad: Array | np.float64, lon_rad: Array | np.float64, alt_m: Array | np.float64
 ) -> Array:
@@ -77,8 +85,13 @@ def _geodetic_to_ecef(
     prime_vertical_m = SEMI_MAJOR_AXIS_M / np.sqrt(1.0 - _ECCENTRICITY_SQUARED * sin_lat**2)
     from_axis_m = (prime_vertical_m + alt_m) * cos_lat
     z_m = (prime_vertical_m * (1.0 - _ECCENTRICITY_SQUARED) + alt_m) * sin_lat
-    x_m, y_m, z_m = np.broadcast_arrays(from_axis_m * np.cos(lon_rad), from_axis_m * np.sin(lon_rad), z_m)
-    return np.stack((x_m, y_m, z_m), axis=-1)
+    ecef_m = np.empty((*np.broadcast(lat_rad, lon_rad, alt_m).shape, 3))
+    ecef_m[..., 0], ecef_m[..., 1], ecef_m[..., 2] = (
+        from_axis_m * np.cos(lon_rad),
+        from_axis_m * np.sin(lon_rad),
+        z_m,
+    )
+    return ecef_m
 
 
 def _dcm_ned_ecef(lat_deg: float, lon_deg: float) -> Array:

@@ -37,6 +37,8 @@ Array = NDArray[np.float64]
 
 SETPOINT_PERIOD_US = 50_000
 HEARTBEAT_PERIOD_US = 1_000_000
+SHORTEST_STEP_US, LONGEST_STEP_US = 1_000, 20_000
+"""Of the autopilot."""
 TELEMETRY_GAP_US = 500_000
 """Velocities this far apart do not tell what was flown between them."""
 TRUTH_STD_M = 0.01
@@ -257,8 +259,10 @@ class OnboardApp:
     def on_timer(self, now_us: int) -> OnboardOutput:
         """Return all to send in the step that begins at ``now_us``; called once per step."""
         # The coming step is taken to be as long as the last, and the first as short as steps can be.
-        step_us = min(max(now_us - self._now_us, 1_000), 20_000) if self._now_us >= 0 else 1_000
+        step_us = now_us - self._now_us if self._now_us >= 0 else SHORTEST_STEP_US
         self._now_us = now_us
+        if not SHORTEST_STEP_US <= step_us <= LONGEST_STEP_US:
+            step_us = SHORTEST_STEP_US if step_us < SHORTEST_STEP_US else LONGEST_STEP_US
         if now_us + step_us <= self._due_us:
             return NOTHING
         mavlink: list[common.MAVLink_message] = []
@@ -351,12 +355,13 @@ class OnboardApp:
         """Go on with localisation, phase and motion, and give the setpoint that follows."""
         guidance, flight, own = self._guidance, self._flight, self._own
         self._correct(now_us)
-        place_ned_m = guidance.place_ned_m(now_us)
+        place_ned_m, believed_ned_m = guidance.place_ned_m(now_us), guidance.believed_ned_m(own, now_us)
+        miss_m = believed_ned_m - place_ned_m
         flight.update(
             own,
             Situation(
                 shape_std_m=self._shape_std_before_flight_m(now_us),
-                miss_m=float(np.linalg.norm(guidance.believed_ned_m(own, now_us) - place_ned_m)),
+                miss_m=math.sqrt(miss_m @ miss_m),
                 place_height_m=-float(place_ned_m[2]),
             ),
             now_us,
@@ -365,7 +370,8 @@ class OnboardApp:
         if own.origin_ned_m is None or not Phase.ARMING <= self.phase <= Phase.YIELDED:
             return []
         if flight.in_formation:
-            setpoint = guidance.follow(own, self._known_others(now_us), now_us, SETPOINT_PERIOD_US * 1e-6)
+            others = self._known_others(now_us)
+            setpoint = guidance.follow(own, believed_ned_m, others, now_us, SETPOINT_PERIOD_US * 1e-6)
         else:
             setpoint = guidance.wait(own, now_us)
         return [messages.offboard_setpoint(setpoint, self._station + 1, now_us)]

@@ -6,6 +6,7 @@ knows it. Where truly it should be is a point that joins the formation's plan an
 """
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -33,6 +34,12 @@ moves otherwise than its last motion says by more than that has jumped."""
 LAG_MAX_M = 1.0
 """The point waits for a vehicle that is this far behind."""
 _STILL = np.zeros(3)
+
+
+@lru_cache(maxsize=4)
+def _part(dt_s: float) -> float:
+    """Part of the way to a new estimate that is gone in ``dt_s``."""
+    return float(1.0 - np.exp(-dt_s / OFFSET_TIME_CONSTANT_S))
 
 
 class Correction:
@@ -88,10 +95,11 @@ class Correction:
             if self.offset_ne_m is None or self._silent_s > COAST_S:
                 # Continue from where the correction is: it may not jump in the air.
                 self.offset_ne_m = autopilot_less_odometry_ne_m - self.ne_m
-            step_m = (offset_ne_m - self.offset_ne_m) * (1.0 - np.exp(-dt_s / OFFSET_TIME_CONSTANT_S))
-            length_m = float(np.hypot(*step_m))
+            step_m = (offset_ne_m - self.offset_ne_m) * _part(dt_s)
             limit_m = OFFSET_RATE_M_S * dt_s
-            self.offset_ne_m = self.offset_ne_m + step_m * min(1.0, limit_m / max(length_m, 1e-12))
+            if step_m @ step_m > 0.99 * limit_m**2:  # below, it is surely within the limit
+                step_m *= min(1.0, limit_m / float(np.hypot(*step_m)))
+            self.offset_ne_m = self.offset_ne_m + step_m
         if offset_ne_m is not None:
             self._silent_s = 0.0
         self.ne_m = autopilot_less_odometry_ne_m - self.offset_ne_m

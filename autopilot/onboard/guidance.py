@@ -82,15 +82,18 @@ class Guidance:
     def place_ned_m(self, now_us: int) -> Array:
         """(3,) the own place of the plan, at the height of the own layer, site NED."""
         place_ned_m = self._plan.own(self._station, self._since_start_s(now_us)).pos_ned_m.copy()
-        place_ned_m[2] -= self.layers.height_m
+        if self.layers.height_m:
+            place_ned_m[2] -= self.layers.height_m
         return place_ned_m
 
     def believed_ned_m(self, own: OwnState, now_us: int) -> Array:
-        """(3,) where the UAV believes itself to be, site NED."""
+        """(3,) where the UAV believes itself to be, site NED; the caller's."""
         age_us = min(max(now_us - own.time_us, 0), EXTRAPOLATED_US)
-        position_ned_m = own.autopilot_ned_m + own.vel_ned_m_s * (1e-6 * age_us)
+        position_ned_m = own.autopilot_ned_m
+        position_ned_m += own.vel_ned_m_s * (1e-6 * age_us)
         position_ned_m[:2] -= self.correction.ne_m
-        position_ned_m[2] -= self.down_error_m
+        if self.down_error_m:
+            position_ned_m[2] -= self.down_error_m
         return position_ned_m
 
     def agree(self, now_us: int, *, on_station: bool, neighbours: dict[int, Heard]) -> None:
@@ -105,14 +108,15 @@ class Guidance:
         self._reference.reset(believed_ned_m, vel_ned_m_s)
         return self._in_autopilots_frame(believed_ned_m, vel_ned_m_s, own, leans=False)
 
-    def follow(self, own: OwnState, others: Others | None, now_us: int, dt_s: float) -> Setpoint:
-        """Setpoint on the way to the own place, and in it.
+    def follow(
+        self, own: OwnState, believed_ned_m: Array, others: Others | None, now_us: int, dt_s: float
+    ) -> Setpoint:
+        """Setpoint on the way to the own place, and in it, of a UAV that believes itself at (3,).
 
         ``others`` are the neighbourhood; None where the own position in it is not known, to keep clear.
         """
         since_s = self._since_start_s(now_us) + 0.5 * dt_s  # half of the time for which the setpoint holds
         target = self._plan.own(self._station, since_s)
-        believed_ned_m = self.believed_ned_m(own, now_us)
         self._reference.advance(
             target.pos_ned_m - np.array((0.0, 0.0, self.layers.height_m)), dt_s,
             target_vel_ned_m_s=target.vel_ned_m_s, target_acc_ned_m_s2=target.acc_ned_m_s2,

@@ -24,9 +24,9 @@ from autopilot.onboard.kernels import BIAS, KNOWN, STATES, Array, fuse_range, pr
 from autopilot.onboard.localisation_model import LocalisationModel
 from autopilot.onboard.receivers import MISFIT_WEIGHT, Receivers, clear
 from autopilot.onboard.reference_geometry import ReferenceGeometry, shape_std_m
-from autopilot.onboard.tracks import Tracks
+from autopilot.onboard.tracks import EXTRAPOLATED_S, Tracks
 from autopilot.onboard.trust import Trust
-from autopilot.onboard.uncertainty import relative_stds, relative_variance
+from autopilot.onboard.uncertainty import relative_variance, seen_from
 
 __all__ = ["CLOCK_TOLERANCE_US", "CooperativeLocalisation", "LocalisationModel", "Others"]
 
@@ -283,11 +283,13 @@ class CooperativeLocalisation:
 
     def others(self, now_us: int, *, fresh_us: int) -> Others:
         """Everybody, as avoidance wants them; fresh is who was heard within ``fresh_us``."""
-        fresh = self.located & (self._tracks.newest_us >= now_us - fresh_us)
-        pos_ned_m = self.positions_ned_m(now_us)
-        std_m = np.empty(self.count)
-        relative_stds(self.cov, self.own, pos_ned_m, fresh, self._walked_m2(now_us), std_m)
-        return Others(pos_ned_m, self._tracks.newest[:, 3:], std_m, fresh)
+        pos_ned_m, std_m, fresh = np.empty((self.count, 3)), np.empty(self.count), np.empty(self.count, bool)
+        tracks = self._tracks
+        seen_from(
+            self.own, now_us, tracks.newest, tracks.newest_us, EXTRAPOLATED_S, self.state, self.cov,
+            self.located, now_us - fresh_us, self._walked_m2(now_us), pos_ned_m, std_m, fresh,
+        )  # fmt: skip
+        return Others(pos_ned_m, tracks.newest[:, 3:], std_m, fresh)
 
     def shape_std_m(self, now_us: int) -> float:
         """Horizontal rms error to expect of the shape of those located and heard of, aligned.
@@ -384,10 +386,11 @@ class CooperativeLocalisation:
         # more than one of them.
         late_m2 = self._drift_m2_s * lag_s * (1.0 + self._distances_hz * lag_s)
         pair = item.initiator, item.responder
-        bend_m, bend_var_m2 = self._geometry.bend_m.item(pair), self._geometry.bend_var_m2.item(pair)
+        geometry = self._geometry
+        bend_m, bend_var_m2 = geometry.bend_m.item(pair), geometry.bend_var_m2.item(pair)
         trust = 0.0 if self._trust.distrusted[item.initiator] else 1.0
         weight = fuse_range(
-            self.state, self.cov, self.state, self._geometry.ne_m, item.initiator, item.responder,
+            self.state, self.cov, self.state, geometry.ne_m, item.initiator, item.responder,
             item.odometry_between_m, item.distance_m - bend_m,
             item.variance_m2 + 2.0 * late_m2 + bend_var_m2, -1.0, trust,
         )  # fmt: skip

@@ -54,7 +54,7 @@ class OwnState:
 
     @property
     def autopilot_ned_m(self) -> Array:
-        """(3,) the autopilot's position in the site's frame; down from the ground that it started on."""
+        """(3,) the autopilot's position in the site's frame, the caller's; down from where it started."""
         position_ned_m = self.local_ned_m.copy()
         if self.origin_ned_m is not None:
             position_ned_m[:2] += self.origin_ned_m[:2]
@@ -69,13 +69,16 @@ class OwnState:
         time_us = boot_us + self._boot_offset_us
         if time_us <= self.time_us:
             return False
-        vel_ned_m_s = np.array((msg.vx, msg.vy, msg.vz))
+        vel_n, vel_e, down_m = msg.vx, msg.vy, msg.z
+        north_m, east_m, _ = self.odometry_ned_m.tolist()
         if self.time_us >= 0:
+            before_n, before_e, _ = self.vel_ned_m_s.tolist()
             half_s = 0.5e-6 * (time_us - self.time_us)
-            self.odometry_ned_m[:2] += half_s * (vel_ned_m_s[:2] + self.vel_ned_m_s[:2])
-        self.odometry_ned_m[2] = msg.z
-        self.local_ned_m[:] = (msg.x, msg.y, msg.z)
-        self.vel_ned_m_s = vel_ned_m_s
+            north_m += half_s * (vel_n + before_n)
+            east_m += half_s * (vel_e + before_e)
+        self.odometry_ned_m = np.array((north_m, east_m, down_m))
+        self.local_ned_m = np.array((msg.x, msg.y, down_m))
+        self.vel_ned_m_s = np.array((vel_n, vel_e, msg.vz))
         self.time_us = time_us
         return True
 

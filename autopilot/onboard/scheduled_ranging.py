@@ -120,7 +120,7 @@ class ScheduledRanging:
         linked: NDArray[np.bool_] | None = None,
     ) -> None:
         pairs = [(i, j) for j in range(stations) for i in range(j) if linked is None or linked[i, j]]
-        pairs.sort(key=lambda pair: pair_number(*pair, stations))
+        pairs.sort(key=lambda pair: pair_number(pair[0], pair[1], stations))
         self._slots = [
             (slot * slot_us, i + j - station)
             for slot, (i, j) in enumerate(pairs)

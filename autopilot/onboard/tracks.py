@@ -1,5 +1,6 @@
 """Everybody's odometry of the last seconds, to ask where they were."""
 
+import struct
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,6 +15,8 @@ JUMP_M_S2 = 10.0
 """...but for what an acceleration that is over between two samples may come to."""
 EXTRAPOLATED_S = 1.0
 """A neighbour is moved on by its velocity for so long at most."""
+_SAMPLE = struct.Struct("6d")
+"""Of an array's row: written into its memory, for a fifth of the time that assigning it takes."""
 
 
 class Tracks:
@@ -31,6 +34,7 @@ class Tracks:
         self._times_us = np.zeros((count, SAMPLES), np.int64)
         self._samples = np.zeros((count, SAMPLES, 6))
         self._pushed = np.zeros(count, np.int64)
+        self._newest_bytes, self._samples_bytes = self.newest.data.cast("B"), self._samples.data.cast("B")
         self._last: list[tuple[float, ...]] = [()] * count
 
     def push(
@@ -56,8 +60,8 @@ class Tracks:
         slot = pushed % SAMPLES
         self._times_us[station, slot] = self.newest_us[station] = time_us
         self._last[station] = sample = (*odometry_ned_m, *vel_ned_m_s)
-        self.newest[station] = sample
-        self._samples[station, slot] = self.newest[station]
+        _SAMPLE.pack_into(self._newest_bytes, station * _SAMPLE.size, *sample)
+        _SAMPLE.pack_into(self._samples_bytes, (station * SAMPLES + slot) * _SAMPLE.size, *sample)
         self._pushed[station] = pushed + 1
         return jump
 

@@ -6,6 +6,8 @@ from numpy.typing import NDArray
 
 from autopilot.onboard.kernels import STATES, Array, Times
 
+Flags = NDArray[np.bool_]
+
 
 @njit(cache=True)
 def relative_variance(cov: Array, i: int, j: int, line_m: Array) -> float:
@@ -21,8 +23,39 @@ def relative_variance(cov: Array, i: int, j: int, line_m: Array) -> float:
 
 
 @njit(cache=True)
+def seen_from(
+    own: int, now_us: int, newest: Array, newest_us: Times, longest_s: float, state: Array, cov: Array,
+    located: Flags, since_us: int, added_m2: float, pos_ned_m: Array, std_m: Array, fresh: Flags,
+) -> None:  # fmt: skip
+    """Where everybody is now and how well that is known from UAV ``own``.
+
+    Args:
+        own: index of the UAV that looks.
+        now_us: to when odometry is moved on.
+        newest: (N, 6) odometry, m, and velocity, m/s, NED, as of newest_us (N,).
+        newest_us: see there.
+        longest_s: it is moved on by its velocity for no longer.
+        state: (5N,) and ``cov`` (5N, 5N) of the filter.
+        cov: see there.
+        located: (N,)
+        since_us: who has been heard of since and is located is fresh.
+        added_m2: comes to each variance.
+        pos_ned_m: (N, 3) filled with positions.
+        std_m: (N,) filled as by `relative_stds`, with 0 for who is not fresh.
+        fresh: (N,) filled with who is.
+
+    """
+    for j in range(newest.shape[0]):
+        age_s = min((now_us - newest_us[j]) * 1e-6, longest_s)
+        for a in range(3):
+            pos_ned_m[j, a] = newest[j, a] + newest[j, 3 + a] * age_s + state[STATES * j + a]
+        fresh[j] = located[j] and newest_us[j] >= since_us
+    relative_stds(cov, own, pos_ned_m, fresh, added_m2, std_m)
+
+
+@njit(cache=True)
 def relative_stds(
-    cov: Array, own: int, pos_ned_m: Array, whose: NDArray[np.bool_], added_m2: float, out_m: Array
+    cov: Array, own: int, pos_ned_m: Array, whose: Flags, added_m2: float, out_m: Array
 ) -> None:
     """One sigma of each position relative to UAV ``own``, horizontally along the line; fills out_m (N,).
 
