@@ -76,9 +76,9 @@ class OwnState:
             half_s = 0.5e-6 * (time_us - self.time_us)
             north_m += half_s * (vel_n + before_n)
             east_m += half_s * (vel_e + before_e)
-        self.odometry_ned_m = np.array((north_m, east_m, down_m))
-        self.local_ned_m = np.array((msg.x, msg.y, down_m))
-        self.vel_ned_m_s = np.array((vel_n, vel_e, msg.vz))
+        self.odometry_ned_m = np.array((north_m, east_m, down_m), float)
+        self.local_ned_m = np.array((msg.x, msg.y, down_m), float)
+        self.vel_ned_m_s = np.array((vel_n, vel_e, msg.vz), float)
         self.time_us = time_us
         return True
 
