@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from autopilot.mavlink.codec import Message
-from autopilot.mavlink.hil import HilActuatorControls, HilParser
+from autopilot.mavlink.hil import HilActuatorControls, HilParser, whole_answer
 from harness.patience import STARTING_LIMIT_S, Patience
 from harness.reception import Newcomer, Reception
 
@@ -67,19 +67,27 @@ class Voice:
 
     def take(self, data: bytes, time_us: int) -> list[Message]:
         """Take in the next bytes: keep the answer to the sensors of ``time_us``, return all but answers."""
+        answer = whole_answer(data) if self.parser.is_between_frames else None
+        if answer is not None and answer.time_usec == time_us:
+            self._heed(answer)
+            return []
         others: list[Message] = []
         for message in self.parser.push(data):
             if not isinstance(message, HilActuatorControls):
                 others.append(message)
             elif message.time_usec == time_us:  # a late answer to an earlier step is none to this
-                self.answer = self.newest = message
-                self.answered_ever = True
-                self.silent_since_s = None
+                self._heed(message)
             elif self.manners.late_after_s is not None and message.time_usec < time_us:
                 self.newest = message
                 self.answered_ever = True
                 self.silent_since_s = None
         return others
+
+    def _heed(self, answer: HilActuatorControls) -> None:
+        """Take the answer of the present step."""
+        self.answer = self.newest = answer
+        self.answered_ever = True
+        self.silent_since_s = None
 
 
 class Seat(Voice):
@@ -126,6 +134,8 @@ class Lockstep:
     ) -> None:
         manners = manners or [OWN] * len(listeners)
         self.seats = [Seat(i, manners[i]) for i in range(len(listeners))]
+        self.living = 0
+        """How many vehicles are in the run."""
         self._listeners = list(listeners)
         self._reception = Reception(dict(enumerate(listeners)))
         self._patience = patience
@@ -137,11 +147,6 @@ class Lockstep:
         self._tolerated = [seat for seat in self.seats if seat.manners.late_after_s is not None]
         self._wall_sent_s = self._wall_before_s = 0.0
         self._overheard: deque[tuple[int, Message]] = deque()
-
-    @property
-    def living(self) -> int:
-        """How many vehicles are in the run."""
-        return sum(seat.connection is not None for seat in self.seats)
 
     @property
     def late_answers(self) -> dict[int, int]:
@@ -173,6 +178,7 @@ class Lockstep:
             # steps go on without it, so it may leave megabytes unread, and must not hold up the others then
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _POLL_TIMEVAL)
         seat.connection, seat.parser = connection, newcomer.parser
+        self.living += 1
         for message in newcomer.said[1:]:  # the first was its introduction, which is no news of a flight
             self._on_message(seat.instance, message)
 
@@ -247,6 +253,7 @@ class Lockstep:
             seat.connection.close()
             seat.connection = None
             seat.answer = None
+            self.living -= 1
             self._on_lost(instance, reason)
 
     def close(self) -> None:
@@ -255,6 +262,7 @@ class Lockstep:
             if seat.connection is not None:
                 seat.connection.close()
                 seat.connection = None
+        self.living = 0
         self._reception.close()
         for listener in self._listeners:
             listener.close()

@@ -48,6 +48,7 @@ from netsim.wire.lockstep import BATCH_HANDED_OVER
 STREAM = 250
 """Sets the physics' random streams apart from those of the run's other processes."""
 ROTORS = 4
+_RECORDED_OF_TRUTH = ("pos_ned_m", "vel_ned_m_s", "q_ned_frd", "omega_frd_rad_s", "rotor_speed_rad_s")
 COMPONENT_AUTOPILOT = 1
 COMPONENT_ONBOARD = 191
 
@@ -72,6 +73,7 @@ class Simulation:
         self._air = air
         self._tell = emit
         self._step_us = scenario.run.step_us
+        self._record_period_us = scenario.record_period_us
         n = scenario.agents
         streams = np.random.SeedSequence([scenario.run.seed, STREAM]).spawn(3)
         self._plan = scenario.plan()
@@ -102,10 +104,11 @@ class Simulation:
         self.formed = False
         self._controls: list[Sequence[float]] = [[0.0] * ROTORS for _ in range(n)]
         self._armed = [False] * n
-        self._stopped = np.zeros(n, dtype=bool)
+        self._stopped = np.zeros((n, ROTORS), dtype=bool)
         self._wind_now = WindNow(np.zeros((n, 3)), np.zeros((n, 3)))
         self._gone: tuple[int, ...] = ()
         """Vehicles that were lost."""
+        self._instances = np.arange(n)
         self._modes = [""] * n
         self._phases: list[Phase | None] = [None] * n
         self._starts_us: list[int | None] = [None] * n
@@ -151,13 +154,13 @@ class Simulation:
         The air goes on beside world and vehicles, and is waited for with the next answers.
         """
         truth = self._world.truth
-        alive = [seat.alive for seat in self.lockstep.seats]
+        recorded = self.time_us % self._record_period_us == 0
+        alive = [seat.alive for seat in self.lockstep.seats] if recorded else []
         self._advance_faults()
         frame = self._sensors.sample(self.time_us, truth, self._faults)
         told = truth if self._tells_truth and self.time_us % TRUTH_PERIOD_US < self._step_us else None
         delivered = self._air.delivered(self.time_us) if self._air is not None else ()
         self.lockstep.send(self._encoder.encode(self.time_us, frame, self._escs(truth), told, delivered))
-        recorded = self.time_us % self._scenario.record_period_us == 0
         if recorded:
             self._record(truth, alive)
         self.notice_collisions()
@@ -177,7 +180,7 @@ class Simulation:
             np.array(self._controls),
             np.array(self._armed),
             self._wind_now.force_ned_n,
-            rotors_stopped=self._stopped if stopped is None else stopped | self._stopped[:, None],
+            rotors_stopped=self._stopped if stopped is None else stopped | self._stopped,
             air_vel_ned_m_s=self._wind_now.air_vel_ned_m_s,
             rotor_effectiveness=self._faults.rotor_effectiveness,
         )
@@ -286,22 +289,16 @@ class Simulation:
         self._open.close()
 
     def _record(self, truth: Truth, alive: list[bool]) -> None:
-        self._truth_log.append(
-            zip(
-                [self.time_us] * len(alive),
-                range(len(alive)),
-                alive,
-                self._armed,
-                truth.pos_ned_m,
-                truth.vel_ned_m_s,
-                truth.q_ned_frd,
-                truth.omega_frd_rad_s,
-                self._wind_now.force_ned_n,
-                self._wind_now.air_vel_ned_m_s,
-                truth.rotor_speed_rad_s,
-                strict=True,
-            )
-        )
+        rows = np.empty(len(alive), TRUTH_RECORD)
+        rows["time_us"] = self.time_us
+        rows["uav"] = self._instances
+        rows["alive"] = alive
+        rows["armed"] = self._armed
+        for name in _RECORDED_OF_TRUTH:
+            rows[name] = truth.rows[name]
+        rows["wind_force_ned_n"] = self._wind_now.force_ned_n
+        rows["wind_vel_ned_m_s"] = self._wind_now.air_vel_ned_m_s
+        self._truth_log.append_array(rows)
 
     def notice_collisions(self) -> None:
         """Report collisions of the last step that have just begun; harmless when repeated."""

@@ -23,23 +23,35 @@ class RecordLog:
         self._file = Path(path).open("wb")  # noqa: SIM115 - closed by close()
         self._dtype = dtype
         self._rows: list[Any] = []
+        self._packed = bytearray()
+        """Rows that came packed, and do not fill a block yet."""
 
     def append(self, rows: Iterable[Any]) -> None:
         """Add rows: tuples in the order of the dtype's fields, or records of that dtype."""
         self._rows.extend(rows)
         while len(self._rows) >= BLOCK_ROWS:
-            self._write(self._rows[:BLOCK_ROWS])
+            self._write(np.array(self._rows[:BLOCK_ROWS], dtype=self._dtype).tobytes())
             del self._rows[:BLOCK_ROWS]
+
+    def append_array(self, rows: NDArray[np.void]) -> None:
+        """Add rows (n,) of the dtype at once; a log gets all of its rows either so or by `append`."""
+        self._packed += rows.tobytes()
+        block_bytes = BLOCK_ROWS * self._dtype.itemsize
+        whole = len(self._packed) // block_bytes * block_bytes
+        if whole:
+            self._write(bytes(self._packed[:whole]))
+            del self._packed[:whole]
 
     def close(self) -> None:
         """Write what is left, and close the file even if that fails. Harmless when repeated."""
         if not self._file.closed:
             with self._file:
-                self._write(self._rows)
+                self._write(np.array(self._rows, dtype=self._dtype).tobytes() + self._packed)
                 self._rows.clear()
+                self._packed.clear()
 
-    def _write(self, rows: list[Any]) -> None:
-        self._file.write(np.array(rows, dtype=self._dtype).tobytes())
+    def _write(self, data: bytes) -> None:
+        self._file.write(data)
         self._file.flush()
 
 

@@ -113,6 +113,28 @@ def pack(message: HilMessage, *, sequence: int, system: int, component: int) -> 
     return frame + _CHECKSUM.pack(crc16.mcrf4xx(frame[_FIRST_CHECKED:] + form.crc_extra))
 
 
+_ANSWER = Struct("<BBBBBBBHBQQ16fBH")
+"""All of a frame of HIL_ACTUATOR_CONTROLS of which nothing is cut off: its last byte tells a vehicle's mode."""
+
+
+def whole_answer(data: bytes) -> HilActuatorControls | None:
+    """Give the answer that ``data`` is, if it is one right, unsigned frame of full length and nothing else.
+
+    That is what nearly every answer is. None: a `HilParser` knows what to make of it.
+    """
+    if len(data) != _ANSWER.size:
+        return None
+    (
+        magic, length, incompatible, _, _, _, _, kind, kind_high, time_usec, flags, *controls, mode, checksum
+    ) = _ANSWER.unpack(data)  # fmt: skip
+    form = _ACTUATORS
+    if magic != _MAGIC or length != form.fields.size or incompatible or kind != form.kind or kind_high:
+        return None
+    if crc16.mcrf4xx(data[_FIRST_CHECKED : -_CHECKSUM.size] + form.crc_extra) != checksum:
+        return None
+    return HilActuatorControls(time_usec, controls, mode, flags)
+
+
 class HilEncoder(Encoder):
     """`Encoder` for a simulator's link: hot messages by struct, the rest as ever, in one sequence."""
 
@@ -134,6 +156,11 @@ class HilParser(Parser):
         super().__init__()
         self._hot = hot
         self._form = _FORMATS[hot]
+
+    @property
+    def is_between_frames(self) -> bool:
+        """Whether nothing of an unfinished frame is kept."""
+        return not self._buffer
 
     def push(self, data: bytes) -> list[Message | HilMessage]:
         """Messages that are complete after the next ``data`` of a byte stream."""

@@ -4,6 +4,7 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from autopilot.config import Site
@@ -51,8 +52,7 @@ class BaroSamples:
     """(n,)"""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SensorFrame:
+class SensorFrame(Struct, frozen=True, kw_only=True):
     """What is sent to n vehicles at ``time_us``; None where a sensor has nothing new."""
 
     time_us: int

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+from msgspec import structs
 from pymavlink.dialects.v20 import common
 
 from autopilot.config import AutopilotConfig, Devices, OnboardConfig, Vector, VehicleConfig
@@ -335,7 +336,7 @@ class Solo:
         if self._imu_noise == 1.0:
             return frame
         accel, gyro = truth.specific_force_frd_m_s2, truth.mean_omega_frd_rad_s
-        return replace(
+        return structs.replace(
             frame,
             accel_frd_m_s2=accel + self._imu_noise * (frame.accel_frd_m_s2 - accel),
             gyro_frd_rad_s=gyro + self._imu_noise * (frame.gyro_frd_rad_s - gyro),

@@ -32,6 +32,19 @@ def test_full_blocks_are_on_disk_before_the_log_is_closed(tmp_path):
     log.close()
 
 
+def test_packed_rows_lie_in_the_same_blocks(tmp_path):
+    logs = [RecordLog(tmp_path / name, PAIR) for name in ("rows", "arrays")]
+    for first in range(0, 3 * BLOCK_ROWS, 7):
+        chunk = rows(first + 7)[first:]
+        logs[0].append(chunk)
+        logs[1].append_array(np.array(chunk, dtype=PAIR))
+        sizes = [(tmp_path / name).stat().st_size for name in ("rows", "arrays")]
+        assert sizes[0] == sizes[1] == (first + 7) // BLOCK_ROWS * BLOCK_ROWS * PAIR.itemsize
+    for log in logs:
+        log.close()
+    assert (tmp_path / "rows").read_bytes() == (tmp_path / "arrays").read_bytes()
+
+
 def test_a_record_cut_short_is_left_out_and_a_missing_file_is_empty(tmp_path):
     log = RecordLog(tmp_path / "log.bin", PAIR)
     log.append(rows(3))
