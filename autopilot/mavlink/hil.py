@@ -114,7 +114,7 @@ def pack(message: HilMessage, *, sequence: int, system: int, component: int) -> 
 
 
 _ANSWER = Struct("<BBBBBBBHBQQ16fBH")
-"""All of a frame of HIL_ACTUATOR_CONTROLS of which nothing is cut off: its last byte tells a vehicle's mode."""
+"""A frame of HIL_ACTUATOR_CONTROLS of which nothing is cut off, for its last byte, the mode, is not zero."""
 
 
 def whole_answer(data: bytes) -> HilActuatorControls | None:
