@@ -27,6 +27,7 @@ def main() -> int:
     parser.add_argument(
         "--fork-fd", type=int, required=True, help="inherited Unix socket that says what to fork"
     )
+    parser.add_argument("--supervised", action="store_true", help="accepted for likeness: it always is")
     arguments = parser.parse_args()
     show_name(NAME)
     with socket.socket(fileno=arguments.fork_fd) as line:

@@ -186,7 +186,7 @@ class Processes:
             self._ports.update(simulator_ports)
             RunFolder.create(self._folder.path)
             if self._has_hangar:  # it takes longest, and needs none of the others
-                self._supervisor.start_forker(HANGAR, python_module("autopilot.hangar"))
+                self._supervisor.start_forker(HANGAR, python_module("autopilot.hangar", "--supervised"))
             clock = [sockets.enter_context(end) for end in socket.socketpair()]
             radio_fd, physics_fd = (end.fileno() for end in clock)
             config = self._folder.write_radio_config(scenario, run_id=run_id)

@@ -31,6 +31,7 @@ def flown(tmp_path_factory):
         names = {name: psutil.Process(pid).name() for name, pid in swarm.pids.items()}
         pids = swarm.pids
         swarm.run_for(HOLD_S)
+        uss_mb = {name: psutil.Process(pid).memory_full_info().uss * 1e-6 for name, pid in swarm.pids.items()}
         swarm.stop()
         summary = swarm.summary()
         compiled = set(kernel_cache.folder().rglob("*.nb?")) - set(kernels)
@@ -39,6 +40,7 @@ def flown(tmp_path_factory):
             "folder": folder,
             "pids": pids,
             "names": names,
+            "uss_mb": uss_mb,
             "events": swarm.events,
             "forced": swarm.forced,
             "leftovers": swarm.leftovers(),
@@ -55,6 +57,10 @@ def test_eight_autopilots_and_the_emulator_were_processes_of_their_own(flown):
     assert len(set(listed.values())) == 11
     assert {name: flown["names"][name] for name in forked} == {name: name for name in forked}
     assert all(process["ending"].endswith("ended with status 0") for process in manifest["processes"])
+
+
+def test_a_vehicle_needs_little_memory_of_its_own(flown):
+    assert max(flown["uss_mb"][f"uav {i}"] for i in range(8)) < 60.0
 
 
 def test_it_forms_and_holds_without_touching_and_leaves_nothing_behind(flown):
