@@ -17,6 +17,7 @@ PARTS = {
     "netsim.record_log": "records",
     "netsim.capture": "records",
     "netsim.clock_line": LINK,
+    "netsim.clock_line": LINK,
     "netsim.transport": LINK,
     "netsim.server": LINK,
 }
