@@ -103,19 +103,19 @@ def keep_clear(
     normals, bounds = np.empty((n, 2)), np.empty(n)
     count, worst, worst_by, worst_reach_m = 0, -1, 0.0, 0.0
     change_ne_m_s[:] = 0.0
-    away_m = math.hypot(pos_ned_m[own, 0] - place_ned_m[0], pos_ned_m[own, 1] - place_ned_m[1])
+    away_m = np.hypot(pos_ned_m[own, 0] - place_ned_m[0], pos_ned_m[own, 1] - place_ned_m[1])
     wider_m = AWAY_SHARE * max(away_m - in_place_m, 0.0)
     for j in range(n):
         if j == own or not counts[j]:
             continue
         north, east = pos_ned_m[own, 0] - pos_ned_m[j, 0], pos_ned_m[own, 1] - pos_ned_m[j, 1]
         down = pos_ned_m[own, 2] - pos_ned_m[j, 2]
-        level_m = math.hypot(north, east)
-        apart_m = max(math.hypot(level_m, down), NEAR_M)
+        level_m = np.hypot(north, east)
+        apart_m = max(np.hypot(level_m, down), NEAR_M)
         closing_m_s = 0.0
         for a, way_m in enumerate((north, east, down)):
             closing_m_s -= (vel_ned_m_s[own, a] - vel_ned_m_s[j, a]) * way_m / apart_m
-        std = math.hypot(std_m[j] * level_m, HEIGHT_STD_M * down) / apart_m
+        std = np.hypot(std_m[j] * level_m, HEIGHT_STD_M * down) / apart_m
         reach_m = min(radius_m + SIGMAS * std, limits_m[j] + wider_m)
         gap_m = apart_m - LEAD_S * max(closing_m_s, 0.0) - reach_m
         if level_m < NEAR_M:
@@ -139,13 +139,13 @@ def keep_clear(
     found_ne = np.empty(2)
     _nearest(normals, bounds, count, wanted_ne_m_s, found_ne)
     ahead_n, ahead_e = wanted_ne_m_s[0] - frame_ned_m_s[0], wanted_ne_m_s[1] - frame_ned_m_s[1]
-    speed_m_s = math.hypot(ahead_n, ahead_e)
+    speed_m_s = np.hypot(ahead_n, ahead_e)
     if speed_m_s > 1e-6:
         # What is blocked ahead goes to the right: with everybody doing so, nobody stands face to face for
         # long. Not where the neighbour stands on the goal itself, or around it one would go for ever.
         ahead_n, ahead_e = ahead_n / speed_m_s, ahead_e / speed_m_s
         blocked = (wanted_ne_m_s[0] - found_ne[0]) * ahead_n + (wanted_ne_m_s[1] - found_ne[1]) * ahead_e
-        beside_m = math.hypot(goal_ned_m[0] - pos_ned_m[worst, 0], goal_ned_m[1] - pos_ned_m[worst, 1])
+        beside_m = np.hypot(goal_ned_m[0] - pos_ned_m[worst, 0], goal_ned_m[1] - pos_ned_m[worst, 1])
         aside = min(max(beside_m / worst_reach_m - 1.0, 0.0), 1.0) * min(max(blocked, 0.0), speed_m_s)
         if aside > 0.0:
             turned_ne = np.empty(2)

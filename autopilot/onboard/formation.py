@@ -121,11 +121,11 @@ def join(
         # Against where the target was by its own motion, so that joining is the same however it moves.
         gap_m[a] = target[0, a] - dt_s * (target[1, a] - 0.5 * dt_s * target[2, a]) - pos[a]
         apart_m_s[a] = vel[a] - target[1, a] + dt_s * target[2, a]
-        distance_m2 += gap_m[a] ** 2
-        speed_m2_s2 += apart_m_s[a] ** 2
+        distance_m2 += gap_m[a] * gap_m[a]
+        speed_m2_s2 += apart_m_s[a] * apart_m_s[a]
     distance_m = math.sqrt(distance_m2)
     near_m_s2 = PLAN_SWING_M_S2 if joined else ACCELERATION_M_S2
-    if distance_m <= 0.5 * near_m_s2 * dt_s**2 and math.sqrt(speed_m2_s2) <= near_m_s2 * dt_s:
+    if distance_m <= 0.5 * near_m_s2 * (dt_s * dt_s) and math.sqrt(speed_m2_s2) <= near_m_s2 * dt_s:
         pos[first:end], vel[first:end], acc[first:end] = (
             target[0, first:end],
             target[1, first:end],
@@ -137,7 +137,8 @@ def join(
     wanted_1_s = min(speed_m_s, braking_m_s, distance_m / dt_s) / max(distance_m, 1e-9)
     size_m2_s2 = 0.0
     for a in range(first, end):
-        size_m2_s2 += (gap_m[a] * wanted_1_s - apart_m_s[a]) ** 2
+        missing_m_s = gap_m[a] * wanted_1_s - apart_m_s[a]
+        size_m2_s2 += missing_m_s * missing_m_s
     part = min(1.0, ACCELERATION_M_S2 * dt_s / max(math.sqrt(size_m2_s2), 1e-9))
     for a in range(first, end):
         change_m_s = part * (gap_m[a] * wanted_1_s - apart_m_s[a])

@@ -18,7 +18,12 @@ the weight of a Student-t likelihood (Lange, Little and Taylor, "Robust statisti
 distribution", 1989). Its pull falls with its size, so that a wrong one has bounded effect.
 
 Arrays are changed in place. Nothing here allocates on the per-measurement path but one row.
+
+Compiled or not, kernels give the same bits: squares are products, exponentials are `math.exp` and lengths
+`np.hypot`, for the interpreter's powers, NumPy's exponentials and `math.hypot` round otherwise (a test).
 """
+
+import math
 
 import numpy as np
 from numba import njit
@@ -110,8 +115,8 @@ def predict(
             cov[STATES * j + 1, STATES * j + 1] += drift_m2
     if decay_s <= 0.0:
         return
-    height_decay = np.exp(-decay_s / height_tau_s)
-    bias_decay = np.exp(-decay_s / bias_tau_s)
+    height_decay = math.exp(-decay_s / height_tau_s)
+    bias_decay = math.exp(-decay_s / bias_tau_s)
     factor = np.ones(size)
     for j in range(active.shape[0]):
         factor[STATES * j + 2] = height_decay

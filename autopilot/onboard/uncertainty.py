@@ -18,7 +18,8 @@ def relative_variance(cov: Array, i: int, j: int, line_m: Array) -> float:
         for b in range(3):
             block = cov[bi + a, bi + b] + cov[bj + a, bj + b] - cov[bi + a, bj + b] - cov[bj + a, bi + b]
             total += line_m[a] * line_m[b] * block
-    variance: float = max(total, 0.0) / (line_m[0] ** 2 + line_m[1] ** 2 + line_m[2] ** 2)
+    length_m2 = line_m[0] * line_m[0] + line_m[1] * line_m[1] + line_m[2] * line_m[2]
+    variance: float = max(total, 0.0) / length_m2
     return variance
 
 
@@ -87,7 +88,8 @@ def shape_variance(pos_ned_m: Array, cov: Array, members: Times) -> float:
         centre_e += pos_ned_m[j, 1] / m
     spread = 0.0
     for j in members:
-        spread += (pos_ned_m[j, 0] - centre_n) ** 2 + (pos_ned_m[j, 1] - centre_e) ** 2
+        arm_n, arm_e = pos_ned_m[j, 0] - centre_n, pos_ned_m[j, 1] - centre_e
+        spread += arm_n * arm_n + arm_e * arm_e
     total = 0.0
     shift_n, shift_e, turn = 0.0, 0.0, 0.0
     for i in members:
@@ -137,7 +139,8 @@ def bend(
         centre_e += reference_ne_m[j, 1] / m
     spread = 0.0
     for j in members:
-        spread += (reference_ne_m[j, 0] - centre_n) ** 2 + (reference_ne_m[j, 1] - centre_e) ** 2
+        arm_n, arm_e = reference_ne_m[j, 0] - centre_n, reference_ne_m[j, 1] - centre_e
+        spread += arm_n * arm_n + arm_e * arm_e
     if spread < 1e-6:
         return
     # Covariance of each position with the turn of the whole, and the variance of that.
@@ -162,7 +165,7 @@ def bend(
             turned = 0.0
             for a in range(2):
                 turned += across[a] * (with_turn[i, a] - with_turn[j, a])
-            variance = relative_variance(cov, i, j, across) - 2.0 * turned + apart_m**2 * turn_rad2
+            variance = relative_variance(cov, i, j, across) - 2.0 * turned + apart_m * apart_m * turn_rad2
             bent_m = across[0] * (pos_ne_m[i, 0] - pos_ne_m[j, 0])
             bent_m += across[1] * (pos_ne_m[i, 1] - pos_ne_m[j, 1])
             bent_m /= apart_m
