@@ -217,6 +217,10 @@ class Messaging:
             now_us, answered=outgoing[:answered], timed=outgoing[answered:timed], streamed=outgoing[timed:]
         )
 
+    def is_due(self, now_us: int) -> bool:
+        """Whether `on_timer` must be asked though nobody listens: something was posted, or a service is due."""
+        return bool(self._outgoing) or now_us >= self.services.deadline_us
+
     def take_outgoing(self) -> list[Addressed]:
         """Give what has been posted, which then is gone from here."""
         outgoing, self._outgoing = self._outgoing, []

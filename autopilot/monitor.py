@@ -26,7 +26,7 @@ _TERMINATE = 4
 
 
 class Monitor:
-    """Bits of `Condition` and `Cause` of one vehicle; `update` at every step, before the commander's."""
+    """Bits of `Condition` and `Cause` of one vehicle; `update` before the commander's."""
 
     def __init__(
         self,

@@ -31,7 +31,7 @@ _HEIGHT_MAX_M = 1e5
 
 
 class Pilot:
-    """Flies one vehicle in the commander's mode: `feel` the ground, then `fly`, at every step."""
+    """Flies one vehicle in the commander's mode: `feel` the ground now and then, `fly` at every step."""
 
     def __init__(
         self,

@@ -2,6 +2,10 @@
 
 `Vehicle.step` is all that happens in the moment of one HIL_SENSOR. It does no I/O: messages and radio items
 come in as objects and go out as objects, and time is the sensor's.
+
+Parts have rates of their own, as in PX4: estimator, rates and attitude act at every sample, position control
+at every second; what is felt of the ground, conditions, failsafes and modes are looked at every
+`DECISION_PERIOD_US`, and at once when a link or the application wants something.
 """
 
 from collections.abc import Sequence
@@ -44,6 +48,8 @@ from autopilot.recording import SiteFrame
 from autopilot.sensors import SensorInput
 from netsim.wire.messages import RxItem, TxItem
 
+DECISION_PERIOD_US = 20_000
+"""PX4 looks for the ground as often, and at failsafes twice as often."""
 _GROUND = Partner(GROUND_STATION)
 _HEARTBEAT_PERIOD_US = 1_000_000
 _TRUTH_INTERVAL_US = 5_000.0
@@ -144,6 +150,7 @@ class Vehicle:
         self._last_us: int | None = None
         self._announced: tuple[FlightMode, bool, bool] | None = None
         self._announce_us = 0
+        self._decide_us = 0
 
     def step(
         self,
@@ -159,28 +166,30 @@ class Vehicle:
         not later than the one before is answered with the controls of before.
         """
         now_us: int = sim_messages[-1].time_usec
-        first = self._last_us is None
-        if self.has_been_at(now_us):
+        last_us = self._last_us
+        if last_us is not None and now_us <= last_us:
             return StepOutput(
                 now_us=now_us, actuators=self._actuators(now_us), simulator=[], links=[], radio=()
             )
-        dt_s = (self.config.step_us if self._last_us is None else now_us - self._last_us) / US_PER_S
         self._last_us = now_us
-
-        messaging = self.messaging
-        if self._sensors.take(sim_messages, now_us):
-            messaging.on_new_fix()
-        to_answer = self._take_in(link_messages, now_us)
-        self._sense(now_us)
-        simulator = [_greeting()] if first else []
-        self._decide()
-        for received in to_answer:
-            self._on_link_message(received, now_us)
+        self._sense(sim_messages, now_us)
+        simulator = [_greeting()] if last_us is None else []
+        decides = now_us >= self._decide_us or bool(link_messages)
+        if decides:
+            self._decide_us = now_us - now_us % DECISION_PERIOD_US + DECISION_PERIOD_US
+            to_answer = self._take_in(link_messages, now_us)
+            self._look_around()
+            self._decide()
+            for received in to_answer:
+                self._on_link_message(received, now_us)
         if self._told_truth:
             self._pass_truth_on(sim_messages, now_us)
         radio = self._run_app(radio_items, simulator, now_us)
-        self.pilot.fly(dt_s)
-        links = messaging.on_timer(now_us, link_active)
+        self.pilot.fly((self.config.step_us if last_us is None else now_us - last_us) / US_PER_S)
+        messaging = self.messaging
+        links: list[Addressed] = []
+        if decides or messaging.is_due(now_us) or any(link_active):
+            links = messaging.on_timer(now_us, link_active)
         self._announce(simulator, now_us)
         return StepOutput(
             now_us=now_us,
@@ -263,23 +272,28 @@ class Vehicle:
 
     # ---- parts of a step, in their order
 
-    def _sense(self, now_us: int) -> None:
-        """Bring the shared data up to now: the estimate, what holds, home, contact with the ground."""
-        flight = self.flight
+    def _sense(self, sim_messages: Sequence[Message], now_us: int) -> None:
+        """Bring estimate and sensors up to now."""
+        flight, sensors = self.flight, self._sensors
         flight.now_us = now_us
-        sensors = self._sensors
+        if sensors.take(sim_messages, now_us):
+            flight.gps, flight.gps_us = sensors.gps, sensors.gps_us
+            self.messaging.on_new_fix()
         flight.sensor, flight.baro = sensors.sensor, sensors.baro
-        flight.gps, flight.gps_us = sensors.gps, sensors.gps_us
-        state = flight.state = self.estimator.live
-        if state.position_valid:
+        flight.state = self.estimator.live
+
+    def _look_around(self) -> None:
+        """Find out what the commander goes by: contact with the ground, home, what holds and what is wrong."""
+        flight, pilot = self.flight, self.pilot
+        if flight.state.position_valid:
             flight.origin_known = True
-        landed_before = self.pilot.landed
-        self.pilot.feel()
-        if self.pilot.landed is not landed_before:
+        landed_before = pilot.landed
+        pilot.feel()
+        if pilot.landed is not landed_before:
             if landed_before:
-                flight.took_off_us = now_us
+                flight.took_off_us = flight.now_us
             else:
-                flight.landed_us = now_us
+                flight.landed_us = flight.now_us
                 self.estimator.on_landed()
         if self.estimator.numerical_failure and not self.commander.armed:
             self.estimator.restart()
@@ -348,6 +362,8 @@ class Vehicle:
                 self.messaging.post(reply(_GROUND, message))
             else:
                 self.messaging.on_message(message, now_us, APPLICATION_PARTNER)
+                if kind not in self._before_conditions:  # a command: what it has changed is looked at with the next sample
+                    self._decide_us = now_us
         return output.radio
 
     def _pass_truth_on(self, sim_messages: Sequence[Message], now_us: int) -> None:

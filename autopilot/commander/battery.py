@@ -97,7 +97,7 @@ def resistance_growth(charge: float) -> float:
 
 
 class BatterySimulator:
-    """The pack of one vehicle; `update` at every step.
+    """The pack of one vehicle; `update` it several times a second.
 
     A motor draws what its rotor's power needs: the cube of the speed, which is thrust to the power of 1.5.
     The speed follows the command u as that of the physics' rotors, 1000 u + 100 rad/s. That a lower voltage
@@ -109,7 +109,7 @@ class BatterySimulator:
         self.pack = pack
         self._drawn_mah = (1.0 - params.initial) * self.capacity_mah
         self._cubes = 0.0
-        """Sum over the steps and motors of (u + 0.1)^3."""
+        """Sum over the updates and motors of (u + 0.1)^3."""
         self._steps = 0
         self._begin_us: int | None = None
         """Of the present sample; None before the first step."""
@@ -133,7 +133,7 @@ class BatterySimulator:
     def update(self, now_us: int, controls: Array, *, armed: bool) -> BatterySample | None:
         """Draw what the motor ``controls`` (4,), 0..1, ask for; give a sample when one is due.
 
-        The controls count for the step that ends now; steps are taken to be equally long.
+        The controls count for the time since the last update; these are taken to be equally far apart.
         """
         if armed:
             for control in controls.tolist():

@@ -8,7 +8,7 @@ from autopilot.mavlink.modes import FlightMode
 
 
 class Condition(IntFlag):
-    """Something that holds at the moment; the commander is told all that hold at every step."""
+    """Something that holds at the moment; the commander is told all that hold whenever it is asked."""
 
     IMU = 1
     BARO = 2
@@ -87,7 +87,7 @@ MODE_NEEDS: dict[FlightMode, Condition] = {
 """The modes that this autopilot flies."""
 
 MODE_NEED_BITS = {mode: int(needs) for mode, needs in MODE_NEEDS.items()}
-"""Plain integers: the test at every step costs a tenth of the flag type's."""
+"""Plain integers: the test costs a tenth of the flag type's."""
 
 ARMING_NEEDS = Condition.IMU | Condition.BARO | Condition.MAG | Condition.CHARGE
 """On top of what the mode needs; a mode that needs the position needs the GPS, too."""

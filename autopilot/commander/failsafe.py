@@ -179,7 +179,7 @@ class _Active(NamedTuple):
 
 
 class Failsafe:
-    """The active failsafes of one flight; ask `update` at every step."""
+    """The active failsafes of one flight; ask `update` whenever it is decided."""
 
     def __init__(self) -> None:
         self.decision = NOTHING

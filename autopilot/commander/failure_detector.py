@@ -67,7 +67,7 @@ def thrust_fractions(controls: Iterable[float], thrust_model_factor: float) -> l
 
 
 class FailureDetector:
-    """One vehicle's failures: `update` at every step, `on_esc` when telemetry comes."""
+    """One vehicle's failures: `update` it several times a second, `on_esc` when telemetry comes."""
 
     def __init__(self, params: FailureDetectorParams) -> None:
         self.failed_motors: frozenset[int] = frozenset()

@@ -29,7 +29,7 @@ class Received(NamedTuple):
 
 
 class OffboardService(Listener):
-    """Setpoints of all sources: `ask` before Offboard is asked for, `is_fresh` at every step."""
+    """Setpoints of all sources: `ask` before Offboard is asked for, `is_fresh` before decisions."""
 
     takes = SETPOINT_MESSAGES
 

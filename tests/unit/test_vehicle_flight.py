@@ -13,7 +13,7 @@ from autopilot.mavlink.modes import FlightMode
 from autopilot.params import ParameterError
 from autopilot.protocol.service import COMPANION, GROUND_STATION, Addressed, Partner
 from autopilot.recording import VEHICLE_RECORD, record
-from autopilot.vehicle import Vehicle, is_clock
+from autopilot.vehicle import DECISION_PERIOD_US, Vehicle, is_clock
 
 NAN = math.nan
 ACCEPTED = common.MAV_RESULT_ACCEPTED
@@ -125,7 +125,7 @@ def test_take_off_hold_land_and_disarm(flight):
     assert flight.height_m == pytest.approx(0.0, abs=0.02)
     landed_us = flight.now_us
     assert flight.run(5.0, until=lambda: not vehicle.commander.armed)
-    assert flight.now_us - landed_us == pytest.approx(2_000_000, abs=2 * STEP_US)  # COM_DISARM_LAND
+    assert flight.now_us - landed_us == pytest.approx(2_000_000, abs=DECISION_PERIOD_US)  # COM_DISARM_LAND
     assert flight.step().actuators.controls == [0.0] * 16
     assert [mode for _, mode, _ in flight.modes] == ["Hold", "Hold", "Takeoff", "Hold", "Land", "Hold"]
     assert [armed for _, _, armed in flight.modes] == [False, True, True, True, True, False]
@@ -156,7 +156,7 @@ def test_armed_and_left_alone_it_stays_down_and_disarms(flight):
     assert flight.command(ARM, 1.0) == ACCEPTED
     armed_us = flight.now_us
     assert flight.run(12.0, until=lambda: not flight.vehicle.commander.armed)
-    assert flight.now_us - armed_us == pytest.approx(10_000_000, abs=2 * STEP_US)  # COM_DISARM_PRFLT
+    assert flight.now_us - armed_us == pytest.approx(10_000_000, abs=DECISION_PERIOD_US)  # COM_DISARM_PRFLT
     assert flight.height_m == pytest.approx(0.0, abs=0.01)
     assert flight.texts() == ["Disarmed: no takeoff"]
 
@@ -176,7 +176,7 @@ def test_offboard_follows_its_setpoints_and_holds_when_they_stop(flight):
     assert np.abs(vehicle.flight.state.pos_ned_m - target).max() < 0.25
     last_us = flight.now_us - round(0.05 * 1e6) + STEP_US  # the step that took the last setpoint
     assert flight.run(3.0, until=lambda: vehicle.commander.mode is FlightMode.HOLD)
-    assert flight.now_us - last_us == pytest.approx(1_000_000, abs=2 * STEP_US)  # COM_OF_LOSS_T
+    assert flight.now_us - last_us == pytest.approx(1_000_000, abs=DECISION_PERIOD_US + STEP_US)  # COM_OF_LOSS_T
     assert flight.texts()[-1] == "Failsafe: no offboard setpoints, Hold"
     flight.run(2.0)
     assert np.abs(vehicle.flight.state.pos_ned_m - target).max() < 0.4
