@@ -218,7 +218,7 @@ class Messaging:
         )
 
     def is_due(self, now_us: int) -> bool:
-        """Whether `on_timer` must be asked though nobody listens: something was posted, or a service is due."""
+        """Whether there is something for `on_timer` to do though nobody listens."""
         return bool(self._outgoing) or now_us >= self.services.deadline_us
 
     def take_outgoing(self) -> list[Addressed]:

@@ -283,7 +283,7 @@ class Vehicle:
         flight.state = self.estimator.live
 
     def _look_around(self) -> None:
-        """Find out what the commander goes by: contact with the ground, home, what holds and what is wrong."""
+        """Find out what the commander goes by: contact with the ground, what holds and what is wrong."""
         flight, pilot = self.flight, self.pilot
         if flight.state.position_valid:
             flight.origin_known = True
@@ -362,8 +362,8 @@ class Vehicle:
                 self.messaging.post(reply(_GROUND, message))
             else:
                 self.messaging.on_message(message, now_us, APPLICATION_PARTNER)
-                if kind not in self._before_conditions:  # a command: what it has changed is looked at with the next sample
-                    self._decide_us = now_us
+                if kind not in self._before_conditions:
+                    self._decide_us = now_us  # a command: with the next sample it is seen what that has changed
         return output.radio
 
     def _pass_truth_on(self, sim_messages: Sequence[Message], now_us: int) -> None:

@@ -41,7 +41,7 @@ class Notice(NamedTuple):
 
 
 class Commander:
-    """Holds mode and arming; ask with `arm`, `disarm`, `set_mode`, and call `update` several times a second."""
+    """Holds mode and arming; ask with `arm`, `disarm`, `set_mode`, and `update` it several times a second."""
 
     def __init__(self, params: CommanderParams) -> None:
         self.params = params
