@@ -49,6 +49,7 @@ class Pilot:
         control = settings.control
         self.navigator = Navigator(settings.navigation, control.trajectory, control.position)
         flight.course = lambda: self.navigator.course
+        flight.attitude_setpoint = lambda: self.controller.attitude_setpoint
         self.mission_valid = False
         """There is a mission that may be flown."""
         self.mission_trouble: str | None = None
@@ -266,7 +267,6 @@ class Pilot:
         self._setpoint = setpoint
         flight.setpoint = setpoint if isinstance(setpoint, TrajectorySetpoint) else None
         flight.motors = self.controller.update(state, setpoint, dt_s=dt_s, landed=landed)
-        flight.attitude_setpoint = self.controller.attitude_setpoint
         self.controls = flight.motors.tolist() + _NO_CONTROLS[4:]
 
     def _keep_up(self) -> None:
@@ -289,7 +289,7 @@ class Pilot:
         if not flight.commander.armed:
             flight.motors = self.controller.idle()
             self._setpoint = IDLE
-            flight.setpoint = flight.attitude_setpoint = None
+            flight.setpoint = None
             self.controls = _NO_CONTROLS
             return
         if not was_armed and flight.state.position_valid and not self._home_is_manual:

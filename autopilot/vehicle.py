@@ -363,7 +363,7 @@ class Vehicle:
             else:
                 self.messaging.on_message(message, now_us, APPLICATION_PARTNER)
                 if kind not in self._before_conditions:
-                    self._decide_us = now_us  # a command: with the next sample it is seen what that has changed
+                    self._decide_us = now_us  # a command: what that has changed is seen with the next sample
         return output.radio
 
     def _pass_truth_on(self, sim_messages: Sequence[Message], now_us: int) -> None:

@@ -15,60 +15,68 @@ from autopilot.control.params import DisturbanceParams
 from autopilot.estimation.rotation import quat_rotate
 from autopilot.types import Array
 
+OBSERVED, THRUST = 0, 3
+"""What is remembered: (3,) the estimate, NED; collective thrust 0..1 that the motors have reached."""
+LAG, CUTOFF, ACC_MAX = range(3)
+"""The settings: the motors' lag in s, cutoff of the low-pass in Hz (0: switched off), greatest estimate."""
+
 
 @njit(cache=True)
-def _observe(
-    acc_ned: Array,
-    q_ned_frd: Array,
-    thrust_acc: float,
-    dt_s: float,
-    cutoff_hz: float,
-    acc_max: float,
-    estimate: Array,
-) -> None:
-    alpha = 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * dt_s)
+def observe_disturbance(
+    memory: Array, settings: Array, acc_ned: Array, q_ned_frd: Array, thrust: float, hover_thrust: float,
+    dt_s: float, observe: bool,  # noqa: FBT001 - kernels take positions
+) -> None:  # fmt: skip
+    """Follow the thrust given over the last ``dt_s`` and learn from the acceleration; ``memory`` changes."""
+    lag_s = settings[LAG]
+    share = 1.0 - math.exp(-dt_s / lag_s) if lag_s > 0.0 else 1.0
+    memory[THRUST] += share * (thrust - memory[THRUST])
+    if not (observe and settings[CUTOFF] > 0.0):
+        return
+    alpha = 1.0 - math.exp(-2.0 * math.pi * settings[CUTOFF] * dt_s)
+    thrust_acc = GRAVITY_M_S2 * memory[THRUST] / hover_thrust
     unexplained = acc_ned - quat_rotate(q_ned_frd, np.array([0.0, 0.0, -thrust_acc]))
     unexplained[2] -= GRAVITY_M_S2
     # limited before the filter: a bump is then worth no more than a gust
     norm = math.sqrt(unexplained[0] ** 2 + unexplained[1] ** 2 + unexplained[2] ** 2)
-    scale = min(acc_max / max(norm, 1e-12), 1.0)
+    scale = min(settings[ACC_MAX] / max(norm, 1e-12), 1.0)
     for i in range(3):
-        estimate[i] += alpha * (scale * unexplained[i] - estimate[i])
+        memory[OBSERVED + i] += alpha * (scale * unexplained[i] - memory[OBSERVED + i])
 
 
 class DisturbanceObserver:
     """Low-passed external acceleration."""
 
     def __init__(self, params: DisturbanceParams) -> None:
-        self._params = params
-        self.acc_ned_m_s2: Array = np.zeros(3)
+        self.memory: Array = np.zeros(4)
+        """As `observe_disturbance` has it"""
+        self.acc_ned_m_s2: Array = self.memory[OBSERVED:THRUST]
         """(3,) the estimate, NED; zero when the observer is switched off"""
-        self.thrust = 0.0
-        """Collective thrust 0..1 that the motors have reached by their model"""
+        self.set_params(params)
+
+    @property
+    def thrust(self) -> float:
+        """Collective thrust 0..1 that the motors have reached by their model."""
+        return float(self.memory[THRUST])
 
     def set_params(self, params: DisturbanceParams) -> None:
         """Act by these from the next update on; the estimate stays, to be judged by the caller."""
-        self._params = params
+        cutoff_hz = params.cutoff_hz if params.enabled else 0.0
+        self.settings: Array = np.array((params.thrust_lag_s, cutoff_hz, params.acc_max_m_s2))
+        """As `observe_disturbance` has them"""
 
     def reset(self) -> None:
         """Nothing is known of what pushes: on the ground, which pushes too. The motors go on as they are."""
         self.acc_ned_m_s2[:] = 0.0
 
+    def stop_motors(self) -> None:
+        """Nothing is known of what pushes, and the motors stand still."""
+        self.memory[:] = 0.0
+
     def update(
-        self,
-        acc_ned_m_s2: Array,
-        q_ned_frd: Array,
-        *,
-        thrust: float,
-        hover_thrust: float,
-        dt_s: float,
+        self, acc_ned_m_s2: Array, q_ned_frd: Array, *, thrust: float, hover_thrust: float, dt_s: float,
         observe: bool,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """Follow the thrust given over the last ``dt_s``; ``observe``: learn from the acceleration now."""
-        lag_s = self._params.thrust_lag_s
-        self.thrust += (1.0 - math.exp(-dt_s / lag_s) if lag_s > 0.0 else 1.0) * (thrust - self.thrust)
-        if observe and self._params.enabled:
-            _observe(
-                acc_ned_m_s2, q_ned_frd, GRAVITY_M_S2 * self.thrust / hover_thrust, dt_s,
-                self._params.cutoff_hz, self._params.acc_max_m_s2, self.acc_ned_m_s2,
-            )  # fmt: skip
+        observe_disturbance(
+            self.memory, self.settings, acc_ned_m_s2, q_ned_frd, thrust, hover_thrust, dt_s, observe
+        )

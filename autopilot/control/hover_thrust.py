@@ -1,6 +1,10 @@
 """Estimate of the thrust that hovers: a Kalman filter of one state on the vertical acceleration, as PX4's."""
 
+import numpy as np
+from numba import njit
+
 from autopilot.control.params import HoverThrustParams
+from autopilot.types import Array
 
 GRAVITY_M_S2 = 9.80665
 """Standard gravity: PX4's constant"""
@@ -8,6 +12,36 @@ _NOISE_TIME_CONSTANT_S = 5.0
 _ACC_VARIANCE_START = 5.0
 _ACC_VARIANCE_MIN = 1.0
 _ACC_VARIANCE_MAX = 400.0
+HOVER, VARIANCE, ACC_VARIANCE, RESIDUAL_MEAN, HAS_LEARNED = range(5)
+"""What is remembered: the estimate, its variance, the measurement's variance and mean residual, 1 or 0."""
+LOWEST, HIGHEST, NOISE, GATE = range(4)
+"""The settings: least and greatest estimate, process noise in 1/s, gate in sigma."""
+
+
+@njit(cache=True)
+def learn_hover_thrust(
+    memory: Array, settings: Array, acc_up_m_s2: float, thrust_up: float, dt_s: float
+) -> None:
+    """Learn from acceleration over ground and the vertical part of the thrust given; ``memory`` changes."""
+    memory[HAS_LEARNED] = 1.0
+    noise = settings[NOISE] * dt_s
+    memory[VARIANCE] += noise * noise
+    hover = memory[HOVER]
+    slope = -GRAVITY_M_S2 * thrust_up / (hover * hover)
+    innovation = acc_up_m_s2 - GRAVITY_M_S2 * (thrust_up / hover - 1.0)
+    innovation_variance = slope * memory[VARIANCE] * slope + memory[ACC_VARIANCE]
+    if innovation * innovation <= settings[GATE] * settings[GATE] * innovation_variance:
+        gain = memory[VARIANCE] * slope / innovation_variance
+        hover = min(max(hover + gain * innovation, settings[LOWEST]), settings[HIGHEST])
+        memory[HOVER] = hover
+        memory[VARIANCE] = max((1.0 - gain * slope) * memory[VARIANCE], 1e-10)
+    residual = acc_up_m_s2 - GRAVITY_M_S2 * (thrust_up / hover - 1.0)
+    alpha = dt_s / (dt_s + _NOISE_TIME_CONSTANT_S)
+    memory[RESIDUAL_MEAN] += alpha * (residual - memory[RESIDUAL_MEAN])
+    deviation = residual - memory[RESIDUAL_MEAN]
+    spread = deviation * deviation + slope * memory[VARIANCE] * slope
+    variance = (1.0 - alpha) * memory[ACC_VARIANCE] + alpha * spread
+    memory[ACC_VARIANCE] = min(max(variance, _ACC_VARIANCE_MIN), _ACC_VARIANCE_MAX)
 
 
 class HoverThrustEstimator:
@@ -18,42 +52,34 @@ class HoverThrustEstimator:
     """
 
     def __init__(self, params: HoverThrustParams, *, start: float) -> None:
-        self._params = params
-        self._start = start
+        self.memory: Array = np.zeros(5)
+        """As `learn_hover_thrust` has it"""
+        self._set(params, start)
         self.reset()
 
     def set_params(self, params: HoverThrustParams, *, start: float) -> None:
         """Act by these from the next update on; what was learned stays, as far as their range lets it."""
-        self._params = params
-        self._start = start
-        if not self._has_learned:
+        self._set(params, start)
+        if not self.memory[HAS_LEARNED]:
             self.reset()
 
     def reset(self) -> None:
         """Back to the start, for the next take-off from nothing known."""
-        self._has_learned = False
-        self.hover_thrust = self._start
-        self._variance = self._params.initial_std**2
-        self._acc_variance = _ACC_VARIANCE_START
-        self._residual_mean = 0.0
+        self.memory[:] = (self._start, self._initial_variance, _ACC_VARIANCE_START, 0.0, 0.0)
+
+    @property
+    def hover_thrust(self) -> float:
+        """The estimate, 0..1 of full thrust."""
+        return float(self.memory[HOVER])
 
     def update(self, *, acc_up_m_s2: float, thrust_up: float, dt_s: float) -> float:
         """Learn from acceleration over ground and the vertical part of the thrust given; the new estimate."""
-        p = self._params
-        self._has_learned = True
-        self._variance += (p.process_noise_1_s * dt_s) ** 2
-        slope = -GRAVITY_M_S2 * thrust_up / self.hover_thrust**2
-        innovation = acc_up_m_s2 - GRAVITY_M_S2 * (thrust_up / self.hover_thrust - 1.0)
-        innovation_variance = slope * self._variance * slope + self._acc_variance
-        if innovation * innovation <= p.gate_sigma**2 * innovation_variance:
-            gain = self._variance * slope / innovation_variance
-            estimate = self.hover_thrust + gain * innovation
-            self.hover_thrust = min(max(estimate, self._start - p.range, 0.05), self._start + p.range, 0.95)
-            self._variance = max((1.0 - gain * slope) * self._variance, 1e-10)
-        residual = acc_up_m_s2 - GRAVITY_M_S2 * (thrust_up / self.hover_thrust - 1.0)
-        alpha = dt_s / (dt_s + _NOISE_TIME_CONSTANT_S)
-        self._residual_mean += alpha * (residual - self._residual_mean)
-        spread = (residual - self._residual_mean) ** 2 + slope * self._variance * slope
-        variance = (1.0 - alpha) * self._acc_variance + alpha * spread
-        self._acc_variance = min(max(variance, _ACC_VARIANCE_MIN), _ACC_VARIANCE_MAX)
+        learn_hover_thrust(self.memory, self.settings, acc_up_m_s2, thrust_up, dt_s)
         return self.hover_thrust
+
+    def _set(self, params: HoverThrustParams, start: float) -> None:
+        self._start = start
+        self._initial_variance = params.initial_std**2
+        lowest, highest = max(start - params.range, 0.05), min(start + params.range, 0.95)
+        self.settings: Array = np.array((lowest, highest, params.process_noise_1_s, params.gate_sigma))
+        """As `learn_hover_thrust` has them"""

@@ -14,7 +14,7 @@ from autopilot.types import Array, AttitudeSetpoint, RateSetpoint
 
 
 @njit(cache=True)
-def _step(
+def follow_attitude(
     q_ned_frd: Array, omega_frd_rad_s: Array, q_setpoint: Array, yaw_rate_rad_s: float, thrust: float,
     dt_s: float, by_tilt: bool, integrate: bool, airmode_above: float,  # noqa: FBT001 - kernels take positions
     attitude_gain: Array, yaw_weight: float, rate_max_rad_s: Array,
@@ -49,7 +49,7 @@ def _rate_step(
     mix: Array, yaw_margin: float, thrust_factor: float, unallocated: Array,
     stages: Array, controls: Array,
 ) -> float:  # fmt: skip
-    """Do as `_step`, with rates that were asked for in place of those towards an attitude."""
+    """Do as `follow_attitude`, with rates that were asked for in place of those towards an attitude."""
     rate = np.empty(3)
     for i in range(3):
         rate[i] = min(max(wanted_frd_rad_s[i], -rate_max_rad_s[i]), rate_max_rad_s[i])
@@ -69,15 +69,16 @@ class InnerLoop:
         self._attitude = attitude
         self._rates = rates
         self._allocator = allocator
-        self._stages: Array = np.zeros((2, 3))
-        self.rate_setpoint_frd_rad_s: Array = self._stages[0]
+        self.stages: Array = np.zeros((2, 3))
+        """As `follow_attitude` has them"""
+        self.rate_setpoint_frd_rad_s: Array = self.stages[0]
         """(3,) of the last step, like the torque rewritten in place"""
-        self.torque: Array = self._stages[1]
+        self.torque: Array = self.stages[1]
         """(3,) normalised, FRD"""
 
     def reset(self) -> None:
         """Forget what was flown."""
-        self._stages[:] = 0.0
+        self.stages[:] = 0.0
         self._rates.reset()
         self._allocator.reset()
 
@@ -100,13 +101,13 @@ class InnerLoop:
         attitude, rates, allocator = self._attitude, self._rates, self._allocator
         rates.start(omega_frd_rad_s)
         controls = np.empty(4)
-        allocator.thrust, attitude.tilt_cosine = _step(
+        allocator.thrust, attitude.tilt_cosine = follow_attitude(
             q_ned_frd, omega_frd_rad_s, setpoint.q_ned_frd, setpoint.yaw_rate_rad_s, setpoint.thrust,
             dt_s, by_tilt, integrate, airmode_above,
             attitude.gain, attitude.yaw_weight, attitude.rate_max_rad_s,
             rates.gains, rates.integral_max, rates.cutoff_hz, rates.state,
             allocator.mix, allocator.params.yaw_thrust_margin, allocator.params.thrust_model_factor,
-            allocator.unallocated, self._stages, controls,
+            allocator.unallocated, self.stages, controls,
         )  # fmt: skip
         return controls
 
@@ -127,6 +128,6 @@ class InnerLoop:
             dt_s, integrate, airmode_above,
             rates.gains, rates.integral_max, rates.cutoff_hz, rates.state,
             allocator.mix, allocator.params.yaw_thrust_margin, allocator.params.thrust_model_factor,
-            allocator.unallocated, self._stages, controls,
+            allocator.unallocated, self.stages, controls,
         )  # fmt: skip
         return controls

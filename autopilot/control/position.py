@@ -15,8 +15,13 @@ from autopilot.control.params import PositionParams
 from autopilot.estimation.rotation import quat_from_dcm
 from autopilot.types import Array, AttitudeSetpoint, EstimatorState, TrajectorySetpoint
 
-# rows of what `_control` decides
+# rows of what `control_position` decides, and the place of the thrust's length beside it
 VELOCITY, ACCELERATION, THRUST, ATTITUDE = range(4)
+COLLECTIVE = 3
+# rows of what it remembers
+INTEGRAL, ACC_FILTERED = range(2)
+# its limits
+TILT_MAX, THR_MIN, THR_MAX, THR_XY_MARGIN, VEL_XY_MAX, VEL_UP_MAX, VEL_DOWN_MAX, ACC_CUTOFF = range(8)
 LEAST_THRUST = 1e-6
 """Of full thrust; less has no direction."""
 
@@ -107,18 +112,31 @@ def _attitude(thrust_ned: Array, yaw_rad: float) -> Array:
 
 
 @njit(cache=True)
-def _control(
-    wanted: Array, mask: NDArray[np.bool_], pos: Array, vel: Array, acc: Array, alpha: float,
-    disturbance: Array, dt_s: float, gains: Array, vel_max: Array, tilt_max: float, thr_limits: Array,
-    hover: float, yaw_rad: float, acc_filtered: Array, integral: Array, decided: Array,
-) -> None:  # fmt: skip
-    """Fill ``decided`` (4, 4): velocity, acceleration, thrust (3,) each, attitude (4,).
+def integral_shift_m_s2(old_hover: float, new_hover: float, acc_down_m_s2: float) -> float:
+    """What the vertical integral must change by for a new hover thrust to leave the present thrust alone.
 
-    ``gains`` (4, 3): position P, velocity P, I, D; ``alpha`` of the filter of the acceleration.
+    Thrust is hover (g - acc) / g; equal before and after with acc shifted by (g - acc)(1 - old / new).
     """
+    return (GRAVITY_M_S2 - acc_down_m_s2) * (1.0 - old_hover / new_hover)
+
+
+@njit(cache=True)
+def control_position(
+    wanted: Array, mask: NDArray[np.bool_], pos: Array, vel: Array, acc: Array, disturbance: Array,
+    hover: float, yaw_rad: float, climb_max: float, dt_s: float,
+    gains: Array, limits: Array, memory: Array, decided: Array,
+) -> None:  # fmt: skip
+    """Fill ``decided`` (4, 4): velocity, acceleration, thrust (3,) with its length, attitude (4,).
+
+    ``gains`` (4, 3): position P, velocity P, I, D; ``limits`` as `TILT_MAX` and the rest have them;
+    ``memory`` (2, 3): integrals and filtered acceleration, which change.
+    """
+    integral, acc_filtered = memory[INTEGRAL], memory[ACC_FILTERED]
+    alpha = 1.0 - math.exp(-2.0 * math.pi * limits[ACC_CUTOFF] * dt_s)
     for i in range(3):
         acc_filtered[i] += alpha * (acc[i] - acc_filtered[i])
-    vel_sp = _velocity_setpoint(wanted, mask, pos, gains[0], vel_max[0], vel_max[1], vel_max[2])
+    up_max = min(limits[VEL_UP_MAX], climb_max)
+    vel_sp = _velocity_setpoint(wanted, mask, pos, gains[0], limits[VEL_XY_MAX], up_max, limits[VEL_DOWN_MAX])
     acc_sp = np.zeros(3)
     error = np.zeros(3)
     for i in range(3):
@@ -128,8 +146,8 @@ def _control(
             error[i] = vel_sp[i] - vel[i]
             acc_sp[i] += gains[1, i] * error[i] + integral[i] + gains[3, i] * (acc_sp[i] - acc_filtered[i])
     demand = acc_sp - disturbance
-    thr_min, thr_max = thr_limits[0], thr_limits[1]
-    thrust, cut = _limited_thrust(demand, hover, tilt_max, thr_min, thr_max, thr_limits[2])
+    thr_min, thr_max = limits[THR_MIN], limits[THR_MAX]
+    thrust, cut = _limited_thrust(demand, hover, limits[TILT_MAX], thr_min, thr_max, limits[THR_XY_MARGIN])
 
     # anti-windup: while a limit holds back thrust, the integral does not follow an error that asks for more
     collective = math.sqrt(thrust[0] ** 2 + thrust[1] ** 2 + thrust[2] ** 2)
@@ -150,17 +168,26 @@ def _control(
     decided[VELOCITY, :3] = vel_sp
     decided[ACCELERATION, :3] = acc_sp
     decided[THRUST, :3] = thrust
+    decided[THRUST, COLLECTIVE] = collective
     decided[ATTITUDE] = _attitude(thrust, yaw_rad)
 
 
 class PositionOutput:
     """What the position controller decided: each stage, for telemetry."""
 
-    __slots__ = ("_decided", "attitude")
-
-    def __init__(self, decided: Array, attitude: AttitudeSetpoint) -> None:
+    def __init__(self, decided: Array, yaw_rate_rad_s: float) -> None:
+        """Look at what `control_position` has filled, (4, 4)."""
         self._decided = decided
-        self.attitude = attitude
+        self._yaw_rate_rad_s = yaw_rate_rad_s
+
+    @property
+    def attitude(self) -> AttitudeSetpoint:
+        """What the attitude controller is to follow."""
+        return AttitudeSetpoint(
+            q_ned_frd=self._decided[ATTITUDE],
+            yaw_rate_rad_s=self._yaw_rate_rad_s,
+            thrust=float(self._decided[THRUST, COLLECTIVE]),
+        )
 
     @property
     def vel_ned_m_s(self) -> Array:
@@ -183,18 +210,18 @@ class PositionController:
 
     def __init__(self, params: PositionParams, *, integral_share: float = 1.0) -> None:
         self.set_params(params, integral_share=integral_share)
-        self._integral: Array = np.zeros(3)
-        self._acc_filtered: Array = np.zeros(3)
-        self._wanted: Array = np.zeros((3, 3))
-        self._mask: NDArray[np.bool_] = np.zeros((3, 3), dtype=np.bool_)
+        self.memory: Array = np.zeros((2, 3))
+        """As `control_position` has it"""
+        self.wanted: Array = np.zeros((3, 3))
+        """Rows position, velocity, acceleration; ``mask`` says which of them are asked for"""
+        self.mask: NDArray[np.bool_] = np.zeros((3, 3), dtype=np.bool_)
         self._taken: tuple[TrajectorySetpoint, bool, bool, bool] | None = None
-        """What ``_wanted`` and ``_mask`` were made of."""
+        """What ``wanted`` and ``mask`` were made of."""
 
     def set_params(self, params: PositionParams, *, integral_share: float = 1.0) -> None:
         """Act by these from the next update on; integrals and the acceleration filter stay."""
         p = params
-        self._params = p
-        self._gains: Array = np.array(
+        self.gains: Array = np.array(
             (
                 (p.xy_p, p.xy_p, p.z_p),
                 (p.xy_vel_p_acc, p.xy_vel_p_acc, p.z_vel_p_acc),
@@ -202,30 +229,30 @@ class PositionController:
                 (p.xy_vel_d_acc, p.xy_vel_d_acc, p.z_vel_d_acc),
             )
         )
-        self._gains[2] *= integral_share
-        self._thr_limits: Array = np.array((p.thr_min, p.thr_max, p.thr_xy_margin))
-        self._vel_max: Array = np.array((p.xy_vel_max_m_s, p.z_vel_max_up_m_s, p.z_vel_max_dn_m_s))
+        self.gains[2] *= integral_share
+        self.limits: Array = np.array((
+            p.tilt_max_rad, p.thr_min, p.thr_max, p.thr_xy_margin,
+            p.xy_vel_max_m_s, p.z_vel_max_up_m_s, p.z_vel_max_dn_m_s, p.acc_cutoff_hz,
+        ))  # fmt: skip
+        """As `control_position` has them, like the gains"""
 
     @property
     def integral(self) -> Array:
         """(3,) acceleration held by the integrators, NED, m/s^2."""
-        return self._integral.copy()
+        integral: Array = self.memory[INTEGRAL].copy()
+        return integral
 
     def reset(self) -> None:
         """Empty the integrators and the acceleration filter."""
-        self._integral[:] = 0.0
-        self._acc_filtered[:] = 0.0
+        self.memory[:] = 0.0
 
     def add_to_integral(self, acc_ned_m_s2: Array) -> None:
         """Take over (3,) m/s^2, NED, that something else held so far."""
-        self._integral += acc_ned_m_s2
+        self.memory[INTEGRAL] += acc_ned_m_s2
 
     def hover_thrust_changed(self, *, old: float, new: float, acc_down_m_s2: float) -> None:
-        """Shift the vertical integral so that a new hover thrust leaves the present thrust alone.
-
-        Thrust is hover (g - acc) / g; equal before and after with acc shifted by (g - acc)(1 - old / new).
-        """
-        self._integral[2] += (GRAVITY_M_S2 - acc_down_m_s2) * (1.0 - old / new)
+        """Shift the vertical integral so that a new hover thrust leaves the present thrust alone."""
+        self.memory[INTEGRAL, 2] += integral_shift_m_s2(old, new, acc_down_m_s2)
 
     def update(
         self, state: EstimatorState, setpoint: TrajectorySetpoint, *, yaw_rad: float, hover_thrust: float,
@@ -238,25 +265,16 @@ class PositionController:
         alone counts. A known height means a known vertical velocity. ``climb_max_m_s`` limits the climb
         further than the parameters; negative while a take-off ramps up.
         """
-        p = self._params
-        self._take(state, setpoint)
-        alpha = 1.0 - math.exp(-2.0 * math.pi * p.acc_cutoff_hz * dt_s)
-        self._vel_max[1] = min(p.z_vel_max_up_m_s, climb_max_m_s)
-        decided = np.empty((4, 4))
-        _control(
-            self._wanted, self._mask, state.pos_ned_m, state.vel_ned_m_s, state.acc_ned_m_s2, alpha,
-            disturbance_ned_m_s2, dt_s, self._gains, self._vel_max, p.tilt_max_rad, self._thr_limits,
-            hover_thrust, yaw_rad, self._acc_filtered, self._integral, decided,
+        self.take(state, setpoint)
+        decided = np.zeros((4, 4))
+        control_position(
+            self.wanted, self.mask, state.pos_ned_m, state.vel_ned_m_s, state.acc_ned_m_s2,
+            disturbance_ned_m_s2, hover_thrust, yaw_rad, climb_max_m_s, dt_s,
+            self.gains, self.limits, self.memory, decided,
         )  # fmt: skip
-        thrust = decided[THRUST, :3]
-        attitude = AttitudeSetpoint(
-            q_ned_frd=decided[ATTITUDE],
-            yaw_rate_rad_s=setpoint.yaw_rate_rad_s,
-            thrust=math.sqrt(thrust @ thrust),
-        )
-        return PositionOutput(decided, attitude)
+        return PositionOutput(decided, setpoint.yaw_rate_rad_s)
 
-    def _take(self, state: EstimatorState, setpoint: TrajectorySetpoint) -> None:
+    def take(self, state: EstimatorState, setpoint: TrajectorySetpoint) -> None:
         """Lay a setpoint out for the kernel, unless that was done, without what the estimate cannot serve."""
         taken = self._taken
         if (
@@ -272,16 +290,16 @@ class PositionController:
             (setpoint.acc_ned_m_s2, setpoint.acc_axes),
         )
         for row, (values, axes) in enumerate(groups):
-            self._mask[row] = False if values is None else axes
+            self.mask[row] = False if values is None else axes
             if values is not None:
-                self._wanted[row] = values
+                self.wanted[row] = values
         if not (state.position_valid and state.height_valid):
             known = np.array((state.position_valid, state.position_valid, state.height_valid))
-            lost = self._mask[0] & ~known
-            self._wanted[1, lost & ~self._mask[1]] = 0.0
-            self._mask[1] |= lost
-            self._mask[0] &= known
+            lost = self.mask[0] & ~known
+            self.wanted[1, lost & ~self.mask[1]] = 0.0
+            self.mask[1] |= lost
+            self.mask[0] &= known
         if not state.velocity_valid:
             # the vertical one comes from barometer and accelerometer and is known as long as the height is
-            self._mask[:2, :2] = False
-            self._mask[:2, 2] &= state.height_valid
+            self.mask[:2, :2] = False
+            self.mask[:2, 2] &= state.height_valid

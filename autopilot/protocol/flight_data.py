@@ -59,7 +59,8 @@ class FlightData:
     """What the present mode is about; asked only when it is told."""
     setpoint: TrajectorySetpoint | None = None
     """What the controller follows; None when idle."""
-    attitude_setpoint: AttitudeSetpoint | None = None
+    attitude_setpoint: Callable[[], AttitudeSetpoint | None] = lambda: None
+    """What the attitude controller follows; asked only when it is told."""
     motors: NDArray[np.float64] = field(default_factory=lambda: np.zeros(4))
     """(4,) controls in 0..1."""
     armed_us: int = 0

@@ -69,7 +69,7 @@ class Control(Part):
 
     def attitude_target(self) -> Message | None:
         """ATTITUDE_TARGET: what the attitude controller follows."""
-        setpoint = self._flight.attitude_setpoint
+        setpoint = self._flight.attitude_setpoint()
         if setpoint is None:
             return None
         return common.MAVLink_attitude_target_message(

@@ -107,7 +107,8 @@ class Motion(Part):
         if not (state.velocity_valid and self._flight.origin_known):
             return None
         north, east, down = state.vel_ned_m_s.tolist()
-        thrust = self._flight.attitude_setpoint.thrust if self._flight.attitude_setpoint is not None else 0.0
+        attitude = self._flight.attitude_setpoint()
+        thrust = attitude.thrust if attitude is not None else 0.0
         speed_m_s, alt_m, climb_m_s = singles(
             (math.hypot(north, east), state.origin_alt_m - float(state.pos_ned_m[2]), -down)
         )

@@ -109,7 +109,7 @@ def throw(seed: int) -> Catch:
         off_deg, tilts_deg = [], [_tilt_deg(truth.q_ned_frd[0])]
         for _ in range(round(CATCH_S / STEP_S)):
             solo.step()
-            q_now, setpoint = solo.world.truth.q_ned_frd[0], solo.vehicle.flight.attitude_setpoint
+            q_now, setpoint = solo.world.truth.q_ned_frd[0], solo.vehicle.flight.attitude_setpoint()
             if setpoint is None:
                 raise FlightError("a thrown vehicle was disarmed in the air")
             off_deg.append(_angle_deg(_up_ned(q_now), _up_ned(setpoint.q_ned_frd)))

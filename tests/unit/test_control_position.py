@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from control_fixtures import estimate
 
-from autopilot.control.disturbance import DisturbanceObserver
+from autopilot.control.disturbance import THRUST, DisturbanceObserver
 from autopilot.control.hover_thrust import GRAVITY_M_S2, HoverThrustEstimator
 from autopilot.control.params import DisturbanceParams, HoverThrustParams, PositionParams
 from autopilot.control.position import PositionController
@@ -192,7 +192,7 @@ def test_hover_thrust_ignores_a_bump_and_keeps_its_range():
 
 def observed(seconds, *, q, thrust, acc, enabled=True, **kwargs):
     observer = DisturbanceObserver(DisturbanceParams(enabled=enabled, **kwargs))
-    observer.thrust = thrust
+    observer.memory[THRUST] = thrust
     for _ in range(round(seconds / 0.004)):
         observer.update(acc, q, thrust=thrust, hover_thrust=0.5, dt_s=0.004, observe=True)
     return observer.acc_ned_m_s2

@@ -14,6 +14,7 @@ from autopilot.config import AutopilotConfig, CircleConfig, MissionItemConfig
 from autopilot.mavlink.modes import FlightMode
 from autopilot.onboard.phases import Phase
 from autopilot.params import ROWS, ParameterError, ParameterSet, Settings
+from autopilot.vehicle import DECISION_PERIOD_US
 
 NAN = math.nan
 ACCEPTED, DENIED = common.MAV_RESULT_ACCEPTED, common.MAV_RESULT_DENIED
@@ -392,7 +393,7 @@ def test_an_inertial_sensor_that_falls_silent_or_goes_mad_is_no_estimate(broken)
         begin_us = flight.now_us
         assert flight.run(2.0, until=lambda: flight.vehicle.commander.terminated)
         # 100 ms until the sensor counts as gone, and half a second in case it comes back
-        assert flight.now_us - begin_us == pytest.approx(600_000, abs=2 * STEP_US)
+        assert flight.now_us - begin_us == pytest.approx(600_000, abs=DECISION_PERIOD_US)
 
 
 @pytest.mark.parametrize("action", [2, 5])
