@@ -92,7 +92,8 @@ def advance(
         cursor[HORIZON_US] = times_us[cursor[OLDEST]]
         cursor[OLDEST] = (cursor[OLDEST] + 1) % capacity
         cursor[WAITING] -= 1
-    estimate[ACC:OMEGA] = integrate(estimate[:STATES], gyro_frd_rad_s, accel_frd_m_s2, dt_s)
+    acc = integrate(estimate[:STATES], gyro_frd_rad_s, accel_frd_m_s2, dt_s)
+    estimate[ACC], estimate[ACC + 1], estimate[ACC + 2] = acc
     describe(cov, gyro_frd_rad_s, estimate)
     return int(cursor[HORIZON_US])
 
@@ -104,7 +105,8 @@ def predict_now(x: Array, cov: Array, estimate: Array, samples: Array, cursor: N
     capacity = samples.shape[0]
     for waiting in range(cursor[WAITING]):
         sample = samples[(cursor[OLDEST] + waiting) % capacity]
-        estimate[ACC:OMEGA] = integrate(estimate[:STATES], sample[0:3], sample[3:6], sample[6])
+        acc = integrate(estimate[:STATES], sample[0:3], sample[3:6], sample[6])
+        estimate[ACC], estimate[ACC + 1], estimate[ACC + 2] = acc
     newest = samples[(cursor[OLDEST] + cursor[WAITING] - 1) % capacity]
     describe(cov, newest[0:3], estimate)
 

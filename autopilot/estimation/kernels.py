@@ -21,11 +21,13 @@ from numba import njit
 
 from autopilot.estimation.atmosphere import GRAVITY_M_S2
 from autopilot.estimation.rotation import (
-    quat_from_rotation_vector,
-    quat_multiply,
-    quat_normalise,
+    Vector,
+    from_rotation_vector,
+    multiply,
+    normalise,
     quat_rotate,
     quat_to_dcm,
+    rotate,
 )
 from autopilot.types import Array
 
@@ -64,24 +66,31 @@ def is_plausible(gyro_frd_rad_s: Array, accel_frd_m_s2: Array) -> bool:
 
 
 @njit(cache=True)
-def integrate(x: Array, gyro_frd_rad_s: Array, accel_frd_m_s2: Array, dt_s: float) -> Array:
-    """Advance ``x`` in place over one sample; return the mean acceleration over ground, (3,) NED, m/s^2.
+def integrate(x: Array, gyro_frd_rad_s: Array, accel_frd_m_s2: Array, dt_s: float) -> Vector:
+    """Advance ``x`` in place over one sample; return the mean acceleration over ground, NED, m/s^2.
 
     The specific force is rotated by the attitude at mid-interval, which is right to second order in the
     rotation of one interval (sculling included); coning within an interval is left to the sensor.
     """
-    half_turn_rad = np.empty(3)
-    force_frd_m_s2 = np.empty(3)
+    half_s = 0.5 * dt_s
+    half_turn = from_rotation_vector(
+        (
+            half_s * (gyro_frd_rad_s[0] - x[GYRO_BIAS]),
+            half_s * (gyro_frd_rad_s[1] - x[GYRO_BIAS + 1]),
+            half_s * (gyro_frd_rad_s[2] - x[GYRO_BIAS + 2]),
+        )
+    )
+    force_frd_m_s2 = (
+        accel_frd_m_s2[0] - x[ACCEL_BIAS],
+        accel_frd_m_s2[1] - x[ACCEL_BIAS + 1],
+        accel_frd_m_s2[2] - x[ACCEL_BIAS + 2],
+    )
+    q_mid = multiply((x[0], x[1], x[2], x[3]), half_turn)
+    north, east, down = rotate(q_mid, force_frd_m_s2)
+    acc_ned_m_s2 = (north, east, down + GRAVITY_M_S2)
+    x[0], x[1], x[2], x[3] = normalise(multiply(q_mid, half_turn))
     for i in range(3):
-        half_turn_rad[i] = 0.5 * dt_s * (gyro_frd_rad_s[i] - x[GYRO_BIAS + i])
-        force_frd_m_s2[i] = accel_frd_m_s2[i] - x[ACCEL_BIAS + i]
-    half_turn = quat_from_rotation_vector(half_turn_rad)
-    q_mid = quat_multiply(x[:4], half_turn)
-    acc_ned_m_s2 = quat_rotate(q_mid, force_frd_m_s2)
-    acc_ned_m_s2[2] += GRAVITY_M_S2
-    x[:4] = quat_normalise(quat_multiply(q_mid, half_turn))
-    for i in range(3):
-        x[POS + i] += dt_s * (x[VEL + i] + 0.5 * dt_s * acc_ned_m_s2[i])
+        x[POS + i] += dt_s * (x[VEL + i] + half_s * acc_ned_m_s2[i])
         x[VEL + i] += dt_s * acc_ned_m_s2[i]
     return acc_ned_m_s2
 
@@ -160,7 +169,8 @@ def inject_error(x: Array, error: Array, bias_limits: Array) -> None:
 
     The covariance's change of tangent point is second order in the correction and left out, as in PX4.
     """
-    x[:4] = quat_normalise(quat_multiply(quat_from_rotation_vector(error[:3]), x[:4]))
+    turn = from_rotation_vector((error[0], error[1], error[2]))
+    x[0], x[1], x[2], x[3] = normalise(multiply(turn, (x[0], x[1], x[2], x[3])))
     for i in range(VEL, STATES):
         x[i] += error[i - 1]
     for i in range(3):

@@ -2,8 +2,10 @@
 
 Hamilton's convention, wxyz, float64 arrays; ``q_ab`` maps a vector's components in frame b into frame a, so
 ``quat_rotate(q_ned_frd, v_frd)`` is ``v_ned`` and ``quat_multiply(q_ab, q_bc)`` is ``q_ac``. Angles: radians.
-Every function returns a new array and expects unit quaternions unless it says otherwise. Equations: J. Sola,
-"Quaternion kinematics for the error-state Kalman filter", 2017 (arXiv 1711.02508).
+Every function expects unit quaternions unless it says otherwise. Those whose names begin with ``quat_`` give a
+new array; `multiply` and the three after it are the same on tuples, for the innermost loops, where making
+arrays of three and four numbers would be most of the work. Equations: J. Sola, "Quaternion kinematics for the
+error-state Kalman filter", 2017 (arXiv 1711.02508).
 """
 
 import math
@@ -17,14 +19,61 @@ SMALL_ANGLE_RAD = 1e-6
 """Below this the series replaces sin(x)/x; its truncation error there is 1e-26."""
 
 
+Quaternion = tuple[float, float, float, float]
+Vector = tuple[float, float, float]
+
+
+@njit(cache=True)
+def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
+    """Hamilton product a b."""
+    return (
+        a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+        a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+        a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+        a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+    )
+
+
+@njit(cache=True)
+def normalise(q: Quaternion) -> Quaternion:
+    """Of length one. The zero quaternion has no direction and gives not-a-number."""
+    length = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    return q[0] / length, q[1] / length, q[2] / length, q[3] / length
+
+
+@njit(cache=True)
+def rotate(q_ab: Quaternion, v_b: Vector) -> Vector:
+    """Components in frame a of a vector given in frame b: v + 2 w (u x v) + 2 u x (u x v)."""
+    w, x, y, z = q_ab
+    tx = 2.0 * (y * v_b[2] - z * v_b[1])
+    ty = 2.0 * (z * v_b[0] - x * v_b[2])
+    tz = 2.0 * (x * v_b[1] - y * v_b[0])
+    return (
+        v_b[0] + w * tx + y * tz - z * ty,
+        v_b[1] + w * ty + z * tx - x * tz,
+        v_b[2] + w * tz + x * ty - y * tx,
+    )
+
+
+@njit(cache=True)
+def from_rotation_vector(rotation_rad: Vector) -> Quaternion:
+    """Exponential map of a rotation vector: axis times angle, any length."""
+    x, y, z = rotation_rad
+    angle_rad = math.sqrt(x * x + y * y + z * z)
+    if angle_rad < SMALL_ANGLE_RAD:
+        half_sinc = 0.5 - angle_rad * angle_rad / 48.0
+    else:
+        half_sinc = math.sin(0.5 * angle_rad) / angle_rad
+    return math.cos(0.5 * angle_rad), half_sinc * x, half_sinc * y, half_sinc * z
+
+
 @njit(cache=True)
 def quat_multiply(a: Array, b: Array) -> Array:
     """Hamilton product a b, (4,)."""
     product = np.empty(4)
-    product[0] = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3]
-    product[1] = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2]
-    product[2] = a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1]
-    product[3] = a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0]
+    product[0], product[1], product[2], product[3] = multiply(
+        (a[0], a[1], a[2], a[3]), (b[0], b[1], b[2], b[3])
+    )
     return product
 
 
@@ -42,20 +91,16 @@ def quat_conjugate(q: Array) -> Array:
 @njit(cache=True)
 def quat_normalise(q: Array) -> Array:
     """(4,) of length one. The zero quaternion has no direction and gives not-a-number."""
-    return q / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    unit = np.empty(4)
+    unit[0], unit[1], unit[2], unit[3] = normalise((q[0], q[1], q[2], q[3]))
+    return unit
 
 
 @njit(cache=True)
 def quat_rotate(q_ab: Array, v_b: Array) -> Array:
-    """(3,) components in frame a of a vector given in frame b: v + 2 w (u x v) + 2 u x (u x v)."""
-    w, x, y, z = q_ab[0], q_ab[1], q_ab[2], q_ab[3]
-    tx = 2.0 * (y * v_b[2] - z * v_b[1])
-    ty = 2.0 * (z * v_b[0] - x * v_b[2])
-    tz = 2.0 * (x * v_b[1] - y * v_b[0])
+    """(3,) components in frame a of a vector given in frame b."""
     v_a = np.empty(3)
-    v_a[0] = v_b[0] + w * tx + y * tz - z * ty
-    v_a[1] = v_b[1] + w * ty + z * tx - x * tz
-    v_a[2] = v_b[2] + w * tz + x * ty - y * tx
+    v_a[0], v_a[1], v_a[2] = rotate((q_ab[0], q_ab[1], q_ab[2], q_ab[3]), (v_b[0], v_b[1], v_b[2]))
     return v_a
 
 
@@ -142,14 +187,6 @@ def quat_to_euler(q_ned_frd: Array) -> Array:
 @njit(cache=True)
 def quat_from_rotation_vector(rotation_rad: Array) -> Array:
     """(4,) exponential map of a (3,) rotation vector: axis times angle, any length."""
-    angle_rad = math.sqrt(rotation_rad[0] ** 2 + rotation_rad[1] ** 2 + rotation_rad[2] ** 2)
-    if angle_rad < SMALL_ANGLE_RAD:
-        half_sinc = 0.5 - angle_rad * angle_rad / 48.0
-    else:
-        half_sinc = math.sin(0.5 * angle_rad) / angle_rad
     q = np.empty(4)
-    q[0] = math.cos(0.5 * angle_rad)
-    q[1] = half_sinc * rotation_rad[0]
-    q[2] = half_sinc * rotation_rad[1]
-    q[3] = half_sinc * rotation_rad[2]
+    q[0], q[1], q[2], q[3] = from_rotation_vector((rotation_rad[0], rotation_rad[1], rotation_rad[2]))
     return q

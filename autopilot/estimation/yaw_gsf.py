@@ -19,11 +19,14 @@ from numba import njit
 
 from autopilot.estimation.atmosphere import GRAVITY_M_S2
 from autopilot.estimation.rotation import (
+    from_rotation_vector,
+    multiply,
+    normalise,
     quat_conjugate,
     quat_from_rotation_vector,
     quat_multiply,
-    quat_normalise,
     quat_rotate,
+    rotate,
 )
 from autopilot.types import Array
 
@@ -95,23 +98,29 @@ def carry_level(tilt: Array, gyro_frd_rad_s: Array, accel_frd_m_s2: Array, dt_s:
     down_x = 2.0 * (x * z - w * y)
     down_y = 2.0 * (y * z + w * x)
     down_z = 1.0 - 2.0 * (x * x + y * y)
-    correction = np.zeros(3)
+    gain = 0.0
     if strangeness < 1.0:
         gain = TILT_GAIN_1_S * (1.0 - strangeness) ** 2 / force_m_s2
-        correction[0] = gain * (down_y * tilt[FORCE + 2] - down_z * tilt[FORCE + 1])
-        correction[1] = gain * (down_z * tilt[FORCE] - down_x * tilt[FORCE + 2])
-        correction[2] = gain * (down_x * tilt[FORCE + 1] - down_y * tilt[FORCE])
-    half_turn_rad = np.empty(3)
-    for i in range(3):
-        if rate_squared < STILL_RATE_RAD_S**2:
+    correction = (
+        gain * (down_y * tilt[FORCE + 2] - down_z * tilt[FORCE + 1]),
+        gain * (down_z * tilt[FORCE] - down_x * tilt[FORCE + 2]),
+        gain * (down_x * tilt[FORCE + 1] - down_y * tilt[FORCE]),
+    )
+    if rate_squared < STILL_RATE_RAD_S**2:
+        for i in range(3):
             change = tilt[BIAS_CHANGE + i] - GYRO_BIAS_GAIN_1_S * dt_s * correction[i]
             tilt[BIAS_CHANGE + i] = min(GYRO_BIAS_LIMIT_RAD_S, max(-GYRO_BIAS_LIMIT_RAD_S, change))
-        rate = gyro_frd_rad_s[i] - tilt[BIAS + i] - tilt[BIAS_CHANGE + i] + correction[i]
-        half_turn_rad[i] = 0.5 * dt_s * rate
-    half_turn = quat_from_rotation_vector(half_turn_rad)
-    q_mid = quat_multiply(tilt[Q : Q + 4], half_turn)
-    force_level_m_s2 = quat_rotate(q_mid, accel_frd_m_s2)
-    tilt[Q : Q + 4] = quat_normalise(quat_multiply(q_mid, half_turn))
+    half_s = 0.5 * dt_s
+    half_turn = from_rotation_vector(
+        (
+            half_s * (gyro_frd_rad_s[0] - tilt[BIAS] - tilt[BIAS_CHANGE] + correction[0]),
+            half_s * (gyro_frd_rad_s[1] - tilt[BIAS + 1] - tilt[BIAS_CHANGE + 1] + correction[1]),
+            half_s * (gyro_frd_rad_s[2] - tilt[BIAS + 2] - tilt[BIAS_CHANGE + 2] + correction[2]),
+        )
+    )
+    q_mid = multiply((tilt[Q], tilt[Q + 1], tilt[Q + 2], tilt[Q + 3]), half_turn)
+    force_level_m_s2 = rotate(q_mid, (accel_frd_m_s2[0], accel_frd_m_s2[1], accel_frd_m_s2[2]))
+    tilt[Q], tilt[Q + 1], tilt[Q + 2], tilt[Q + 3] = normalise(multiply(q_mid, half_turn))
     tilt[FELT] += dt_s * force_level_m_s2[0]
     tilt[FELT + 1] += dt_s * force_level_m_s2[1]
     tilt[ELAPSED] += dt_s
