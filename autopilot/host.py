@@ -15,7 +15,7 @@ from autopilot import parameter_file
 from autopilot.config import VehicleConfig
 from autopilot.flight_log import FlightLog
 from autopilot.mavlink.codec import Encoder, Message
-from autopilot.mavlink.hil import HilEncoder, HilParser, HilSensor
+from autopilot.mavlink.hil import TO_VEHICLE, HilEncoder, HilParser
 from autopilot.protocol.service import AUTOPILOT_COMPONENT, GROUND_STATION, Addressed
 from autopilot.protocol.status import TEXT_BYTES
 from autopilot.recording import VEHICLE_RECORD, record
@@ -53,7 +53,7 @@ class Host:
         self.name = f"uav {config.instance}"
         self.vehicle = Vehicle(config)
         self._radio = radio
-        self._parser = HilParser(HilSensor)
+        self._parser = HilParser(*TO_VEHICLE)
         self._encoder = HilEncoder(system=config.instance + 1, component=1)
         self._waiting: list[Message] = []
         self._links_waiting: Links = []
@@ -118,7 +118,9 @@ class Host:
             actuators = actuators._replace(flags=actuators.flags | BATCH_HANDED_OVER)
         if self._log is not None and now_us % self._config.record_period_us == 0:
             self._log.append([record(self.vehicle)])
-        answer = b"".join(self._encoder.encode(message) for message in (*output.simulator, actuators))
+        answer = self._encoder.encode(actuators)
+        if output.simulator:
+            answer = b"".join(map(self._encoder.encode, output.simulator)) + answer
         return answer, output.links
 
     def attend(self, link_messages: Links) -> Links:

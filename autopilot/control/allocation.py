@@ -42,6 +42,16 @@ def _yaw_bounds(fixed: Array, yaw: Array, low: float, high: float) -> tuple[floa
 
 
 @njit(cache=True)
+def _extremes(fixed: Array, yaw: Array, y: float) -> tuple[float, float]:
+    """Least and greatest of ``fixed + y * yaw``, (4,) each."""
+    least = most = fixed[0] + y * yaw[0]
+    for i in range(1, 4):
+        value = fixed[i] + y * yaw[i]
+        least, most = min(least, value), max(most, value)
+    return least, most
+
+
+@njit(cache=True)
 def allocate(
     thrust: float,
     torque: Array,
@@ -56,10 +66,12 @@ def allocate(
 
     Torque may raise the collective up to ``highest``.
     """
-    fixed = mix[:, 0] * torque[0] + mix[:, 1] * torque[1]
-    yaw = mix[:, 2]
+    fixed, yaw = np.empty(4), mix[:, 2]
+    for i in range(4):
+        fixed[i] = mix[i, 0] * torque[0] + mix[i, 1] * torque[1]
     thrust = min(max(thrust, 0.0), 1.0)
-    lowest, spread = fixed.min(), fixed.max() - fixed.min()
+    lowest, most = _extremes(fixed, yaw, 0.0)
+    spread = most - lowest
 
     scale = 1.0
     high = max(thrust, highest)
@@ -69,19 +81,21 @@ def allocate(
             scale = 1.0 / spread
         if -lowest * scale > high:
             scale = high / -lowest
-        fixed *= scale
+        for i in range(4):
+            fixed[i] *= scale
         y_lower, y_upper = _yaw_bounds(fixed, yaw, 0.0, high)
         if y_lower > y_upper:  # the spread is exactly 1: rounding closed the interval
             y_lower = y_upper = 0.0
     y = min(max(0.0, y_lower), y_upper)
-    low, top = -(fixed + y * yaw).min(), 1.0 - (fixed + y * yaw).max()
-    collective = max(min(thrust, top), min(low, top))
+    lowest, most = _extremes(fixed, yaw, y)
+    collective = max(min(thrust, 1.0 - most), min(-lowest, 1.0 - most))
 
     # yaw gets what is left at this collective, or at one lower by at most the margin
     y_lower, y_upper = _yaw_bounds(fixed, yaw, max(collective - yaw_margin, 0.0), collective)
     if y_lower <= y_upper:
         y = min(max(torque[2], y_lower), y_upper)
-        collective = max(min(collective, 1.0 - (fixed + y * yaw).max()), 0.0)
+        _, most = _extremes(fixed, yaw, y)
+        collective = max(min(collective, 1.0 - most), 0.0)
 
     for i in range(4):
         relative_thrust = min(max(fixed[i] + collective + y * yaw[i], 0.0), 1.0)

@@ -10,14 +10,10 @@ import numpy as np
 from numba import njit
 
 from autopilot.control.params import AttitudeParams
-from autopilot.estimation.rotation import (
-    quat_conjugate,
-    quat_multiply,
-    quat_normalise,
-    quat_rotate,
-    quat_rotate_inverse,
-)
+from autopilot.estimation.rotation import conjugate, multiply, normalise, rotate
 from autopilot.types import Array, AttitudeSetpoint
+
+_DOWN = (0.0, 0.0, 1.0)
 
 
 @njit(cache=True)
@@ -30,30 +26,27 @@ def rate_setpoint(
     rate_max_rad_s: Array,
 ) -> tuple[Array, float]:
     """Rate setpoint, and the cosine of the angle between wanted and present thrust axis."""
-    down = np.array([0.0, 0.0, 1.0])
-    z_now = quat_rotate(q_ned_frd, down)
-    z_wanted = quat_rotate(q_ned_setpoint, down)
-    cosine = z_now[0] * z_wanted[0] + z_now[1] * z_wanted[1] + z_now[2] * z_wanted[2]
+    q_now = (q_ned_frd[0], q_ned_frd[1], q_ned_frd[2], q_ned_frd[3])
+    q_goal = (q_ned_setpoint[0], q_ned_setpoint[1], q_ned_setpoint[2], q_ned_setpoint[3])
+    a, b, c = rotate(q_now, _DOWN)
+    d, e, f = rotate(q_goal, _DOWN)
+    cosine = a * d + b * e + c * f
     if 1.0 + cosine < 1e-10:
         # upside down: every tilt axis is as short as any other, so take the one that also brings the yaw
-        q_wanted = q_ned_setpoint
+        q_wanted = q_goal
     else:
-        tilt = np.empty(4)  # the shortest rotation from z_now to z_wanted, in NED
-        tilt[0] = 1.0 + cosine
-        tilt[1] = z_now[1] * z_wanted[2] - z_now[2] * z_wanted[1]
-        tilt[2] = z_now[2] * z_wanted[0] - z_now[0] * z_wanted[2]
-        tilt[3] = z_now[0] * z_wanted[1] - z_now[1] * z_wanted[0]
-        q_tilted = quat_multiply(quat_normalise(tilt), q_ned_frd)
-        q_yaw = quat_multiply(quat_conjugate(q_tilted), q_ned_setpoint)  # about body z alone
-        if q_yaw[0] < 0.0:
-            q_yaw = -q_yaw
-        half_yaw_rad = yaw_weight * math.atan2(q_yaw[3], q_yaw[0])
-        part = np.array([math.cos(half_yaw_rad), 0.0, 0.0, math.sin(half_yaw_rad)])
-        q_wanted = quat_multiply(q_tilted, part)
+        # the shortest rotation from the thrust axis of now (a, b, c) to the wanted one (d, e, f), in NED
+        tilt = normalise((1.0 + cosine, b * f - c * e, c * d - a * f, a * e - b * d))
+        q_tilted = multiply(tilt, q_now)
+        w, _, _, z = multiply(conjugate(q_tilted), q_goal)  # about body z alone
+        if w < 0.0:
+            w, z = -w, -z
+        half_yaw_rad = yaw_weight * math.atan2(z, w)
+        q_wanted = multiply(q_tilted, (math.cos(half_yaw_rad), 0.0, 0.0, math.sin(half_yaw_rad)))
 
-    error = quat_multiply(quat_conjugate(q_ned_frd), q_wanted)
+    error = multiply(conjugate(q_now), q_wanted)
     twice_sign = 2.0 if error[0] >= 0.0 else -2.0
-    feed_forward = quat_rotate_inverse(q_ned_frd, np.array([0.0, 0.0, yaw_rate_rad_s]))
+    feed_forward = rotate(conjugate(q_now), (0.0, 0.0, yaw_rate_rad_s))
     rate = np.empty(3)
     for i in range(3):
         wanted = twice_sign * error[1 + i] * gain[i] + feed_forward[i]

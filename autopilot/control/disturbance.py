@@ -12,7 +12,7 @@ from numba import njit
 
 from autopilot.control.hover_thrust import GRAVITY_M_S2
 from autopilot.control.params import DisturbanceParams
-from autopilot.estimation.rotation import quat_rotate
+from autopilot.estimation.rotation import rotate
 from autopilot.types import Array
 
 OBSERVED, THRUST = 0, 3
@@ -34,8 +34,9 @@ def observe_disturbance(
         return
     alpha = 1.0 - math.exp(-2.0 * math.pi * settings[CUTOFF] * dt_s)
     thrust_acc = GRAVITY_M_S2 * memory[THRUST] / hover_thrust
-    unexplained = acc_ned - quat_rotate(q_ned_frd, np.array([0.0, 0.0, -thrust_acc]))
-    unexplained[2] -= GRAVITY_M_S2
+    q = (q_ned_frd[0], q_ned_frd[1], q_ned_frd[2], q_ned_frd[3])
+    north, east, down = rotate(q, (0.0, 0.0, -thrust_acc))
+    unexplained = (acc_ned[0] - north, acc_ned[1] - east, acc_ned[2] - down - GRAVITY_M_S2)
     # limited before the filter: a bump is then worth no more than a gust
     norm = math.sqrt(unexplained[0] ** 2 + unexplained[1] ** 2 + unexplained[2] ** 2)
     scale = min(settings[ACC_MAX] / max(norm, 1e-12), 1.0)

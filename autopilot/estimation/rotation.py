@@ -2,8 +2,8 @@
 
 Hamilton's convention, wxyz, float64 arrays; ``q_ab`` maps a vector's components in frame b into frame a, so
 ``quat_rotate(q_ned_frd, v_frd)`` is ``v_ned`` and ``quat_multiply(q_ab, q_bc)`` is ``q_ac``. Angles: radians.
-Every function expects unit quaternions unless it says otherwise. Those whose names begin with ``quat_`` give a
-new array; `multiply` and the three after it are the same on tuples, for the innermost loops, where making
+Every function expects unit quaternions unless it says otherwise. Those whose names begin with ``quat_`` make
+a new array; `multiply` and the four after it are the same on tuples, for the innermost loops, where making
 arrays of three and four numbers would be most of the work. Equations: J. Sola, "Quaternion kinematics for the
 error-state Kalman filter", 2017 (arXiv 1711.02508).
 """
@@ -32,6 +32,12 @@ def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
         a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
         a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
     )
+
+
+@njit(cache=True)
+def conjugate(q: Quaternion) -> Quaternion:
+    """Inverse rotation."""
+    return q[0], -q[1], -q[2], -q[3]
 
 
 @njit(cache=True)

@@ -1,8 +1,9 @@
-"""The messages that cross a simulator's link in every step, packed and unpacked by `struct`.
+"""The messages that cross a simulator's link all the time, packed and unpacked by `struct`.
 
-HIL_SENSOR goes to the vehicle, HIL_ACTUATOR_CONTROLS comes back; both ends live here because either is the
-other's test. Everything else on the link goes through the general codec, in its place between them. Fields
-have pymavlink's names, so the values stand wherever a pymavlink message of that kind would.
+HIL_SENSOR, HIL_GPS and ESC_STATUS go to the vehicle, HIL_ACTUATOR_CONTROLS comes back; both ends live here
+because either is the other's test. Everything else on the link goes through the general codec, in its place
+between them. Fields have pymavlink's names, so the values stand wherever a pymavlink message of that kind
+would.
 
 Wire format: MAVLink 2 (https://mavlink.io/en/guide/serialization.html): fields sorted by size, trailing zeros
 of the payload cut off, CRC-16/MCRF4XX over all but the magic byte and over one byte more that is peculiar to
@@ -17,12 +18,17 @@ from fastcrc import crc16
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Encoder, Message, Parser
+from autopilot.mavlink.dialect import ESC_STATUS
 
 _HEADER = Struct("<BBBBBBBHB")
 """Magic, payload's length, incompatible and compatible flags, sequence, system, component, kind (24 bit)."""
 _CHECKSUM = Struct("<H")
+_HEADER_BYTES, _CHECKSUM_BYTES = _HEADER.size, _CHECKSUM.size
 _MAGIC = 0xFD
 _FIRST_CHECKED = 1
+HIL_SENSOR: Final[int] = common.MAVLINK_MSG_ID_HIL_SENSOR
+HIL_GPS: Final[int] = common.MAVLINK_MSG_ID_HIL_GPS
+HIL_ACTUATOR_CONTROLS: Final[int] = common.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS
 
 
 class HilSensor(NamedTuple):
@@ -57,7 +63,66 @@ class HilSensor(NamedTuple):
 
     def get_msgId(self) -> int:  # noqa: N802  as pymavlink's messages have it
         """Give the kind of message."""
-        return _SENSOR.kind
+        return HIL_SENSOR
+
+
+class HilGps(NamedTuple):
+    """HIL_GPS: degrees * 1e7, mm above the sea, cm, cm/s NED, centidegrees."""
+
+    time_usec: int
+    fix_type: int
+    lat: int
+    lon: int
+    alt: int
+    eph: int
+    epv: int
+    vel: int
+    vn: int
+    ve: int
+    vd: int
+    cog: int
+    satellites_visible: int
+    id: int = 0
+    yaw: int = 0
+
+    @classmethod
+    def from_payload(cls, payload: bytes) -> Self:
+        """Unpack a payload of full length."""
+        time_usec, *fields, fix_type, satellites, id_, yaw = _GPS.fields.unpack(payload)
+        return cls(time_usec, fix_type, *fields, satellites, id_, yaw)
+
+    def payload(self) -> bytes:
+        """Pack it, trailing zeros included. Raises struct.error for what does not fit."""
+        time_usec, fix_type, *fields, satellites, id_, yaw = self
+        return _GPS.fields.pack(time_usec, *fields, fix_type, satellites, id_, yaw)
+
+    def get_msgId(self) -> int:  # noqa: N802  as pymavlink's messages have it
+        """Give the kind of message."""
+        return HIL_GPS
+
+
+class EscReport(NamedTuple):
+    """ESC_STATUS: rpm, V and A of four motors from the ``index``-th on."""
+
+    index: int
+    time_usec: int
+    rpm: Sequence[int]
+    voltage: Sequence[float]
+    current: Sequence[float]
+
+    @classmethod
+    def from_payload(cls, payload: bytes) -> Self:
+        """Unpack a payload of full length."""
+        time_usec, *values, index = _ESCS.fields.unpack(payload)
+        return cls(index, time_usec, values[:4], values[4:8], values[8:])
+
+    def payload(self) -> bytes:
+        """Pack it, trailing zeros included. Raises struct.error or OverflowError for what does not fit."""
+        return _ESCS.fields.pack(self.time_usec, *self.rpm, *self.voltage, *self.current, self.index)
+
+    def get_msgId(self) -> int:  # noqa: N802  as pymavlink's messages have it
+        """Give the kind of message."""
+        return ESC_STATUS
 
 
 class HilActuatorControls(NamedTuple):
@@ -82,10 +147,11 @@ class HilActuatorControls(NamedTuple):
 
     def get_msgId(self) -> int:  # noqa: N802  as pymavlink's messages have it
         """Give the kind of message."""
-        return _ACTUATORS.kind
+        return HIL_ACTUATOR_CONTROLS
 
 
-HilMessage: TypeAlias = HilSensor | HilActuatorControls
+HilMessage: TypeAlias = HilSensor | HilGps | EscReport | HilActuatorControls
+TO_VEHICLE: tuple[type[HilMessage], ...] = (HilSensor, HilGps, EscReport)
 
 
 class _Format:
@@ -99,15 +165,21 @@ class _Format:
         """What was cut off a payload, by the length that is left."""
 
 
-_SENSOR = _Format(common.MAVLINK_MSG_ID_HIL_SENSOR, "<Q13fIB")
-_ACTUATORS = _Format(common.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS, "<QQ16fB")
-_FORMATS: dict[type[HilMessage], _Format] = {HilSensor: _SENSOR, HilActuatorControls: _ACTUATORS}
+_SENSOR = _Format(HIL_SENSOR, "<Q13fIB")
+_GPS = _Format(HIL_GPS, "<Q3i3H3hH2BBH")
+_ESCS = _Format(ESC_STATUS, "<Q4i4f4fB")
+_ACTUATORS = _Format(HIL_ACTUATOR_CONTROLS, "<QQ16fB")
+_FORMATS: dict[type[HilMessage], _Format] = {
+    HilSensor: _SENSOR, HilGps: _GPS, EscReport: _ESCS, HilActuatorControls: _ACTUATORS,
+}  # fmt: skip
 
 
 def pack(message: HilMessage, *, sequence: int, system: int, component: int) -> bytes:
     """Whole frame of a message."""
     form = _FORMATS[type(message)]
-    payload = message.payload().rstrip(b"\0") or b"\0"
+    payload = message.payload()
+    if not payload[-1]:
+        payload = payload.rstrip(b"\0") or b"\0"
     header = _HEADER.pack(_MAGIC, len(payload), 0, 0, sequence, system, component, form.kind, 0)
     frame = header + payload
     return frame + _CHECKSUM.pack(crc16.mcrf4xx(frame[_FIRST_CHECKED:] + form.crc_extra))
@@ -150,12 +222,11 @@ class HilEncoder(Encoder):
 
 
 class HilParser(Parser):
-    """`Parser` for a simulator's link: frames of one hot kind come out as ``hot``, whatever else as ever."""
+    """`Parser` for a simulator's link: frames of hot kinds come out as these types, whatever else as ever."""
 
-    def __init__(self, hot: type[HilMessage]) -> None:
+    def __init__(self, *hot: type[HilMessage]) -> None:
         super().__init__()
-        self._hot = hot
-        self._form = _FORMATS[hot]
+        self._hot = {_FORMATS[kind].kind: (kind, _FORMATS[kind]) for kind in hot}
 
     @property
     def is_between_frames(self) -> bool:
@@ -165,33 +236,32 @@ class HilParser(Parser):
     def push(self, data: bytes) -> list[Message | HilMessage]:
         """Messages that are complete after the next ``data`` of a byte stream."""
         messages: list[Message | HilMessage] = []
-        at = 0
+        at, size = 0, len(data)
         if not self._buffer:
-            while (end := self._whole_hot_frame(data, at)) is not None:
-                payload = data[at + _HEADER.size : end - _CHECKSUM.size]
-                messages.append(self._hot.from_payload(payload + self._form.padding[len(payload)]))
-                at = end
-            if at == len(data):
+            # as long as whole, right and unsigned frames of hot kinds follow each other
+            while size - at > _HEADER_BYTES:
+                magic, length, incompatible, _, _, _, _, kind, kind_high = _HEADER.unpack_from(data, at)
+                if magic != _MAGIC or incompatible or kind_high or kind not in self._hot:
+                    break
+                hot, form = self._hot[kind]
+                begin = at + _HEADER_BYTES
+                end = begin + length
+                if length > form.fields.size or size < end + _CHECKSUM_BYTES:
+                    break
+                checksum = crc16.mcrf4xx(data[at + _FIRST_CHECKED : end] + form.crc_extra)
+                if data[end] != checksum & 0xFF or data[end + 1] != checksum >> 8:
+                    break
+                messages.append(hot.from_payload(data[begin:end] + form.padding[length]))
+                at = end + _CHECKSUM_BYTES
+            if at == size:
                 return messages
         messages += map(self._as_hot, super().push(data[at:]))
         return messages
 
-    def _whole_hot_frame(self, data: bytes, at: int) -> int | None:
-        """Where the frame that begins at ``at`` ends, if it is whole, right, unsigned and of the hot kind."""
-        if len(data) - at <= _HEADER.size:
-            return None
-        magic, length, incompatible, _, _, _, _, kind, kind_high = _HEADER.unpack_from(data, at)
-        form = self._form
-        if magic != _MAGIC or incompatible or kind != form.kind or kind_high or length > form.fields.size:
-            return None
-        end: int = at + _HEADER.size + length
-        if len(data) < end + _CHECKSUM.size:
-            return None
-        checksum = crc16.mcrf4xx(data[at + _FIRST_CHECKED : end] + form.crc_extra)
-        return end + _CHECKSUM.size if _CHECKSUM.unpack_from(data, end) == (checksum,) else None
-
     def _as_hot(self, message: Message) -> Message | HilMessage:
         """Turn what the general parser took for good, say of MAVLink 1, into the same kind of value."""
-        if message.get_msgId() != self._form.kind:
+        known = self._hot.get(message.get_msgId())
+        if known is None:
             return message
-        return self._hot(*(getattr(message, field) for field in self._hot._fields))
+        hot, _ = known
+        return hot(*(getattr(message, field) for field in hot._fields))

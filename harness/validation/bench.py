@@ -27,7 +27,7 @@ from autopilot.control.flight import FlightController
 from autopilot.control.inner_loop import InnerLoop
 from autopilot.control.position import PositionController
 from autopilot.mavlink.codec import Encoder
-from autopilot.mavlink.hil import HilActuatorControls, HilEncoder, HilParser, HilSensor
+from autopilot.mavlink.hil import TO_VEHICLE, HilActuatorControls, HilEncoder, HilParser
 from autopilot.monitor import Monitor
 from autopilot.onboard.app import OnboardApp
 from autopilot.pilot import Pilot
@@ -137,7 +137,7 @@ class _Process:
     def __init__(self, *, streams: bool) -> None:
         self.vehicle = Vehicle(_config())
         self._active = (streams, streams)
-        self._parser = HilParser(HilSensor)
+        self._parser = HilParser(*TO_VEHICLE)
         self._encoder = HilEncoder(system=1, component=1)
         self._link_encoder = Encoder(system=1, component=1)
 

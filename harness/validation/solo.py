@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.config import AutopilotConfig, Devices, OnboardConfig, Vector, VehicleConfig
 from autopilot.mavlink.codec import Message
-from autopilot.mavlink.hil import HilActuatorControls, HilEncoder, HilParser, HilSensor
+from autopilot.mavlink.hil import TO_VEHICLE, HilActuatorControls, HilEncoder, HilParser
 from autopilot.mavlink.modes import FlightMode, mode_from_custom
 from autopilot.protocol.service import GROUND_STATION, Partner, reply
 from autopilot.types import Array, TrajectorySetpoint
@@ -150,7 +150,7 @@ class Solo:
         )
         self._imu_noise = imu_noise
         self._hil = SensorEncoder()
-        self._parser = HilParser(HilSensor)
+        self._parser = HilParser(*TO_VEHICLE)
         self._from_vehicle = HilParser(HilActuatorControls)
         self._encoder = HilEncoder(system=config.instance + 1, component=1)
         self._not_stopped = np.zeros(1, dtype=np.bool_)

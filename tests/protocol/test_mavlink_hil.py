@@ -9,7 +9,16 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Encoder, Parser
-from autopilot.mavlink.hil import HilActuatorControls, HilEncoder, HilParser, HilSensor, pack
+from autopilot.mavlink.dialect import EscStatus
+from autopilot.mavlink.hil import (
+    EscReport,
+    HilActuatorControls,
+    HilEncoder,
+    HilGps,
+    HilParser,
+    HilSensor,
+    pack,
+)
 
 FLOATS = st.floats(width=32)
 SENSORS = st.builds(
@@ -26,14 +35,30 @@ ACTUATORS = st.builds(
     st.integers(0, 255) | st.just(0),
     st.integers(0, 2**64 - 1),
 )
-HOT = st.one_of(SENSORS, ACTUATORS)
+U8, U16, I16, I32 = (st.integers(low, high) | st.just(0) for low, high in (
+    (0, 2**8 - 1), (0, 2**16 - 1), (-(2**15), 2**15 - 1), (-(2**31), 2**31 - 1),
+))  # fmt: skip
+FIXES = st.builds(
+    HilGps, st.integers(0, 2**64 - 1), U8, I32, I32, I32, U16, U16, U16, I16, I16, I16, U16, U8, U8, U16
+)
+ESCS = st.builds(
+    EscReport,
+    U8,
+    st.integers(0, 2**64 - 1),
+    *[st.lists(values, min_size=4, max_size=4) for values in (I32, FLOATS, FLOATS)],
+)
+HOT = st.one_of(SENSORS, FIXES, ESCS, ACTUATORS)
+THEIRS = {
+    HilSensor: common.MAVLink_hil_sensor_message,
+    HilGps: common.MAVLink_hil_gps_message,
+    EscReport: EscStatus,
+    HilActuatorControls: common.MAVLink_hil_actuator_controls_message,
+}
 
 
 def theirs(message):
     """Make pymavlink's message of the same fields."""
-    if isinstance(message, HilSensor):
-        return common.MAVLink_hil_sensor_message(*message)
-    return common.MAVLink_hil_actuator_controls_message(*message)
+    return THEIRS[type(message)](*message)
 
 
 def bits(message):
