@@ -94,6 +94,8 @@ class Process:
             stack.enter_context(contextlib.closing(self._radio))
         self._host = stack.enter_context(contextlib.closing(Host(config, self._radio)))
         self._link_messages = 0
+        self._link_active = tuple(link.active for link in self._links)
+        """Whether somebody listens, as of the last look at the links"""
         self._poll_us = 0
         self._wall_poll_s = self._wall_heartbeat_s = time.monotonic()
         self._simulator = stack.enter_context(
@@ -176,6 +178,7 @@ class Process:
             for i, link in enumerate(self._links)
             for number, message in link.receive()
         ]
+        self._link_active = tuple(link.active for link in self._links)
         if incoming and not self._link_messages:
             emit(Influenced(name=self._host.name, by="a ground station or companion"))
         self._link_messages += len(incoming)
@@ -204,9 +207,7 @@ class Process:
             incoming = self._receive(wall_s)
             self._keep_beating()
         answer, outgoing = self._host.step(
-            simulator_messages,
-            link_messages=incoming,
-            link_active=tuple(link.active for link in self._links),
+            simulator_messages, link_messages=incoming, link_active=self._link_active
         )
         if outgoing:
             # so that whoever looks on without a ground station sees what it is warned of

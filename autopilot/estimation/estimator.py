@@ -103,7 +103,7 @@ class Estimator:
 
     def on_mag(self, time_us: int, field_frd_gauss: Array) -> None:
         """Take a magnetic field, (3,) FRD."""
-        if not kernels.all_finite(field_frd_gauss):
+        if not math.isfinite(sum(field_frd_gauss.tolist())):
             return
         if self._filter is None:
             self._alignment.add_mag(field_frd_gauss)

@@ -19,7 +19,7 @@ from autopilot.estimation.health import (
     NavigationTest,
     StuckBarometer,
     VerticalConflict,
-    field_disturbed,
+    field_checks,
 )
 from autopilot.estimation.horizon import DelayedHorizon
 from autopilot.estimation.params import PX4_FILTER_PERIOD_S, EstimatorParams
@@ -100,6 +100,7 @@ class Fusion:
         """Take other noises, gates and limits from the next measurement on."""
         self._params = params
         self._field_ned = np.array(params.magnetic_field_ned_gauss)
+        self._field_checks = field_checks(params)
         self._bias_limits = np.array([params.gyro_bias_limit_rad_s, params.accel_bias_limit_m_s2])
         vel_var = params.gps_vel_noise_m_s**2
         self._vel_var = np.array([vel_var, vel_var, VERTICAL_VELOCITY_NOISE_RATIO**2 * vel_var])
@@ -116,20 +117,12 @@ class Fusion:
     def fuse_mag(self, time_us: int, field_frd_gauss: Array) -> bool:
         """Magnetic field (3,) FRD: its heading."""
         x, cov, compass = self._delayed.x, self._delayed.cov, self.compass
-        compass.disturbed = field_disturbed(self._params, x[:4], field_frd_gauss)
-        innovation_rad = kernels.heading_innovation(x, field_frd_gauss, self._field_ned)
         variance = self._params.heading_noise_rad**2
+        innovation_rad, innovation_var, ratio, compass.disturbed = kernels.fuse_field(
+            x, cov, field_frd_gauss, self._field_ned, self._field_checks, variance,
+            self._params.heading_gate, self._bias_limits, not compass.faulty,
+        )  # fmt: skip
         usable = not (compass.disturbed or compass.faulty)
-        ratio, innovation_var = kernels.fuse_heading(
-            x,
-            cov,
-            innovation_rad,
-            self._field_ned,
-            variance,
-            self._params.heading_gate,
-            self._bias_limits,
-            usable,
-        )
         self.heading.innovation[0] = innovation_rad
         self.heading.innovation_var[0] = innovation_var
         if not usable:

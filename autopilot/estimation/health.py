@@ -5,8 +5,10 @@ Pure state machines over the moments that measurements describe; what follows fr
 
 import math
 
+import numpy as np
+
+from autopilot.estimation import kernels
 from autopilot.estimation.params import EstimatorParams
-from autopilot.estimation.rotation import quat_rotate
 from autopilot.types import Array
 
 NAVIGATION_FAILURE_US = 1_000_000
@@ -114,17 +116,15 @@ class StuckBarometer:
 
 def field_disturbed(params: EstimatorParams, q_ned_frd: Array, field_frd_gauss: Array) -> bool:
     """Whether a magnetic field (3,) cannot be the site's, by PX4's checks of strength and inclination."""
-    x, y, z = params.magnetic_field_ned_gauss
-    expected_gauss = math.sqrt(x * x + y * y + z * z)
-    a, b, c = field_frd_gauss.tolist()
-    seen_gauss = math.sqrt(a * a + b * b + c * c)
-    if params.mag_check & STRENGTH and abs(seen_gauss - expected_gauss) > params.mag_check_strength_gauss:
-        return True
-    if not params.mag_check & INCLINATION or seen_gauss == 0.0:
-        return False
-    down_gauss = float(quat_rotate(q_ned_frd, field_frd_gauss)[2])
-    apart_rad = math.asin(max(-1.0, min(1.0, down_gauss / seen_gauss))) - math.asin(z / expected_gauss)
-    return abs(apart_rad) > params.mag_check_inclination_rad
+    field_ned = np.array(params.magnetic_field_ned_gauss)
+    return bool(kernels.field_disturbed(q_ned_frd, field_frd_gauss, field_ned, field_checks(params)))
+
+
+def field_checks(params: EstimatorParams) -> Array:
+    """(2,) what `kernels.field_disturbed` allows strength and inclination to be off, by EKF2_MAG_CHECK."""
+    strength_gauss = params.mag_check_strength_gauss if params.mag_check & STRENGTH else math.inf
+    inclination_rad = params.mag_check_inclination_rad if params.mag_check & INCLINATION else math.inf
+    return np.array((strength_gauss, inclination_rad))
 
 
 class Compass:

@@ -277,6 +277,42 @@ def fuse_heading(
 
 
 @njit(cache=True)
+def field_disturbed(q_ned_frd: Array, field_frd: Array, field_ned: Array, off_max: Array) -> bool:
+    """Whether a magnetic field is not the one expected, (3,) each, by its strength or its inclination.
+
+    ``off_max`` (2,): by how much these may be off, in the fields' unit and in radians.
+    """
+    x, y, z = field_ned[0], field_ned[1], field_ned[2]
+    a, b, c = field_frd[0], field_frd[1], field_frd[2]
+    expected = math.sqrt(x * x + y * y + z * z)
+    seen = math.sqrt(a * a + b * b + c * c)
+    if abs(seen - expected) > off_max[0]:
+        return True
+    if seen == 0.0:
+        return False
+    _, _, down = rotate((q_ned_frd[0], q_ned_frd[1], q_ned_frd[2], q_ned_frd[3]), (a, b, c))
+    apart_rad = math.asin(max(-1.0, min(1.0, down / seen))) - math.asin(z / expected)
+    return abs(apart_rad) > off_max[1]
+
+
+@njit(cache=True)
+def fuse_field(
+    x: Array, cov: Array, field_frd: Array, field_ned: Array, off_max: Array, variance: float, gate: float,
+    bias_limits: Array, believed: bool,  # noqa: FBT001 - kernels take positions
+) -> tuple[float, float, float, bool]:  # fmt: skip
+    """Fuse the heading of a magnetic field (3,) that is not disturbed, if the compass is believed.
+
+    Return the innovation, its variance, the test ratio, and whether the field is disturbed.
+    """
+    disturbed = field_disturbed(x[:4], field_frd, field_ned, off_max)
+    innovation = heading_innovation(x, field_frd, field_ned)
+    ratio, innovation_var = fuse_heading(
+        x, cov, innovation, field_ned, variance, gate, bias_limits, believed and not disturbed
+    )
+    return innovation, innovation_var, ratio, disturbed
+
+
+@njit(cache=True)
 def is_sound(x: Array, cov: Array) -> bool:
     """Whether all of the state is finite and no variance is infinite or negative."""
     if not all_finite(x):

@@ -22,8 +22,10 @@ from autopilot.mavlink.dialect import ESC_STATUS
 
 _HEADER = Struct("<BBBBBBBHB")
 """Magic, payload's length, incompatible and compatible flags, sequence, system, component, kind (24 bit)."""
-_CHECKSUM = Struct("<H")
-_HEADER_BYTES, _CHECKSUM_BYTES = _HEADER.size, _CHECKSUM.size
+_CHECKED = Struct("<BBBBBBHB")
+"""The header without the magic byte."""
+_MAGIC_BYTE = b"\xfd"
+_HEADER_BYTES, _CHECKSUM_BYTES = _HEADER.size, 2
 _MAGIC = 0xFD
 _FIRST_CHECKED = 1
 HIL_SENSOR: Final[int] = common.MAVLINK_MSG_ID_HIL_SENSOR
@@ -180,9 +182,9 @@ def pack(message: HilMessage, *, sequence: int, system: int, component: int) -> 
     payload = message.payload()
     if not payload[-1]:
         payload = payload.rstrip(b"\0") or b"\0"
-    header = _HEADER.pack(_MAGIC, len(payload), 0, 0, sequence, system, component, form.kind, 0)
-    frame = header + payload
-    return frame + _CHECKSUM.pack(crc16.mcrf4xx(frame[_FIRST_CHECKED:] + form.crc_extra))
+    checked = _CHECKED.pack(len(payload), 0, 0, sequence, system, component, form.kind, 0) + payload
+    checksum: int = crc16.mcrf4xx(checked + form.crc_extra)
+    return _MAGIC_BYTE + checked + checksum.to_bytes(2, "little")
 
 
 _ANSWER = Struct("<BBBBBBBHBQQ16fBH")
