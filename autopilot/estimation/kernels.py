@@ -292,7 +292,7 @@ def field_disturbed(q_ned_frd: Array, field_frd: Array, field_ned: Array, off_ma
         return False
     _, _, down = rotate((q_ned_frd[0], q_ned_frd[1], q_ned_frd[2], q_ned_frd[3]), (a, b, c))
     apart_rad = math.asin(max(-1.0, min(1.0, down / seen))) - math.asin(z / expected)
-    return abs(apart_rad) > off_max[1]
+    return bool(abs(apart_rad) > off_max[1])
 
 
 @njit(cache=True)

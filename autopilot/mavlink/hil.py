@@ -91,7 +91,7 @@ class HilGps(NamedTuple):
     def from_payload(cls, payload: bytes) -> Self:
         """Unpack a payload of full length."""
         time_usec, *fields, fix_type, satellites, id_, yaw = _GPS.fields.unpack(payload)
-        return cls(time_usec, fix_type, *fields, satellites, id_, yaw)
+        return cls._make((time_usec, fix_type, *fields, satellites, id_, yaw))
 
     def payload(self) -> bytes:
         """Pack it, trailing zeros included. Raises struct.error for what does not fit."""
@@ -106,7 +106,7 @@ class HilGps(NamedTuple):
 class EscReport(NamedTuple):
     """ESC_STATUS: rpm, V and A of four motors from the ``index``-th on."""
 
-    index: int
+    index: int  # type: ignore[assignment]  # what ESC_STATUS calls it, and tuples something else
     time_usec: int
     rpm: Sequence[int]
     voltage: Sequence[float]
