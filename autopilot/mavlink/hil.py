@@ -204,7 +204,7 @@ def whole_answer(data: bytes) -> HilActuatorControls | None:
     form = _ACTUATORS
     if magic != _MAGIC or length != form.fields.size or incompatible or kind != form.kind or kind_high:
         return None
-    if crc16.mcrf4xx(data[_FIRST_CHECKED : -_CHECKSUM.size] + form.crc_extra) != checksum:
+    if crc16.mcrf4xx(data[_FIRST_CHECKED:-_CHECKSUM_BYTES] + form.crc_extra) != checksum:
         return None
     return HilActuatorControls(time_usec, controls, mode, flags)
 
