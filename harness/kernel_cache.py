@@ -28,6 +28,7 @@ _COMPLETE = "complete"
 _FOLDER = re.compile(r"[0-9a-f]{16}")
 _COMPILERS = {
     "the vehicles'": "from autopilot.rehearsal import rehearse; rehearse()",
+    "the radio's": "from netsim.rehearsal import rehearse; rehearse()",
     "the physics'": "from harness.physics.rehearsal import rehearse; rehearse()",
     "the antenna's": "from antenna.rehearsal import rehearse; rehearse()",
 }
@@ -79,7 +80,7 @@ def forget_old(now_s: float) -> None:
 
 
 def _compile() -> None:
-    """Compile the vehicles', the physics' and the antenna's kernels side by side, each in a process."""
+    """Compile the vehicles', the radio's, the physics' and the antenna's kernels, each in a process."""
     compilers = {
         whose: subprocess.Popen(
             [sys.executable, "-P", "-c", code],

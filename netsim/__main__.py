@@ -1,8 +1,14 @@
 """``python -m netsim --config FILE``: the 802.11 emulator of one run."""
 
 import argparse
+import os
 import sys
 from pathlib import Path
+
+from antenna import kernel_folder
+
+if "--supervised" not in sys.argv:  # else the launcher has
+    os.environ.update(kernel_folder.environment())  # read when numba is imported, which is next
 
 from netsim.server import run
 from netsim.transport import TransportError

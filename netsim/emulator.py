@@ -23,7 +23,7 @@ from netsim.kernel import EventQueue
 from netsim.mac.jobs import Job, Outcome, Sender
 from netsim.mac.rates import datagram_modes
 from netsim.phy.medium import Transmission
-from netsim.phy.propagation import Links, Trajectories, Vector
+from netsim.phy.propagation import Links, Trajectories
 from netsim.records import Counters, FrameRecord, SessionRecord, Tally
 from netsim.settings import check
 from netsim.streams import Model, Streams, Uniforms
@@ -188,8 +188,7 @@ class Emulator:
         to_ns = 1_000 * to_us
         if to_ns < self.queue.now_ns:
             raise ValueError(f"cannot go back to {to_us} us: it is {self.queue.now_ns // 1_000} us")
-        attitudes = None if q_ned_frd is None else [(w, x, y, z) for w, x, y, z in q_ned_frd.tolist()]
-        self.trajectories.set(1_000 * at_us, _vectors(positions), _vectors(velocities), attitudes)
+        self.trajectories.set(1_000 * at_us, positions, velocities, q_ned_frd)
         self._submitted.sort(key=lambda entry: entry[:3])
         for ready_ns, station, _, item in self._submitted:
             self.queue.at(ready_ns, self._on_ready, (station, item))
@@ -275,7 +274,7 @@ class Emulator:
 
     def _on_unicast_done(self, station: int, job: Job, outcome: Outcome) -> None:
         ack = job.ack
-        ended_ns = self.queue.now_ns if ack is None else ack.end_ns + ack.delays_ns[station]
+        ended_ns = self.queue.now_ns if ack is None else ack.end_ns + ack.delay_ns(station)
         self._report_sent(station, job.destination, job.seq, outcome.value, job.attempts, ended_ns)
 
     def _report_sent(
@@ -393,7 +392,3 @@ class Emulator:
         self._tally.count_frame(transmission)
         if self._on_transmission is not None:
             self._on_transmission(transmission)
-
-
-def _vectors(rows: Doubles) -> list[Vector]:
-    return [(x, y, z) for x, y, z in rows.tolist()]

@@ -38,6 +38,7 @@ class Frame:
         "duration_ns",
         "is_answer",
         "kind",
+        "lapse_ns",
         "mode",
         "nav_ns",
         "seq",
@@ -54,6 +55,7 @@ class Frame:
         mode: PhyMode,
         frame_bytes: int,
         nav_ns: int = 0,
+        lapse_ns: int = 0,
         seq: int = 0,
         sequence: int = 0,
         body: object = None,
@@ -67,6 +69,8 @@ class Frame:
         self.duration_ns = mode.duration_ns(frame_bytes)
         self.nav_ns = nav_ns
         """Duration field: how long the medium stays reserved after this frame."""
+        self.lapse_ns = lapse_ns
+        """Time after this frame at which the reservation falls where nothing was heard since; 0 is never."""
         self.seq = seq
         """The host's number of what it carries."""
         self.sequence = sequence

@@ -78,7 +78,7 @@ class IdealChannel:
         radio = self._radios[station]
         if radio.silent:
             return None
-        if transmission.powers_mw[station] < self._least_mw:
+        if transmission.power_mw(station) < self._least_mw:
             transmission.lost_to_noise.append(station)
             return None
         transmission.delivered.append(station)
@@ -165,8 +165,8 @@ class IdealRadio:
 
     def take(self, transmission: Transmission, *, duplicate: bool) -> None:
         """Receive a frame."""
-        end_ns = transmission.end_ns + transmission.delays_ns[self.index]
-        self.upper.on_frame(transmission, transmission.powers_mw[self.index], end_ns, duplicate=duplicate)
+        end_ns = transmission.end_ns + transmission.delay_ns(self.index)
+        self.upper.on_frame(transmission, transmission.power_mw(self.index), end_ns, duplicate=duplicate)
 
     # --- frames to one station
 
@@ -182,7 +182,7 @@ class IdealRadio:
                 now_ns=self._queue.now_ns,
             )
         sent = self._send(job)
-        self._queue.at(sent.end_ns + sent.delays_ns[job.destination], self._on_arrived, (exchange, sent))
+        self._queue.at(sent.end_ns + sent.delay_ns(job.destination), self._on_arrived, (exchange, sent))
 
     def _on_arrived(self, attempt: tuple[_Exchange, Transmission]) -> None:
         exchange, sent = attempt
@@ -212,7 +212,7 @@ class IdealRadio:
                 frame_bytes=ACK_BYTES,
             )
         )
-        self._queue.at(ack.end_ns + ack.delays_ns[self.index], self._on_answer, (exchange, sent, ack))
+        self._queue.at(ack.end_ns + ack.delay_ns(self.index), self._on_answer, (exchange, sent, ack))
 
     def _on_answer(self, attempt: tuple[_Exchange, Transmission, Transmission]) -> None:
         exchange, sent, ack = attempt

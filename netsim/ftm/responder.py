@@ -166,7 +166,7 @@ class Responder:
 
     def _follow_up(self, session: _Session, sent: Transmission, ack: Transmission) -> Measurement:
         port = self._port
-        t4_ps, std_ps = port.arrival_ps(ack, ack.powers_mw[port.station], session.excess_m)
+        t4_ps, std_ps = port.arrival_ps(ack, ack.power_mw(port.station), session.excess_m)
         return Measurement(
             token=0,
             followed=session.token,

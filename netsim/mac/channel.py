@@ -14,12 +14,21 @@ What is said at access, and what follows from it, is `netsim.mac.station`'s.
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 
-from netsim.frames import CTS_BYTES, Frame, FrameKind
 from netsim.kernel import NEVER_NS, EventQueue
-from netsim.mac.access import CCA_NS, EIFS_EXTRA_NS, SIFS_NS, SLOT_NS, AccessParameters, Contender
+from netsim.mac.access import CCA_NS, EIFS_EXTRA_NS, SLOT_NS, AccessParameters, Contender
 from netsim.mac.jobs import Job, Outcome
 from netsim.phy.medium import Receiver
-from netsim.phy.modes import NON_HT_PREAMBLE_NS, response_mode
+from netsim.phy.sensing import (
+    BROKEN,
+    BUSY_FROM,
+    BUSY_UNTIL,
+    HEEDS_BUSY,
+    HEEDS_END,
+    IDLE_BEFORE,
+    RESERVED_UNTIL,
+    SENDING_UNTIL,
+    UPSET,
+)
 from netsim.streams import Uniforms
 
 
@@ -37,6 +46,8 @@ class ChannelAccess(ABC):
     ) -> None:
         self._queue = queue
         self._receiver = receiver
+        self._sensed = receiver.row
+        """What is known of the medium, NAV included; the station heeds it while it has something to count."""
         self._access = access
         self._queue_frames = queue_frames
         self._backoff = backoff
@@ -47,10 +58,6 @@ class ChannelAccess(ABC):
         self._current: Contender | None = None
         """Whose exchange it is."""
         self._silent = False
-        self._nav_until_ns = 0
-        self._nav_holder = -1
-        """Who reserved the medium for that long."""
-        self._eifs_until_ns = 0
         self._wait_until_ns = 0
         self._planned = False
         """The planned accesses follow from what is known of the medium."""
@@ -128,7 +135,7 @@ class ChannelAccess(ABC):
 
     def _contend(self, category: str, job: Job) -> None:
         """Queue a frame, and plan its access if it is the first."""
-        self._receiver.attentive = True
+        self._heed()
         contender = self._contender(category)
         first = not contender.jobs
         contender.jobs.append(job)
@@ -162,8 +169,7 @@ class ChannelAccess(ABC):
 
     def on_busy(self, from_ns: int) -> None:
         """See `netsim.phy.medium.Listener`."""
-        # what NAV covers, like the ACK of somebody else's exchange, changes no plan
-        if self._planned and self._receiver.busy_until_ns > self._nav_until_ns:
+        if self._planned:
             self._freeze(from_ns + CCA_NS)
 
     def on_air_changed(self) -> None:
@@ -171,94 +177,73 @@ class ChannelAccess(ABC):
         if not self._planned:
             self._resume()
 
+    def on_unused(self) -> None:
+        """See `netsim.phy.medium.Listener`."""
+        self._sensed[UPSET] = True
+        self._revise()
+        self._resume()
+
     def _medium_busy(self) -> bool:
         now = self._queue.now_ns
-        receiver = self._receiver
+        sensed = self._sensed
         return (
             self._current is not None
-            or receiver.busy_from_ns + CCA_NS < now < receiver.busy_until_ns
-            or now < self._nav_until_ns
-            or now < receiver.sending_until_ns
+            or sensed[BUSY_FROM] + CCA_NS < now < sensed[BUSY_UNTIL]
+            or now < sensed[RESERVED_UNTIL]
+            or now < sensed[SENDING_UNTIL]
         )
 
-    def _after_error(self, end_ns: int) -> None:
-        """Wait EIFS from the end of a broken frame on."""
-        self._eifs_until_ns = end_ns + EIFS_EXTRA_NS
-        self._revise()
-
-    def _end_eifs(self) -> None:
-        """End EIFS, for a frame has come through."""
-        self._eifs_until_ns = 0
-        self._revise()
-
-    def _reserve(self, frame: Frame, end_ns: int) -> None:
-        """Set NAV by a frame for somebody else (10.3.2.4)."""
-        nav_until_ns = end_ns + frame.nav_ns
-        if nav_until_ns > self._nav_until_ns:
-            self._nav_until_ns = nav_until_ns
-            self._nav_holder = frame.destination if frame.is_answer else frame.source
-            self._revise()
-            if frame.kind is FrameKind.RTS:
-                cts_ns = response_mode(frame.mode).duration_ns(CTS_BYTES)
-                wait_ns = 2 * SIFS_NS + cts_ns + NON_HT_PREAMBLE_NS + 2 * SLOT_NS
-                self._queue.at(end_ns + wait_ns, self._on_rts_unused, (end_ns, nav_until_ns))
-
-    def _on_rts_unused(self, reservation: tuple[int, int]) -> None:
-        """NAV falls if no frame has followed the RTS that set it (10.3.2.4)."""
-        rts_end_ns, nav_until_ns = reservation
-        if self._receiver.locked_ns <= rts_end_ns and self._nav_until_ns == nav_until_ns:
-            self._nav_until_ns = self._queue.now_ns
-            self._revise()
-            self._resume()
-
     # --- accesses
+
+    def _heed(self) -> None:
+        """Be told of what happens on the medium: with a plan of what upsets it, without one of every end."""
+        self._sensed[HEEDS_BUSY] = self._planned
+        self._sensed[HEEDS_END] = not self._planned
 
     def _freeze(self, sensed_ns: int) -> None:
         """Stop all backoffs, as the medium is sensed busy from then on."""
         self._planned = False
+        self._sensed[HEEDS_BUSY] = False
         attentive = self._held > 0
         for contender in self._contenders:
             contender.freeze(sensed_ns)
             if contender.backoff_slots:
                 attentive = True
         # with nothing to send and no backoff to count, the station stays frozen until that changes
-        self._receiver.attentive = attentive
+        self._sensed[HEEDS_END] = attentive
 
     def _revise(self) -> None:
-        """Withdraw the plan, for what it rests on has changed; the medium is still busy, or by NAV."""
-        if self._planned:
+        """Withdraw a plan that is upset; the medium is still busy, or by NAV."""
+        if self._planned and self._sensed[UPSET]:
             self._freeze(self._queue.now_ns)
 
     def _resume(self) -> None:
         """Plan each queue's next access from what is known of the medium; what changes that calls again."""
         now = self._queue.now_ns
-        receiver = self._receiver
+        sensed = self._sensed
+        sending_until_ns = sensed[SENDING_UNTIL]
         if (
             self._current is not None
-            or receiver.sending_until_ns > now
+            or sending_until_ns > now
             or self._silent
-            or not receiver.attentive
+            or not (sensed[HEEDS_END] or self._planned)
         ):
             return
-        idle_ns = receiver.busy_until_ns
+        nav_until_ns = sensed[RESERVED_UNTIL]
+        idle_ns = sensed[BUSY_UNTIL]
         unsensed = False
         # what NAV covers holds back no plan, and so no frame that comes meanwhile
-        if idle_ns > now and idle_ns > self._nav_until_ns:
+        if idle_ns > now and idle_ns > nav_until_ns:
             # a busy period that the station cannot have sensed yet does not hold it back
-            unsensed = now <= receiver.busy_from_ns + CCA_NS
+            unsensed = now <= sensed[BUSY_FROM] + CCA_NS
             if not unsensed:
                 return
-            idle_ns = receiver.idle_before_ns
-        # not by max(), which takes longer: this runs for every receiver of every frame
-        if receiver.sending_until_ns > idle_ns:
-            idle_ns = receiver.sending_until_ns
-        if self._nav_until_ns > idle_ns:
-            idle_ns = self._nav_until_ns
-        if self._eifs_until_ns > idle_ns:
-            idle_ns = self._eifs_until_ns
-        if self._wait_until_ns > idle_ns:
-            idle_ns = self._wait_until_ns
+            idle_ns = sensed[IDLE_BEFORE]
+        eifs_until_ns = sensed[BROKEN] and sensed[BROKEN] + EIFS_EXTRA_NS
+        idle_ns = max(idle_ns, sending_until_ns, nav_until_ns, eifs_until_ns, self._wait_until_ns)
         self._planned = True
+        sensed[UPSET] = False
+        self._heed()
         for contender in self._contenders:
             if unsensed and contender.backoff_slots and contender.base_ns == NEVER_NS:
                 continue  # the slots before that busy period were counted when it froze the backoff
@@ -275,12 +260,12 @@ class ChannelAccess(ABC):
             contender.access_ns = access_ns
             contender.access = self._queue.at(access_ns, self._on_access, contender)
         if unsensed:
-            self._freeze(receiver.busy_from_ns + CCA_NS)
+            self._freeze(sensed[BUSY_FROM] + CCA_NS)
 
     def _on_access(self, contender: Contender) -> None:
         contender.access = None
         now = self._queue.now_ns
-        if self._current is not None or self._receiver.sending_until_ns > now:
+        if self._current is not None or self._sensed[SENDING_UNTIL] > now:
             contender.base_ns = NEVER_NS
             return
         self._drop_expired(contender)

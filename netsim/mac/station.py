@@ -25,7 +25,8 @@ from netsim.mac.access import SIFS_NS, SLOT_NS, AccessParameters, Contender
 from netsim.mac.channel import ChannelAccess
 from netsim.mac.jobs import Job, Outcome
 from netsim.phy.medium import Medium, Transmission
-from netsim.phy.modes import NON_HT_PREAMBLE_NS, PhyMode, response_mode
+from netsim.phy.modes import NON_HT_PREAMBLE_NS, PhyMode, response_mode, response_ns
+from netsim.phy.sensing import LOCK, NOBODY, RESERVED_BY, RESERVED_UNTIL, SENDING_UNTIL, UNLOCKED, loudest
 from netsim.streams import Uniforms
 
 RESPONSE_TIMEOUT_NS = SIFS_NS + SLOT_NS + NON_HT_PREAMBLE_NS
@@ -74,6 +75,8 @@ class Station(ChannelAccess):
         )
         self.index = index
         self._medium = medium
+        self._heard = medium.heard_ns[index], medium.heard_mw[index]
+        """When and how loud each other station was last heard."""
         self._receiver.listener = self
         self._control_mode = control_mode
         self._upper = upper
@@ -82,8 +85,6 @@ class Station(ChannelAccess):
         self._timeout: Event | None = None
         self._timed_out = False
         self._sequence = 0
-        self._heard: dict[int, tuple[int, float]] = {}
-        """By station: when it was last heard, and how loud."""
         self._last_sequence: dict[tuple[int, FrameKind], int] = {}
         """By sender and kind, each of which keeps to one queue of the sender and so to an order."""
 
@@ -136,7 +137,7 @@ class Station(ChannelAccess):
         if target is None:
             self._send_job(contender)
             return
-        cts_ns = response_mode(self._control_mode).duration_ns(CTS_BYTES)
+        cts_ns = response_ns(self._control_mode, CTS_BYTES)
         rts = Frame(
             kind=FrameKind.RTS,
             source=self.index,
@@ -144,6 +145,7 @@ class Station(ChannelAccess):
             mode=self._control_mode,
             frame_bytes=RTS_BYTES,
             nav_ns=SIFS_NS + cts_ns + SIFS_NS + _data_ns(job),
+            lapse_ns=2 * SIFS_NS + cts_ns + NON_HT_PREAMBLE_NS + 2 * SLOT_NS,
         )
         self._phase = Phase.AWAITING_CTS
         self._send(rts, timeout=True)
@@ -152,8 +154,8 @@ class Station(ChannelAccess):
         if job.destination != GROUP:
             return job.destination
         oldest_ns = self._queue.now_ns - HEARD_WITHIN_NS
-        heard = [(-power_mw, other) for other, (at_ns, power_mw) in self._heard.items() if at_ns >= oldest_ns]
-        return sorted(heard)[job.failures % len(heard)][1] if heard else None
+        target = loudest(*self._heard, oldest_ns, job.failures)
+        return None if target == NOBODY else target
 
     def _send_job(self, contender: Contender) -> None:
         if self._current is not contender or not contender.jobs:
@@ -195,7 +197,7 @@ class Station(ChannelAccess):
         """Time that the exchange of a frame takes from its RTS or itself on."""
         if not job.rts:
             return _data_ns(job)
-        cts_ns = response_mode(self._control_mode).duration_ns(CTS_BYTES)
+        cts_ns = response_ns(self._control_mode, CTS_BYTES)
         return self._control_mode.duration_ns(RTS_BYTES) + SIFS_NS + cts_ns + SIFS_NS + _data_ns(job)
 
     def _succeeded(self, outcome: Outcome, end_ns: int) -> None:
@@ -211,7 +213,7 @@ class Station(ChannelAccess):
             return
         self._current = None
         self._phase = Phase.IDLE
-        self._receiver.attentive = True
+        self._heed()
         contender.succeeded()
         self._resume()
 
@@ -240,13 +242,13 @@ class Station(ChannelAccess):
         self._current = None
         self._phase = Phase.IDLE
         self._wait_until_ns = self._queue.now_ns
-        self._receiver.attentive = True
+        self._heed()
         self._fail(contender)
         self._resume()
 
     def _on_timeout(self, _: None) -> None:
         self._timeout = None
-        if self._receiver.lock is not None:
+        if self._sensed[LOCK] != UNLOCKED:
             # a frame has begun in time: whether it is the answer shows at its end
             self._timed_out = True
         else:
@@ -264,34 +266,26 @@ class Station(ChannelAccess):
         """See `netsim.phy.medium.Listener`."""
         if self._phase is Phase.SENDING and not transmission.frame.is_answer:
             self._succeeded(Outcome.SENT, transmission.end_ns)
-        elif self._timed_out and self._receiver.lock is None:
+        elif self._timed_out and self._sensed[LOCK] == UNLOCKED:
             # to answer somebody it has given up the frame that might have been its own answer
             self._failed()
         else:
             self._resume()
 
-    def on_error(self, end_ns: int) -> None:
+    def on_error(self, end_ns: int) -> None:  # noqa: ARG002  it is in what is sensed
         """See `netsim.phy.medium.Listener`: errors make the station wait EIFS."""
-        self._after_error(end_ns)
+        self._revise()
         if self._timed_out:
             self._failed()
 
     def on_received(self, transmission: Transmission, power_mw: float, end_ns: int) -> None:
         """See `netsim.phy.medium.Listener`."""
-        frame = transmission.frame
-        if self._eifs_until_ns:
-            self._end_eifs()
-        destination = frame.destination
+        self._revise()
+        destination = transmission.frame.destination
         if destination == self.index:
             self._received_own(transmission, power_mw, end_ns)
         elif destination == GROUP:
-            if frame.nav_ns:
-                self._reserve(frame, end_ns)
             self._upper.on_frame(transmission, power_mw, end_ns, duplicate=False)
-        elif frame.nav_ns:
-            self._reserve(frame, end_ns)
-        if not frame.is_answer:
-            self._heard[frame.source] = (end_ns, power_mw)
         if self._timed_out:
             self._failed()
 
@@ -312,7 +306,8 @@ class Station(ChannelAccess):
                 self._succeeded(Outcome.ACKNOWLEDGED, end_ns)
         elif frame.kind is FrameKind.RTS:
             # NAV holds back the answer, unless it is the same station that set it (10.22.2.4)
-            free = self._nav_until_ns <= end_ns or self._nav_holder == frame.source
+            sensed = self._sensed
+            free = sensed[RESERVED_UNTIL] <= end_ns or sensed[RESERVED_BY] == frame.source
             if free and self._current is None:
                 self._answer(FrameKind.CTS, frame, CTS_BYTES, end_ns)
         else:
@@ -332,12 +327,12 @@ class Station(ChannelAccess):
             destination=to.source,
             mode=mode,
             frame_bytes=frame_bytes,
-            nav_ns=max(0, to.nav_ns - SIFS_NS - mode.duration_ns(frame_bytes)),
+            nav_ns=max(0, to.nav_ns - SIFS_NS - response_ns(to.mode, frame_bytes)),
         )
         self._queue.at(end_ns + SIFS_NS, self._respond, answer)
 
     def _respond(self, frame: Frame) -> None:
-        if not self._silent and self._receiver.sending_until_ns <= self._queue.now_ns:
+        if not self._silent and self._sensed[SENDING_UNTIL] <= self._queue.now_ns:
             self._send(frame)
 
 
@@ -345,7 +340,7 @@ def answer_ns(job: Job) -> int:
     """Time from the end of a frame to the end of its ACK."""
     if job.destination == GROUP:
         return 0
-    return SIFS_NS + response_mode(job.mode).duration_ns(ACK_BYTES)
+    return SIFS_NS + response_ns(job.mode, ACK_BYTES)
 
 
 def _data_ns(job: Job) -> int:

@@ -20,7 +20,11 @@ from functools import cache
 from math import erfc, exp, expm1, inf, log, log1p, log10, sqrt
 from statistics import NormalDist
 
+import numpy as np
+from numba import njit
+
 from netsim.phy.modes import PhyMode
+from netsim.phy.path_loss import Doubles
 from netsim.phy.vht_tables import VHT_COUNTS
 
 # Information weights c_d of the code 133/171 (octal) and its punctured forms (Haccoun and Begin, 1989;
@@ -118,6 +122,22 @@ def _counted_hazard(mode: PhyMode) -> Callable[[float], float]:
     return hazard
 
 
+@njit(cache=True)
+def hazard_per_bit(log_hazards: Doubles, clean_linear: float, sinr_linear: float) -> float:
+    """Hazard of one data bit by an `ErrorModel`'s table; log-linear between points 0.05 dB apart."""
+    if sinr_linear >= clean_linear:
+        return 0.0
+    if sinr_linear <= 0.0:
+        return exp(log_hazards[0])
+    position = (10.0 * log10(sinr_linear) - _FIRST_DB) / _STEP_DB
+    if position <= 0.0:
+        return exp(log_hazards[0])
+    k = int(position)
+    if k + 1 >= len(log_hazards):
+        return exp(log_hazards[-1])
+    return exp(log_hazards[k] + (position - k) * (log_hazards[k + 1] - log_hazards[k]))
+
+
 class ErrorModel:
     """Hazard of a mode as a function of the ratio, tabulated once.
 
@@ -125,12 +145,12 @@ class ErrorModel:
     times bits).
     """
 
-    __slots__ = ("_log_hazard", "clean_linear")
+    __slots__ = ("clean_linear", "log_hazards")
 
     def __init__(self, mode: PhyMode) -> None:
-        self._log_hazard: list[float] = []
         self.clean_linear = inf
         """Ratio from which on the hazard is none."""
+        log_hazards: list[float] = []
         hazard_at = _counted_hazard(mode) if mode.vht else _hard_hazard(mode)
         for k in range(round((_LAST_DB - _FIRST_DB) / _STEP_DB) + 1):
             snr_db = _FIRST_DB + k * _STEP_DB
@@ -138,22 +158,13 @@ class ErrorModel:
             if hazard < _NEGLIGIBLE:
                 self.clean_linear = 10.0 ** (snr_db / 10.0)
                 break
-            self._log_hazard.append(log(hazard))
+            log_hazards.append(log(hazard))
+        self.log_hazards = np.array(log_hazards)
+        """By ratio, 0.05 dB apart."""
 
     def hazard_per_bit(self, sinr_linear: float) -> float:
-        """Hazard of one data bit; log-linear between points 0.05 dB apart."""
-        if sinr_linear >= self.clean_linear:
-            return 0.0
-        table = self._log_hazard
-        if sinr_linear <= 0.0:
-            return exp(table[0])
-        position = (10.0 * log10(sinr_linear) - _FIRST_DB) / _STEP_DB
-        if position <= 0.0:
-            return exp(table[0])
-        k = int(position)
-        if k + 1 >= len(table):
-            return exp(table[-1])
-        return exp(table[k] + (position - k) * (table[k + 1] - table[k]))
+        """Hazard of one data bit."""
+        return float(hazard_per_bit(self.log_hazards, self.clean_linear, sinr_linear))
 
 
 @cache

@@ -24,12 +24,34 @@ whose signal field failed: its receiver stays with it until it ends in errors.
 from collections.abc import Callable
 from math import inf
 
+import numpy as np
+
 from netsim.config import RadioConfig
 from netsim.frames import GROUP, Frame
 from netsim.kernel import EventQueue
 from netsim.phy.interferers import Interferer
 from netsim.phy.propagation import Links, thermal_noise_mw
-from netsim.phy.signals import Listener, Receiver, Signal, Transmission
+from netsim.phy.sensing import (
+    ABSENT,
+    BROKE,
+    DEAF,
+    HEEDS_END,
+    IN_DOUBT,
+    LOCK,
+    LOCKED,
+    NEVER_HEARD,
+    NOBODY,
+    RECEIVED,
+    RESERVED_UNTIL,
+    UNLOCKED,
+    arrive,
+    conclude,
+    find,
+    first_state,
+    settle,
+    unused,
+)
+from netsim.phy.signals import Listener, Receiver, Signal, Transmission, none_of
 from netsim.phy.survival import Survival
 from netsim.streams import Model, Streams, Uniforms
 
@@ -69,15 +91,21 @@ class Medium:
         """Least power of a frame that is sensed by itself."""
         self._survival = Survival(config.bandwidth_mhz, self.noise_mw)
         self._active: list[Transmission] = []
+        self._started = 0
         self._busy_ns = 0
         self._busy_until_ns = 0
+        self.state = first_state(stations)
+        """What all stations sense: see `netsim.phy.sensing`."""
+        self.heard_ns = np.full((stations, stations), NEVER_HEARD)
+        self.heard_mw = np.zeros((stations, stations))
+        """When and how loud each station, by row, last heard a frame of each other that was no answer."""
         self.receivers = [
-            Receiver(i, Uniforms(streams.generator(Model.RECEPTION, i))) for i in range(stations)
+            Receiver(i, self.state, Uniforms(streams.generator(Model.RECEPTION, i))) for i in range(stations)
         ]
-        self._others = [
-            [receiver for receiver in self.receivers if receiver.index != i] for i in range(stations)
-        ]
-        """By source: who can hear it."""
+        self._locks_mw = np.zeros(stations)
+        self._fates = np.zeros(stations, dtype=np.int64)
+        self._told = np.zeros(stations, dtype=np.int64)
+        self._nothing = none_of(stations)
         self._bursts: list[Signal] = []
         for index, settings in enumerate(config.interferers):
             if settings.duty_cycle > 0.0:
@@ -90,16 +118,9 @@ class Medium:
 
     def remove(self, station: int) -> None:
         """From now on this station hears nothing and is nobody's intended receiver."""
-        self._others = [
-            [receiver for receiver in others if receiver.index != station] for others in self._others
-        ]
-        self.receivers[station].lock = None
-
-    def _carry(self, signal: Signal) -> None:
-        """Count the time that a signal which begins now occupies."""
-        if signal.end_ns > self._busy_until_ns:
-            self._busy_ns += signal.end_ns - max(signal.start_ns, self._busy_until_ns)
-            self._busy_until_ns = signal.end_ns
+        row = self.receivers[station].row
+        row[DEAF] = 1
+        row[LOCK] = UNLOCKED
 
     def start(self, frame: Frame) -> Transmission:
         """Put a frame on the air now."""
@@ -108,55 +129,56 @@ class Medium:
         row = self._links.row(source, now)
         powers_mw = row.powers_mw
         if self._fades:
-            gains = self._links.fading_gains(source, now)
-            powers_mw = [power_mw * gain for power_mw, gain in zip(powers_mw, gains, strict=True)]
-        transmission = Transmission(frame, now, row, powers_mw)
-        end_ns = transmission.end_ns
-        overlaps = transmission.overlaps
+            powers_mw = powers_mw * self._links.fading_gains(source, now)
+        self._started += 1
+        transmission = Transmission(frame, now, row, powers_mw, self._started)
         for other in self._active:
             if other.end_ns + other.longest_delay_ns > now:
-                overlaps.append(other)
+                transmission.overlaps.append(other)
                 other.overlaps.append(transmission)
         if self._bursts:
-            overlaps.extend(self._bursts)
+            transmission.overlaps.extend(self._bursts)
         self._active.append(transmission)
-        self._carry(transmission)
-        self.receivers[source].send(now, end_ns)
-        delays_ns = row.delays_ns
-        sensed_mw = self._sensed_mw
-        for receiver in self._others[source]:
-            r = receiver.index
-            arrival_ns = now + delays_ns[r]
-            if powers_mw[r] < sensed_mw:
-                if overlaps:
-                    until_ns = self._energy_until_ns(transmission, r)
-                    if until_ns:
-                        receiver.occupy(arrival_ns, until_ns)
-            elif arrival_ns <= receiver.busy_until_ns:
-                receiver.occupy(arrival_ns, end_ns + delays_ns[r])
-            else:
-                # what `occupy` comes down to on an idle medium
-                receiver.ended_busy_ns += receiver.busy_until_ns - receiver.busy_from_ns
-                receiver.idle_before_ns = receiver.busy_until_ns
-                receiver.busy_from_ns = arrival_ns
-                receiver.busy_until_ns = end_ns + delays_ns[r]
-                if receiver.attentive:
-                    receiver.listener.on_busy(arrival_ns)
+        self.receivers[source].send(now, transmission.end_ns)
+        self._radiate(transmission, self._sensed_mw)
         self._queue.at(now + PREAMBLE_DETECTION_NS, self._detect, transmission)
-        self._queue.at(end_ns + row.longest_delay_ns, self._end, transmission)
+        self._queue.at(transmission.end_ns + row.longest_delay_ns, self._end, transmission)
         return transmission
 
-    def _begin_burst(self, interferer: Interferer) -> None:
-        self._radiate((interferer, self._queue.now_ns + interferer.burst_ns()))
+    def _radiate(self, signal: Signal, sensed_mw: float) -> None:
+        """Have the stations sense a signal that begins now, from ``sensed_mw`` on by itself."""
+        if signal.end_ns > self._busy_until_ns:
+            self._busy_ns += signal.end_ns - max(signal.start_ns, self._busy_until_ns)
+            self._busy_until_ns = signal.end_ns
+        count = arrive(
+            self.state,
+            signal.source,
+            signal.start_ns,
+            signal.end_ns,
+            signal.powers_mw,
+            signal.delays_ns,
+            sensed_mw,
+            self._energy_mw,
+            *(signal.others() if signal.overlaps else self._nothing),
+            self._told,
+        )
+        if count:
+            for r in self._told[:count].tolist():
+                self.receivers[r].listener.on_busy(signal.start_ns + signal.delay_ns(r))
 
-    def _radiate(self, rest: tuple[Interferer, int]) -> None:
+    def _begin_burst(self, interferer: Interferer) -> None:
+        self._go_on(interferer, self._queue.now_ns + interferer.burst_ns())
+
+    def _on_rest(self, rest: tuple[Interferer, int]) -> None:
+        self._go_on(*rest)
+
+    def _go_on(self, interferer: Interferer, until_ns: int) -> None:
         """Put what is left of a burst on the air, or the next part of it."""
-        interferer, until_ns = rest
         now = self._queue.now_ns
         end_ns = min(until_ns, now + BURST_PART_NS)
         # what follows at once is on the air before this has ended everywhere
         if end_ns < until_ns:
-            self._queue.at(end_ns, self._radiate, rest)
+            self._queue.at(end_ns, self._on_rest, (interferer, until_ns))
         else:
             self._queue.at(end_ns + interferer.pause_ns(), self._begin_burst, interferer)
         row = self._links.interferer_row(interferer.index, now)
@@ -167,126 +189,125 @@ class Medium:
                 other.overlaps.append(burst)
         burst.overlaps.extend([other for other in self._bursts if other.source != burst.source])
         self._bursts.append(burst)
-        self._carry(burst)
-        for receiver in self.receivers:
-            energy_until_ns = self._energy_until_ns(burst, receiver.index)
-            if energy_until_ns:
-                receiver.occupy(now + row.delays_ns[receiver.index], energy_until_ns)
-        burst.overlaps.clear()  # asked for only now; kept, each burst would keep all before it
+        self._radiate(burst, inf)
+        burst.forget_others()  # asked for only now; kept, each burst would keep all before it
         self._queue.at(end_ns + row.longest_delay_ns, self._end_burst, burst)
 
     def _end_burst(self, burst: Signal) -> None:
         self._bursts.remove(burst)
         for receiver in self.receivers:
-            if receiver.attentive:
+            if receiver.row[HEEDS_END]:
                 receiver.listener.on_air_changed()
-
-    def _energy_until_ns(self, newest: Signal, r: int) -> int:
-        """Until when all signals together keep up the energy threshold; 0 if they do not reach it.
-
-        For bursts, and frames that are not sensed by themselves. What the others amount to without the newest
-        has been added up before.
-        """
-        arrival_ns = newest.start_ns + newest.delays_ns[r]
-        last_ns, last_mw = newest.end_ns + newest.delays_ns[r], newest.powers_mw[r]
-        ends = [(last_ns, last_mw)]
-        for other in newest.overlaps:
-            end_ns = other.end_ns + other.delays_ns[r]
-            if other.source != r and end_ns > arrival_ns:
-                ends.append((end_ns, other.powers_mw[r]))
-                if end_ns > last_ns:
-                    last_ns, last_mw = ends[-1]
-        if last_mw >= self._energy_mw:
-            return last_ns
-        ends.sort(reverse=True)
-        total_mw = 0.0
-        for end_ns, power_mw in ends:
-            total_mw += power_mw
-            if total_mw >= self._energy_mw:
-                return end_ns
-        return 0
 
     def _detect(self, transmission: Transmission) -> None:
         """Each free receiver looks for the preamble: strong enough, and 4 dB over noise and interference."""
-        powers_mw, delays_ns = transmission.powers_mw, transmission.delays_ns
-        start_ns = transmission.start_ns
-        now = self._queue.now_ns
-        least_mw = self._preamble_mw
-        overlaps = transmission.overlaps
-        for receiver in self._others[transmission.source]:
-            r = receiver.index
-            power_mw = powers_mw[r]
-            arrival_ns = start_ns + delays_ns[r]
-            if power_mw < least_mw or receiver.sending_until_ns > arrival_ns:
-                continue
-            if overlaps:
-                found_ns = arrival_ns + PREAMBLE_DETECTION_NS
-                floor_mw = self.noise_mw + self._interference_mw(transmission, r, arrival_ns, found_ns)
-                if power_mw < PREAMBLE_SINR * floor_mw:
-                    continue
-                lock = receiver.lock
-                if lock is not None and (
-                    power_mw < CAPTURE_RATIO * lock.powers_mw[r]
-                    or arrival_ns > lock.start_ns + lock.delays_ns[r] + CAPTURE_WINDOW_NS
-                ):
-                    continue
-            receiver.lock = transmission
-            receiver.locked_ns = now
-
-    @staticmethod
-    def _interference_mw(transmission: Transmission, r: int, from_ns: int, to_ns: int) -> float:
-        """Power of all other signals that are at receiver ``r`` at some time within an interval."""
-        total_mw = 0.0
-        for other in transmission.overlaps:
-            delay_ns = other.delays_ns[r]
-            if other.source != r and other.start_ns + delay_ns < to_ns and other.end_ns + delay_ns > from_ns:
-                total_mw += other.powers_mw[r]
-        return total_mw
+        find(
+            self.state,
+            transmission.number,
+            transmission.source,
+            transmission.start_ns,
+            self._queue.now_ns,
+            transmission.powers_mw,
+            transmission.delays_ns,
+            self._preamble_mw,
+            self.noise_mw,
+            PREAMBLE_SINR,
+            CAPTURE_RATIO,
+            CAPTURE_WINDOW_NS,
+            *(transmission.others() if transmission.overlaps else self._nothing),
+            self._locks_mw,
+        )
 
     def _end(self, transmission: Transmission) -> None:
         self._active.remove(transmission)
         frame = transmission.frame
-        destination = frame.destination
-        group = destination == GROUP
-        end_ns = transmission.end_ns
-        powers_mw, delays_ns = transmission.powers_mw, transmission.delays_ns
         # nothing is drawn for a frame that is certain to survive
         doubtful_mw = inf if transmission.overlaps else self._survival.clean_mw(frame.mode)
-        for receiver in self._others[frame.source]:
-            r = receiver.index
-            if receiver.lock is transmission:
-                receiver.lock = None
-                # one draw decides whether the frame survives, and whether it would have without the others
-                draw = 0.0
-                survival = 1.0
-                if powers_mw[r] < doubtful_mw:
-                    survival = self._survival.among_others(transmission, r)
-                    if survival < 1.0:
-                        draw = receiver.uniforms.draw()
-                if draw < survival:
-                    if group or destination == r:
-                        transmission.delivered.append(r)
-                    receiver.listener.on_received(transmission, powers_mw[r], end_ns + delays_ns[r])
-                else:
-                    if group or destination == r:
-                        self._blame(transmission, r, draw)
-                    receiver.listener.on_error(end_ns + delays_ns[r])
-            elif group or destination == r:
-                self._blame(transmission, r, None)
-            if receiver.attentive:
-                receiver.listener.on_air_changed()
+        draws: dict[int, float] = {}
+        course = (
+            frame.destination,
+            transmission.end_ns,
+            frame.nav_ns,
+            frame.destination if frame.is_answer else frame.source,
+            NOBODY if frame.is_answer else frame.source,
+            transmission.powers_mw,
+            transmission.delays_ns,
+            self.heard_ns,
+            self.heard_mw,
+            self._told,
+        )
+        count = settle(self.state, self._fates, transmission.number, frame.source, doubtful_mw, *course)
+        if count == IN_DOUBT:
+            draws = self._judge(transmission, doubtful_mw)
+            count = conclude(self.state, self._fates, *course)
+        if frame.destination == GROUP:
+            for r, fate in enumerate(self._fates.tolist()):
+                self._note(transmission, r, fate, draws)
+        else:
+            self._note(transmission, frame.destination, self._fates.item(frame.destination), draws)
+        if count:
+            self._tell(transmission, self._told[:count].tolist())
+        if frame.lapse_ns:
+            self._queue.at(transmission.end_ns + frame.lapse_ns, self._look_for_unused, transmission)
         sender = self.receivers[frame.source]
         sender.sent()
         sender.listener.on_sent(transmission)
         self._on_ended(transmission)
 
-    def _blame(self, transmission: Transmission, r: int, draw: float | None) -> None:
-        """Note whether a lost frame would have been received had nothing else been on the air."""
-        power_mw = transmission.powers_mw[r]
-        if transmission.overlaps and power_mw >= self._preamble_mw:
-            if draw is None:
-                draw = self.receivers[r].uniforms.draw()
-            if draw < self._survival.alone(transmission.frame, power_mw):
-                transmission.collided.append(r)
-                return
-        transmission.lost_to_noise.append(r)
+    def _judge(self, transmission: Transmission, doubtful_mw: float) -> dict[int, float]:
+        """Find out where a frame survives; returns what was drawn, by receiver.
+
+        One draw decides whether it survives, and whether it would have without the others.
+        """
+        draws: dict[int, float] = {}
+        for r in np.flatnonzero(self._fates == RECEIVED).tolist():
+            if transmission.power_mw(r) < doubtful_mw:
+                survival = self._survival.among_others(transmission, r)
+                if survival < 1.0:
+                    draws[r] = self.receivers[r].uniforms.draw()
+                    if draws[r] >= survival:
+                        self._fates[r] = BROKE
+        return draws
+
+    def _note(self, transmission: Transmission, r: int, fate: int, draws: dict[int, float]) -> None:
+        """Note whether an intended receiver got a frame, and if not, whether it would have got it alone."""
+        if fate == RECEIVED:
+            transmission.delivered.append(r)
+        elif fate != ABSENT:
+            power_mw = transmission.power_mw(r)
+            if transmission.overlaps and power_mw >= self._preamble_mw:
+                draw = draws[r] if fate == BROKE else self.receivers[r].uniforms.draw()
+                if draw < self._survival.alone(transmission.frame, power_mw):
+                    transmission.collided.append(r)
+                    return
+            transmission.lost_to_noise.append(r)
+
+    def _tell(self, transmission: Transmission, told: list[int]) -> None:
+        """Tell listeners that a frame has ended, and what their receivers made of it."""
+        for r in told:
+            listener, fate = self.receivers[r].listener, self._fates.item(r)
+            end_ns = transmission.end_ns + transmission.delay_ns(r)
+            if fate == RECEIVED:
+                listener.on_received(transmission, transmission.power_mw(r), end_ns)
+            elif fate == BROKE:
+                listener.on_error(end_ns)
+            listener.on_air_changed()
+
+    # --- reservations that nobody uses
+
+    def _look_for_unused(self, transmission: Transmission) -> None:
+        """Have a reservation fall where nothing was heard after the frame that made it (10.3.2.4)."""
+        count = unused(
+            self.state, transmission.end_ns, transmission.frame.nav_ns, transmission.delays_ns, self._told
+        )
+        for r in self._told[:count].tolist():
+            end_ns = transmission.end_ns + transmission.delay_ns(r)
+            until_ns = end_ns + transmission.frame.nav_ns
+            self._queue.at(end_ns + transmission.frame.lapse_ns, self._on_unused, (r, end_ns, until_ns))
+
+    def _on_unused(self, reservation: tuple[int, int, int]) -> None:
+        r, end_ns, until_ns = reservation
+        row = self.receivers[r].row
+        if row[RESERVED_UNTIL] == until_ns and row[LOCKED] <= end_ns:
+            row[RESERVED_UNTIL] = self._queue.now_ns
+            self.receivers[r].listener.on_unused()

@@ -30,8 +30,8 @@ _MODULATION: dict[str, tuple[int, int, int]] = {
 }  # fmt: skip
 
 
-class PhyMode(Struct, frozen=True, kw_only=True):
-    """One modulation and coding on one channel width."""
+class PhyMode(Struct, frozen=True, kw_only=True, eq=False):
+    """One modulation and coding on one channel width; of each there is one object, made by `phy_mode`."""
 
     name: Mode
     bandwidth_mhz: BandwidthMhz
@@ -77,6 +77,7 @@ def phy_mode(name: Mode, bandwidth_mhz: BandwidthMhz) -> PhyMode:
     )
 
 
+@cache
 def response_mode(of: PhyMode) -> PhyMode:
     """Mode of the CTS or ACK that answers a frame.
 
@@ -85,3 +86,9 @@ def response_mode(of: PhyMode) -> PhyMode:
     """
     bits = of.bits_per_subcarrier
     return phy_mode("ofdm6" if bits == 1 else "ofdm12" if bits == 2 else "ofdm24", of.bandwidth_mhz)
+
+
+@cache
+def response_ns(of: PhyMode, frame_bytes: int) -> int:
+    """Air time of a CTS or ACK of that many bytes that answers a frame."""
+    return response_mode(of).duration_ns(frame_bytes)

@@ -5,10 +5,12 @@ The models are in `netsim.phy.path_gain` (path loss, antennas, shadowing), `nets
 """
 
 from collections.abc import Callable
-from math import hypot, inf
+from math import hypot, inf, sqrt
 
 import numpy as np
 from msgspec import Struct
+from numba import njit
+from numpy.typing import ArrayLike
 
 from netsim.config import RadioConfig
 from netsim.kernel import NEVER_NS
@@ -17,6 +19,7 @@ from netsim.phy.fading import RicianFading
 from netsim.phy.obstruction import Obstruction
 from netsim.phy.path_gain import ALL, PathGain
 from netsim.phy.path_loss import REFERENCE_DISTANCE_M, SPEED_OF_LIGHT_M_S, Doubles, Vector, friis_loss_db
+from netsim.phy.sensing import Integers
 from netsim.streams import Streams
 
 __all__ = [
@@ -40,8 +43,6 @@ AUDIBLE_BELOW_NOISE = 0.01
 FARTHEST_M = 16e-6 * SPEED_OF_LIGHT_M_S
 """Beyond a delay of SIFS, 4.8 km, answers would be due before their cause has ended everywhere."""
 
-Quaternion = tuple[float, float, float, float]
-
 
 def thermal_noise_mw(bandwidth_mhz: float, noise_figure_db: float) -> float:
     """Noise power k T B F at the receiver's input, in milliwatt."""
@@ -54,6 +55,43 @@ def thermal_noise_mw(bandwidth_mhz: float, noise_figure_db: float) -> float:
     )
 
 
+@njit(cache=True)
+def _power_law(
+    pos_ned_m: Doubles,
+    vel_ned_m_s: Doubles,
+    dt_s: float,
+    source: int,
+    at_reference_mw: float,
+    exponent: float,
+    powers_mw: Doubles,
+    distances_m: Doubles,
+) -> None:
+    """Fill powers and distances (n,) from a station to all, ``dt_s`` after they were where it is stated."""
+    for r in range(len(pos_ned_m)):
+        square_m2 = 0.0
+        for axis in range(3):
+            to_m = pos_ned_m[r, axis] + dt_s * vel_ned_m_s[r, axis]
+            square_m2 += (to_m - (pos_ned_m[source, axis] + dt_s * vel_ned_m_s[source, axis])) ** 2
+        distances_m[r] = sqrt(square_m2)
+        powers_mw[r] = at_reference_mw * max(distances_m[r], REFERENCE_DISTANCE_M) ** -exponent
+
+
+@njit(cache=True)
+def _reach(
+    powers_mw: Doubles, distances_m: Doubles, farthest_m: float, audible_mw: float, delays_ns: Integers
+) -> int:
+    """Fill the delays (n,); returns the longest to who can hear anything, as nobody can from farther away."""
+    longest_ns = 0
+    for r in range(len(powers_mw)):
+        if distances_m[r] > farthest_m:
+            powers_mw[r], delays_ns[r] = 0.0, 0
+        else:
+            delays_ns[r] = round(distances_m[r] / SPEED_OF_LIGHT_M_S * 1e9)
+        if powers_mw[r] > audible_mw and delays_ns[r] > longest_ns:
+            longest_ns = delays_ns[r]
+    return longest_ns
+
+
 class Trajectories:
     """Positions of the stations, going on at the velocity of the last known instant. World NED, metres.
 
@@ -62,9 +100,11 @@ class Trajectories:
 
     __slots__ = (
         "_at_ns",
+        "_attitudes",
         "_axes_ned",
         "_pos_ned_m",
-        "_q_ned_frd",
+        "_rows",
+        "_stated",
         "_vel_ned_m_s",
         "moving",
         "on_set",
@@ -74,61 +114,70 @@ class Trajectories:
 
     def __init__(self, stations: int) -> None:
         self._at_ns = 0
-        self._pos_ned_m: list[Vector] = [(0.0, 0.0, 0.0)] * stations
-        self._vel_ned_m_s: list[Vector] = [(0.0, 0.0, 0.0)] * stations
-        self._q_ned_frd: list[Quaternion] | None = None
+        self._pos_ned_m = np.zeros((stations, 3))
+        self._vel_ned_m_s = np.zeros((stations, 3))
+        self._stated = self._pos_ned_m.tobytes()
+        """The places, as bytes: they are quickly compared."""
+        self._rows: tuple[list[list[float]], list[list[float]]] | None = None
+        """Places and velocities as single numbers, once somebody has asked for them."""
+        self._attitudes: bytes | None = None
         self._axes_ned: Doubles | None = None
         self.moving = False
-        self.on_set: Callable[[int, list[Vector], list[Vector]], None] | None = None
-        """Called with time, positions and velocities of every `set`, before it holds."""
+        self.on_set: Callable[[int, Doubles, Doubles], None] | None = None
+        """Called with time, positions and velocities of a `set` that changes the course, before it holds."""
         self.version = 0
         """Rises whenever positions may have changed otherwise than by the motion announced before."""
         self.pose_version = 0
         """Rises with it, and when an attitude has changed."""
 
     def set(
-        self,
-        at_ns: int,
-        pos_ned_m: list[Vector],
-        vel_ned_m_s: list[Vector],
-        q_ned_frd: list[Quaternion] | None = None,
+        self, at_ns: int, pos_ned_m: ArrayLike, vel_ned_m_s: ArrayLike, q_ned_frd: ArrayLike | None = None
     ) -> None:
         """State where the stations are at ``at_ns``, and how fast they go on from there.
 
-        ``q_ned_frd`` are Hamilton quaternions wxyz that map FRD to NED; None has all of them level.
+        Positions and velocities are (n, 3). ``q_ned_frd`` (n, 4) are Hamilton quaternions wxyz that map FRD
+        to NED; None has all of them level.
         """
-        if self.on_set is not None:
-            self.on_set(at_ns, pos_ned_m, vel_ned_m_s)
-        moving = any(map(any, vel_ned_m_s))
-        if moving or self.moving or pos_ned_m != self._pos_ned_m:
+        # copies, which nobody else changes
+        places, velocities = np.array(pos_ned_m, np.float64), np.array(vel_ned_m_s, np.float64)
+        stated, moving = places.tobytes(), bool(np.count_nonzero(velocities))
+        if moving or self.moving or stated != self._stated:
+            if self.on_set is not None:
+                self.on_set(at_ns, places, velocities)
             self.version += 1
             self.pose_version += 1
-        if q_ned_frd != self._q_ned_frd:
-            self._q_ned_frd, self._axes_ned = q_ned_frd, None
+            self._stated, self._rows = stated, None
+            self._pos_ned_m, self._vel_ned_m_s = places, velocities
+        attitudes = None if q_ned_frd is None else np.array(q_ned_frd, np.float64).tobytes()
+        if attitudes != self._attitudes:
+            self._attitudes, self._axes_ned = attitudes, None
             self.pose_version += 1
         self.moving = moving
-        self._at_ns, self._pos_ned_m, self._vel_ned_m_s = at_ns, pos_ned_m, vel_ned_m_s
+        self._at_ns = at_ns
 
     @property
     def at_ns(self) -> int:
         """Time of the last `set`."""
         return self._at_ns
 
-    def positions_ned_m(self, at_ns: int) -> list[Vector]:
-        """Where all stations are, by station."""
-        if not self.moving:
-            return self._pos_ned_m
-        dt_s = (at_ns - self._at_ns) * 1e-9
-        return [
-            (x + dt_s * vx, y + dt_s * vy, z + dt_s * vz)
-            for (x, y, z), (vx, vy, vz) in zip(self._pos_ned_m, self._vel_ned_m_s, strict=True)
-        ]
+    def course(self, at_ns: int) -> tuple[Doubles, Doubles, float]:
+        """Places and velocities (n, 3) as they were stated, and the time since then in seconds."""
+        return self._pos_ned_m, self._vel_ned_m_s, (at_ns - self._at_ns) * 1e-9
+
+    def positions_ned_m(self, at_ns: int) -> Doubles:
+        """Where all stations are, (n, 3)."""
+        pos_ned_m, vel_ned_m_s, dt_s = self.course(at_ns)
+        return pos_ned_m + dt_s * vel_ned_m_s if self.moving else pos_ned_m
 
     def distance_m(self, a: int, b: int, at_ns: int) -> float:
         """Distance between two stations."""
+        rows = self._rows
+        if rows is None:
+            rows = self._rows = self._pos_ned_m.tolist(), self._vel_ned_m_s.tolist()
+        places, velocities = rows
         dt_s = (at_ns - self._at_ns) * 1e-9
-        (xa, ya, za), (xb, yb, zb) = self._pos_ned_m[a], self._pos_ned_m[b]
-        (ua, va, wa), (ub, vb, wb) = self._vel_ned_m_s[a], self._vel_ned_m_s[b]
+        (xa, ya, za), (xb, yb, zb) = places[a], places[b]
+        (ua, va, wa), (ub, vb, wb) = velocities[a], velocities[b]
         return hypot(xa - xb + dt_s * (ua - ub), ya - yb + dt_s * (va - vb), za - zb + dt_s * (wa - wb))
 
     def delay_ps(self, a: int, b: int, at_ns: int) -> int:
@@ -138,8 +187,9 @@ class Trajectories:
     def body_z_ned(self) -> Doubles:
         """The bodies' z axes, (stations, 3)."""
         if self._axes_ned is None:
-            level = [(1.0, 0.0, 0.0, 0.0)] * len(self._pos_ned_m)
-            self._axes_ned = body_z_ned(np.array(self._q_ned_frd or level))
+            level = np.tile([1.0, 0.0, 0.0, 0.0], len(self._pos_ned_m))
+            attitudes = level if self._attitudes is None else np.frombuffer(self._attitudes)
+            self._axes_ned = body_z_ned(attitudes.reshape(-1, 4))
         return self._axes_ned
 
 
@@ -149,9 +199,9 @@ class LinkRow(Struct, frozen=True):
     Entries are zero of a station's own, and of those over 4.8 km away, who hear nothing (`FARTHEST_M`).
     """
 
-    powers_mw: list[float]
+    powers_mw: Doubles
     """Mean received power, before fading."""
-    delays_ns: list[int]
+    delays_ns: Integers
     longest_delay_ns: int
     """To the stations that can hear anything at all."""
 
@@ -241,9 +291,9 @@ class Links:
         """Whether something stands between two stations."""
         return self._obstruction is not None and self._obstruction.blocked(a, b, at_ns)[0]
 
-    def fading_gains(self, source: int, at_ns: int) -> list[float]:
-        """What small-scale fading makes of each power of a row, by station; nothing without fading."""
-        return [] if self._fading is None else self._fading.gains(source, at_ns)
+    def fading_gains(self, source: int, at_ns: int) -> Doubles:
+        """What small-scale fading makes of each power of a row, by station; 1 without fading."""
+        return np.ones(self._stations) if self._fading is None else self._fading.gains(source, at_ns)
 
     def row(self, source: int, at_ns: int) -> LinkRow:
         """Link budget from a station to all others."""
@@ -254,30 +304,27 @@ class Links:
             return row
         until_ns = at_ns + ROW_LIFETIME_NS if trajectories.moving else NEVER_NS
         if self._plain:
-            places_ned_m = trajectories.positions_ned_m(at_ns)
-            x0, y0, z0 = places_ned_m[source]
-            distances_m = [hypot(x - x0, y - y0, z - z0) for x, y, z in places_ned_m]
-            at_reference_mw, slope = self._at_reference_mw[source], -self._path_gain.exponent
-            powers_mw = [
-                at_reference_mw * max(distance_m, REFERENCE_DISTANCE_M) ** slope for distance_m in distances_m
-            ]
+            powers_mw, distances_m = np.empty(self._stations), np.empty(self._stations)
+            _power_law(
+                *trajectories.course(at_ns),
+                source,
+                self._at_reference_mw[source],
+                self._path_gain.exponent,
+                powers_mw,
+                distances_m,
+            )
         else:
             since_ns = self._since_ns(at_ns)
             if trajectories.moving:
                 until_ns = since_ns + ROW_LIFETIME_NS - 1
-            gains, distances = self._paths_from(source, since_ns)
-            powers = self._at_reference_mw[source] * gains
+            gains, distances_m = self._paths_from(source, since_ns)
+            powers_mw = self._at_reference_mw[source] * gains
             if self._obstruction is not None:
                 blocked, same_until_ns = self._obstruction.row(source, at_ns)
-                powers[blocked] *= self._blocked_gain
+                powers_mw[blocked] *= self._blocked_gain
                 until_ns = min(until_ns, same_until_ns - 1)
-            powers_mw, distances_m = powers.tolist(), distances.tolist()
         powers_mw[source] = 0.0
-        if max(distances_m) > FARTHEST_M:
-            for r, distance_m in enumerate(distances_m):
-                if distance_m > FARTHEST_M:
-                    powers_mw[r] = distances_m[r] = 0.0
-        row = self._finish(powers_mw, distances_m)
+        row = self._finish(powers_mw, distances_m, FARTHEST_M)
         self._rows[source], self._row_until_ns[source], self._row_version[source] = row, until_ns, version
         return row
 
@@ -293,10 +340,7 @@ class Links:
                 REFERENCE_DISTANCE_M, self._config.frequency_mhz
             )
             self._interferer_rows = [
-                self._finish(
-                    (10.0 ** ((interferer.eirp_dbm + gain_db) / 10.0) * gains[i]).tolist(),
-                    distances[i].tolist(),
-                )
+                self._finish(10.0 ** ((interferer.eirp_dbm + gain_db) / 10.0) * gains[i], distances[i], inf)
                 for i, interferer in enumerate(self._config.interferers)
             ]
         return self._interferer_rows[index]
@@ -312,7 +356,7 @@ class Links:
         trajectories = self._trajectories
         key = trajectories.pose_version, since_ns
         if self._poses is None or self._poses_of != key:
-            places = np.array(trajectories.positions_ned_m(since_ns))
+            places = trajectories.positions_ned_m(since_ns)
             self._poses_of = key
             self._poses = places, trajectories.body_z_ned() if self._dipoles else None
         return self._poses
@@ -329,10 +373,7 @@ class Links:
             self._paths = self._path_gain.between_stations(ALL, *self._poses_at(since_ns))
         return self._paths[0][source], self._paths[1][source]
 
-    def _finish(self, powers_mw: list[float], distances_m: list[float]) -> LinkRow:
-        delays_ns = [round(distance_m / SPEED_OF_LIGHT_M_S * 1e9) for distance_m in distances_m]
-        audible_mw = self._audible_mw
-        longest_ns = max(
-            [delay for delay, mw in zip(delays_ns, powers_mw, strict=True) if mw > audible_mw], default=0
-        )
-        return LinkRow(powers_mw, delays_ns, longest_ns)
+    def _finish(self, powers_mw: Doubles, distances_m: Doubles, farthest_m: float) -> LinkRow:
+        delays_ns = np.empty(self._stations, np.int64)
+        longest_ns = _reach(powers_mw, distances_m, farthest_m, self._audible_mw, delays_ns)
+        return LinkRow(powers_mw, delays_ns, int(longest_ns))

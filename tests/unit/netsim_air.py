@@ -33,7 +33,7 @@ class GivenLinks:
         for source in range(stations):
             powers_mw = [10 ** (powers_dbm.get((source, to), -50.0) / 10) for to in range(stations)]
             row_ns = [delays_ns.get((source, to), 0) for to in range(stations)]
-            self._rows.append(LinkRow(powers_mw, row_ns, max(row_ns)))
+            self._rows.append(LinkRow(np.array(powers_mw), np.array(row_ns), max(row_ns)))
 
     def row(self, source: int, at_ns: int) -> LinkRow:
         assert at_ns >= 0

@@ -2,13 +2,15 @@
 
 import struct
 
+import numpy as np
+
 from netsim.frames import GROUP, Frame, FrameKind
 from netsim.phy.medium import Transmission
 from netsim.phy.modes import phy_mode
 from netsim.phy.propagation import LinkRow
 
 OFDM24 = phy_mode("ofdm24", 20)
-NO_NEIGHBOURS = LinkRow([0.0], [0], 0)
+NO_NEIGHBOURS = LinkRow(np.array([0.0]), np.array([0]), 0)
 RADIOTAP_FIELDS = {
     0: ("tsft", 8, "<Q"), 1: ("flags", 1, "<B"), 2: ("rate", 1, "<B"), 3: ("channel", 2, "<HH"),
     4: ("fhss", 1, "<BB"), 5: ("signal", 1, "<b"), 6: ("noise", 1, "<b"), 10: ("tx_power", 1, "<b"),

@@ -7,6 +7,7 @@ from netsim_air import UNHEARD_DBM, Air
 from netsim.frames import GROUP
 from netsim.mac.access import DCF, EDCA
 from netsim.mac.channel import ChannelAccess
+from netsim.phy.sensing import HEEDS_END
 
 STATIONS = 5
 FRAMES = 120
@@ -47,8 +48,8 @@ def test_stations_that_always_listen_do_the_same(access, monkeypatch):
     def stay_attentive(self, sensed_ns):
         nonlocal left_out
         freeze(self, sensed_ns)
-        left_out += not self._receiver.attentive
-        self._receiver.attentive = True
+        left_out += not self._sensed[HEEDS_END]
+        self._sensed[HEEDS_END] = True
 
     monkeypatch.setattr(ChannelAccess, "_freeze", stay_attentive)
     for seed in seeds:

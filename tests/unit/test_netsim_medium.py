@@ -16,6 +16,7 @@ from netsim.phy.interferers import Interferer
 from netsim.phy.medium import Medium
 from netsim.phy.modes import phy_mode
 from netsim.phy.propagation import LinkRow, Links, Trajectories
+from netsim.phy.sensing import BUSY_FROM, BUSY_UNTIL, IDLE_BEFORE, LOCK, UNLOCKED
 from netsim.phy.signals import Signal
 from netsim.streams import Model, Streams
 
@@ -33,7 +34,7 @@ class Powers:
 
     def row(self, source, _at_ns):
         powers_mw = [10 ** (self._powers_dbm.get((source, r), -50.0) / 10) for r in range(self._stations)]
-        return LinkRow(powers_mw, [self._delay_ns] * self._stations, self._delay_ns)
+        return LinkRow(np.array(powers_mw), np.full(self._stations, self._delay_ns), self._delay_ns)
 
     def interferer_row(self, _index, at_ns):
         return self.row("x", at_ns)
@@ -94,8 +95,8 @@ class Channel:
         self.queue.at(1_000 * at_us, self.medium.start, frame)
 
     def busy_us(self, station):
-        receiver = self.medium.receivers[station]
-        return receiver.busy_from_ns / 1_000, receiver.busy_until_ns / 1_000
+        row = self.medium.state[station]
+        return row[BUSY_FROM] / 1_000, row[BUSY_UNTIL] / 1_000
 
 
 def interferer(duty_cycle, burst_us=1_000.0):
@@ -137,7 +138,7 @@ def test_weak_frames_that_collide_are_sensed_though_nobody_receives_them():
     channel.send(3000, B)
     channel.queue.run_until(3_110_000)
     assert channel.busy_us(C) == (3000, 3160)
-    assert channel.medium.receivers[C].lock is None
+    assert channel.medium.state[C, LOCK] == UNLOCKED
 
 
 #   A  weak  |====================|  1000..2376
@@ -175,7 +176,7 @@ def test_capture_takes_five_db_within_sixteen_microseconds(margin_db, later_us, 
     channel.send(1000, A)
     channel.send(1000 + later_us, B)
     channel.queue.run_until(1_050_000)
-    assert channel.medium.receivers[C].lock.source == (B if captured else A)
+    assert channel.medium.state[C, LOCK] == (2 if captured else 1)  # frames are numbered as they begin
 
 
 @pytest.mark.parametrize(("power_dbm", "found"), [(-81.9, True), (-82.1, False)])
@@ -204,9 +205,9 @@ def test_duty_cycles_of_none_and_all():
     # from the first burst on no receiver senses an idle nanosecond
     for at_ns in range(1_000, SECOND_NS, 7_300_000):
         channel.queue.run_until(at_ns)
-        for receiver in channel.medium.receivers:
-            assert (receiver.busy_from_ns, receiver.idle_before_ns) == (500, 0)
-            assert receiver.busy_until_ns > at_ns
+        for row in channel.medium.state:
+            assert (row[BUSY_FROM], row[IDLE_BEFORE]) == (500, 0)
+            assert row[BUSY_UNTIL] > at_ns
         assert channel.medium.busy_ns() == at_ns
     assert len(channel.listeners[A].changes_us) > 500
 
@@ -222,19 +223,16 @@ def test_a_long_burst_is_one_busy_period_in_parts_that_follow_the_receivers():
     assert channel.listeners[0].busy_us == []
     channel.queue.run_until(990 * MILLISECOND_NS)
     assert channel.listeners[0].busy_us[0] == pytest.approx(480_000, abs=1)
-    assert channel.medium.receivers[0].busy_from_ns == pytest.approx(480 * MILLISECOND_NS, abs=1_000)
+    assert channel.medium.state[0, BUSY_FROM] == pytest.approx(480 * MILLISECOND_NS, abs=1_000)
     assert channel.medium.busy_ns() == 990 * MILLISECOND_NS
 
 
 def burst_over(channel):
     """(start, end) in ns of the first burst after 1 ms that lasts over 1 ms, from the energy at A."""
-    receiver = channel.medium.receivers[A]
-    while not (
-        receiver.busy_from_ns > MILLISECOND_NS
-        and receiver.busy_until_ns - receiver.busy_from_ns > MILLISECOND_NS
-    ):
+    row = channel.medium.receivers[A].row
+    while not (row[BUSY_FROM] > MILLISECOND_NS and row[BUSY_UNTIL] - row[BUSY_FROM] > MILLISECOND_NS):
         channel.queue.run_until(channel.queue.next_ns())
-    return receiver.busy_from_ns, receiver.busy_until_ns
+    return row[BUSY_FROM], row[BUSY_UNTIL]
 
 
 # the frame of C's choice lies within the burst, overlaps its beginning by half, or has ended before it
@@ -265,8 +263,8 @@ def test_a_burst_is_sensed_by_its_energy_alone_and_with_that_of_others():
     channel = Channel(powers, **settings)
     channel.send(begin_ns // 1_000 + 100, A, C)
     channel.queue.run_until(begin_ns + 200_000)
-    assert channel.medium.receivers[A].busy_until_ns == end_ns
-    assert channel.medium.receivers[C].busy_until_ns == 0
+    assert channel.medium.state[A, BUSY_UNTIL] == end_ns
+    assert channel.medium.state[C, BUSY_UNTIL] == 0
     # -64 dBm twice are -61, as long as A sends; no preamble can be found at 0 dB
     start_us = begin_ns // 1_000 + 100
     assert channel.busy_us(B) == (start_us, start_us + 160)

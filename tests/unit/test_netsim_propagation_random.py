@@ -85,7 +85,7 @@ def test_a_moving_links_shadowing_follows_its_places_whoever_asks_first():
         asked_often.row(2, at_ns)
     at_ns = 250 * ROW_LIFETIME_NS
     asked_once, _ = links_of(places, velocities, **settings)
-    assert asked_often.row(1, at_ns).powers_mw == asked_once.row(1, at_ns).powers_mw
+    assert asked_often.row(1, at_ns).powers_mw.tolist() == asked_once.row(1, at_ns).powers_mw.tolist()
     there = [REST, (60.0, 20.0, 0.0), (0.0, 50.0, 0.0)]
     standing, _ = links_of(there, [REST] * 3, **settings)
     assert standing.row(1, 0).powers_mw == pytest.approx(asked_once.row(1, at_ns).powers_mw)
@@ -145,10 +145,10 @@ def test_fading_is_reciprocal_and_the_same_whoever_asks_when_and_how_many_there_
     few, many = fading(stations=3), fading(stations=9)
     for t in range(0, SECOND_NS, SECOND_NS // 7):
         many.gains(8, t)
-        assert many.gains(2, t + 5)[:2] == few.gains(2, t + 5)[:2]
+        assert many.gains(2, t + 5)[:2].tolist() == few.gains(2, t + 5)[:2].tolist()
     assert many.gains(0, 77)[1] == many.gains(1, 77)[0]
-    assert many.gains(0, 77)[1:3] == few.gains(0, 77)[1:]
-    assert fading(seed=6).gains(0, 0) != fading(seed=5).gains(0, 0)
+    assert many.gains(0, 77)[1:3].tolist() == few.gains(0, 77)[1:].tolist()
+    assert fading(seed=6).gains(0, 0)[1] != fading(seed=5).gains(0, 0)[1]
 
 
 def test_motion_fades_as_the_doppler_spread_that_it_makes():
@@ -158,9 +158,9 @@ def test_motion_fades_as_the_doppler_spread_that_it_makes():
     """
     wavelength_m = SPEED_OF_LIGHT_M_S / 5.21e9
     moving = fading(doppler_hz=30.0)
-    moving.move(0, [REST, REST], [(3.0, 0.0, 0.0), REST])
+    moving.move(0, np.array([REST, REST]), np.array([(3.0, 0.0, 0.0), REST]))
     there = [(1.5, 0.0, 0.0), REST]
-    moving.move(SECOND_NS // 2, there, [(3.0, 4.0, 0.0), (3.0, 4.0, -7.0)])
+    moving.move(SECOND_NS // 2, np.array(there), np.array([(3.0, 4.0, 0.0), (3.0, 4.0, -7.0)]))
     moving.gains(1, 600_000_000)
     turns = 0.5 * np.hypot(30.0, 3.0 / wavelength_m) + 0.3 * np.hypot(30.0, 7.0 / wavelength_m)
     resting = fading(doppler_hz=turns / 0.8)
@@ -177,7 +177,8 @@ def test_it_does_not_matter_how_often_a_motion_is_stated():
     often, seldom, times_s = fading(k_db=0.0), fading(k_db=0.0), np.arange(0.0, 2.0001, 0.004)
     for time_s in times_s.tolist():
         way_m = 3.0 * time_s + 0.16 * (1.0 - np.cos(12.5 * time_s))
-        stated = [REST, (way_m, 0.0, 0.0)], [REST, (0.0, 3.0 + 2.0 * np.sin(12.5 * time_s), 0.0)]
+        velocities = [REST, (0.0, 3.0 + 2.0 * np.sin(12.5 * time_s), 0.0)]
+        stated = np.array([REST, (way_m, 0.0, 0.0)]), np.array(velocities)
         often.move(round(1e9 * time_s), *stated)
         if time_s in (0.0, 2.0):
             seldom.move(round(1e9 * time_s), *stated)
@@ -189,15 +190,16 @@ def test_it_does_not_matter_how_often_a_motion_is_stated():
 
 
 def test_a_channel_of_no_stations_is_one():
-    fading(stations=0).move(0, [], [])
+    fading(stations=0).move(0, np.empty((0, 3)), np.empty((0, 3)))
 
 
 def test_without_doppler_the_channel_stands_still_until_somebody_moves():
     model = fading(doppler_hz=0.0, stations=3)
     before = model.gains(0, 0)
-    assert model.gains(0, 100 * SECOND_NS) == before
+    assert model.gains(0, 100 * SECOND_NS).tolist() == before.tolist()
     # who flies beside each other stands still for each other
-    model.move(100 * SECOND_NS, [REST] * 3, [(9.0, 0.0, 0.0), (9.0, 0.0, 0.0), REST])
+    velocities = np.array([(9.0, 0.0, 0.0), (9.0, 0.0, 0.0), REST])
+    model.move(100 * SECOND_NS, np.array([REST] * 3), velocities)
     after = model.gains(0, 101 * SECOND_NS)
     assert after[1] == before[1]
     assert after[2] != before[2]
@@ -205,11 +207,11 @@ def test_without_doppler_the_channel_stands_still_until_somebody_moves():
 
 def test_a_links_fading_follows_the_vehicles_velocities():
     links, trajectories = links_of([REST] * 2, [REST] * 2, fading_doppler_hz=0.0)
-    before = links.fading_gains(0, SECOND_NS)
-    assert links.fading_gains(0, 0) == before
+    before = links.fading_gains(0, SECOND_NS)[1]
+    assert links.fading_gains(0, 0)[1] == before
     trajectories.set(SECOND_NS, [REST] * 2, [REST, (5.0, 0.0, 0.0)])
-    assert links.fading_gains(0, SECOND_NS) == before
-    assert links.fading_gains(0, SECOND_NS + 50_000_000) != before
+    assert links.fading_gains(0, SECOND_NS)[1] == before
+    assert links.fading_gains(0, SECOND_NS + 50_000_000)[1] != before
 
 
 # --- blockage

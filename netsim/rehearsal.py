@@ -1,0 +1,50 @@
+"""A moment on the air: runs every numerical kernel of the emulator, so that all are compiled and on disk.
+
+Three stations near each other and one out of everybody's reach send all at once, under an interferer: what
+they compute is of no interest, only that they compute it.
+"""
+
+import numpy as np
+
+from netsim.config import InterfererConfig, RadioConfig
+from netsim.emulator import Emulator
+from netsim.wire.messages import Broadcast, FtmRequest, TxBatch, TxItem, Unicast
+
+STEP_US = 4_000
+STEPS = 25
+_PLACES_NED_M = np.array([(0.0, 0.0, -10.0), (0.0, 9.0, -10.0), (150.0, 0.0, -10.0), (4_000.0, 0.0, -10.0)])
+_FAR = len(_PLACES_NED_M) - 1
+_CONFIG = RadioConfig(
+    host_jitter_us=0,  # what is handed over at a time collides
+    rts_threshold_bytes=0,
+    interferers=(InterfererConfig(pos_ned_m=(20.0, 20.0, 0.0), duty_cycle=0.1),),
+)
+
+
+class RehearsalError(RuntimeError):
+    """The stations did not do what they cannot help doing; something is wrong with the emulator."""
+
+
+def rehearse() -> None:
+    """Talk, range, collide and call in vain for a tenth of a second. Raises RehearsalError."""
+    stations = len(_PLACES_NED_M)
+    emulator = Emulator(config=_CONFIG, stations=stations, seed=np.random.SeedSequence(0))
+    velocities_m_s = np.ones((stations, 3))
+    for step in range(STEPS):
+        now_us = step * STEP_US
+        for station in range(stations):
+            items: tuple[TxItem, ...] = (
+                Broadcast(seq=3 * step + 1, at_us=now_us, payload=bytes(200)),
+                FtmRequest(seq=3 * step + 2, at_us=now_us + 1_000, peer=(station + 1) % 3),
+                Unicast(seq=3 * step + 3, at_us=now_us + 2_000, destination=_FAR, payload=bytes(50)),
+            )
+            emulator.submit(TxBatch(station=station, now_us=now_us, items=items))
+        emulator.advance(
+            to_us=now_us + STEP_US,
+            at_us=now_us,
+            pos_ned_m=_PLACES_NED_M + 1e-6 * now_us * velocities_m_s,
+            vel_ned_m_s=velocities_m_s,
+        )
+    frames = emulator.take_frames()
+    if not any(frame.delivered for frame in frames) or not any(frame.collided for frame in frames):
+        raise RehearsalError("the radio's rehearsal has frames that arrive or frames that collide, not both")
