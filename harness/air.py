@@ -6,8 +6,7 @@ from typing import Protocol
 import msgspec
 
 from harness.physics.truth import Truth
-from netsim.hosted import LEAD_US
-from netsim.wire.lockstep import Advance, Advanced, pack_rows
+from netsim.wire.lockstep import LEAD_US, Advance, Advanced, pack_rows
 
 LONGEST_REST_US = LEAD_US // 2
 """How far a quiet air may be left behind. The emulator refuses a vehicle that is `LEAD_US` ahead of it."""

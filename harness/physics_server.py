@@ -17,8 +17,6 @@ from typing import Any
 
 import msgspec
 
-from autopilot.companion_radio import said_key
-from autopilot.mavlink.codec import Parser
 from harness.air import Air, RadioSilent
 from harness.lockstep import OWN, PX4, ConnectTimeout, Lockstep
 from harness.messages import (
@@ -41,7 +39,6 @@ from harness.simulation import Simulation, run
 from netsim.child import Finished, Ready, Stop, commands, emit
 from netsim.clock_line import time_masters_end
 from netsim.profiler import profiled
-from netsim.transport import Question, Transport, TransportError
 
 PROGRESS_PERIOD_S = 0.2
 MOST_LAG_S = 0.1
@@ -255,7 +252,7 @@ def serve(
 ) -> None:
     """Do as commanded until Stop; ``clock`` leads to the 802.11 emulator, if there is one.
 
-    Raises ConnectTimeout, RadioSilent or TransportError.
+    Raises ConnectTimeout or RadioSilent, or OSError for what it cannot open or reach.
     """
     inbox: queue.SimpleQueue[AnyCommand] = queue.SimpleQueue()
     commands(AnyCommand, inbox)  # type: ignore[arg-type]  # a union is a type to msgspec
@@ -288,8 +285,9 @@ def serve(
             contextlib.closing(Simulation(config, meet=meet, air=air, emit=emit))
         )
         if has_px4 and radio_endpoint is not None:
-            transport = stack.enter_context(contextlib.closing(Transport.connect(radio_endpoint)))
-            transport.serve(said_key(config.run_id), lambda question: _overhear(question, met[0]))
+            from harness.applications import overheard  # noqa: PLC0415  see there
+
+            stack.enter_context(overheard(radio_endpoint, config.run_id, met[0]))
         emit(Ready(name="physics", pid=os.getpid()))
         with profiled(PARTS, now_us=lambda: simulation.time_us, from_us=config.profile_from_us) as profile:
             obey(
@@ -303,15 +301,6 @@ def serve(
     if has_px4:
         details["late_answers"] = {f"uav {i}": count for i, count in met[0].late_answers.items()}
     emit(Finished(name="physics", details=details))
-
-
-def _overhear(question: Question, lockstep: Lockstep) -> None:
-    """Take what an application tells of itself and its PX4; in a thread of Zenoh's."""
-    for message in Parser().push_datagram(question.payload):
-        instance = message.get_srcSystem() - 1
-        if 0 <= instance < len(lockstep.seats):
-            lockstep.overhear(instance, message)
-    question.answer(b"")
 
 
 def main() -> int:
@@ -340,7 +329,7 @@ def main() -> int:
         listeners = [socket.socket(fileno=int(fd)) for fd in arguments.listen_fds.split(",")]
         clock = None if arguments.clock_fd is None else socket.socket(fileno=arguments.clock_fd)
         serve(config, listeners, clock, arguments.radio_endpoint)
-    except (ConnectTimeout, RadioSilent, TransportError, OSError, ValueError) as error:
+    except (ConnectTimeout, RadioSilent, OSError, ValueError) as error:
         print(f"physics: {error}", file=sys.stderr)
         return 2
     return 0

@@ -17,7 +17,7 @@ from netsim.emulator import Emulator
 from netsim.logs import FRAME_LOG, SESSION_LOG
 from netsim.phy.medium import Transmission
 from netsim.record_log import RecordLog
-from netsim.wire.lockstep import Advance, Advanced, unpack_rows
+from netsim.wire.lockstep import LEAD_US, Advance, Advanced, unpack_rows
 from netsim.wire.messages import RxBatch, RxItem, Station, TxBatch
 
 Doubles = NDArray[np.float64]
@@ -31,8 +31,6 @@ class Motion(NamedTuple):
     q_ned_frd: Doubles
 
 
-LEAD_US = 60_000_000
-"""How far ahead of the air a transmission's time may lie."""
 FARTHEST_M, FASTEST_M_S, NORM_TOLERANCE = 1e8, 1e5, 1e-3
 """What a vehicle's state may be: limits against senseless numbers."""
 _REFUSED = "the 802.11 emulator refuses to go on as it is told"

@@ -18,6 +18,8 @@ BATCH_HANDED_OVER = 1 << 32
 BATCH_DELIVERED = 1 << 30
 """Bit of HIL_SENSOR.fields_updated, free in the standard: the radio has brought something for this step."""
 
+LEAD_US = 60_000_000
+"""How far ahead of the air a transmission's time may lie."""
 RangeOffset = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Rows = bytes
 """A matrix of little-endian float64, row after row, one row per station: `pack_rows`, `unpack_rows`."""

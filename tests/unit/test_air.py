@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from harness.air import LONGEST_REST_US, Air, RadioSilent
-from netsim.hosted import LEAD_US
-from netsim.wire.lockstep import Advanced, unpack_rows
+from netsim.wire.lockstep import LEAD_US, Advanced, unpack_rows
 
 STEP_US = 4_000
 POS_NED_M = np.arange(6.0).reshape(2, 3)
