@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
 
+import autopilot.rehearsal
 from antenna import kernel_folder
 from antenna.backend import make_backend
 from antenna.clearance import check_apart
@@ -22,6 +23,9 @@ from antenna.ports import feed
 from antenna.rehearsal import rehearse
 from harness import kernel_cache
 from harness.kernel_cache import KEPT_S, KEPT_STATES, VARIABLE, digest, forget_old
+from harness.one_process import OneProcessSwarm
+
+ARTICLE = Path(__file__).parents[2] / "scenarios" / "article.toml"
 
 KERNEL = "from autopilot.constants import G\nfrom numba import njit\n\n@njit\ndef f(x):\n    return G * x\n"
 
@@ -184,7 +188,7 @@ def test_the_rehearsal_of_the_antenna_calls_every_kernel():
 def test_after_the_rehearsal_of_the_antenna_nothing_is_left_to_be_compiled():
     """Other elements, grounds, feeds, grids and counts ask for no other types."""
     rehearse()
-    compiled = _signatures()
+    compiled = _signatures("antenna")
     assert any(compiled.values())
     dipole = {"element_length_m": 5.0, "element_radius_m": 0.001, "segments": 11}
     places_m = grid(8, 4, 8.5, 2.5) + np.array([0.0, 0.0, 12.0])
@@ -195,15 +199,25 @@ def test_after_the_rehearsal_of_the_antenna_nothing_is_left_to_be_compiled():
         for pattern in make_backend(config, threads=2).patterns(arrays * 40):
             assert isinstance(pattern, Pattern)
         check_apart(arrays[0], config.element(), grounded=False)
-    assert _signatures() == compiled
+    assert _signatures("antenna") == compiled
 
 
-def _signatures():
-    """Types for which each of the antenna's kernels is compiled."""
+def test_after_the_rehearsal_of_the_vehicles_nothing_is_left_to_be_loaded():
+    """Or every vehicle that is forked would load it for itself, in flight."""
+    autopilot.rehearsal.rehearse()
+    loaded = _signatures("autopilot")
+    assert any(loaded.values())
+    with OneProcessSwarm(ARTICLE, agents=3) as swarm:
+        swarm.run_until_formed(timeout_s=60.0)
+    assert _signatures("autopilot") == loaded
+
+
+def _signatures(package):
+    """Types for which each of a package's kernels is compiled."""
     return {
         f"{kernel.__module__}.{kernel.__name__}": list(kernel.signatures)
         for name, module in list(sys.modules.items())
-        if name.partition(".")[0] == "antenna"
+        if name.partition(".")[0] == package
         for kernel in vars(module).values()
         if isinstance(kernel, Dispatcher)
     }
