@@ -4,7 +4,8 @@ import queue
 import socket
 import threading
 import time
-from collections.abc import Callable
+from concurrent.futures import Future
+from typing import NamedTuple
 
 import msgspec
 import psutil
@@ -22,23 +23,33 @@ class ForkError(OSError):
     """There is no new process; the text is why."""
 
 
-class Forker:
-    """One such process. Its methods may be called from any thread.
+class ForkedProcess(NamedTuple):
+    """A process that was forked on request."""
 
-    ``theirs`` is its end of the line, to be closed here once the process has inherited it. ``on_end`` is told
-    on a thread of its own how each forked process ended: its id, and exit status or minus the signal that
-    killed it, or None if the forker died before and so nobody can know.
+    pid: int
+    ending: "Future[int | None]"
+    """Exit status or minus the signal that killed it; None if the forker, which would know, died before."""
+
+
+class _Living(NamedTuple):
+    process: psutil.Process | None
+    ending: "Future[int | None]"
+
+
+class Forker:
+    """One such process. ``theirs`` is its end of the line, to be closed here once it has inherited that.
+
+    What is to be done at the end of what was forked is done on a thread of its own, one end after the other.
     """
 
-    def __init__(self, on_end: Callable[[int, int | None], None]) -> None:
-        self._on_end = on_end
+    def __init__(self) -> None:
         self._line, self.theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self._answers: queue.SimpleQueue[Forked | NotForked | None] = queue.SimpleQueue()
-        self._living: dict[int, psutil.Process | None] = {}
+        self._answers: queue.SimpleQueue[ForkedProcess | NotForked] = queue.SimpleQueue()
+        self._living: dict[int, _Living] = {}
         threading.Thread(target=self._listen, name="hear forker", daemon=True).start()
 
-    def fork(self, request: Fork, stdio: tuple[int, int, int]) -> int:
-        """Have a process forked with these standard streams; returns its id. Raises ForkError.
+    def fork(self, request: Fork, stdio: tuple[int, int, int]) -> ForkedProcess:
+        """Have a process forked with these standard streams. Raises ForkError.
 
         One at a time: the caller sees to that.
         """
@@ -48,10 +59,12 @@ class Forker:
         except OSError as error:
             raise ForkError(error.strerror or str(error)) from None
         except queue.Empty:
+            # an answer that came yet would be taken for that to the next request
+            self._line.shutdown(socket.SHUT_RDWR)
             raise ForkError(f"no answer within {FORK_LIMIT_S:g} s") from None
-        if isinstance(answer, Forked):
-            return answer.pid
-        raise ForkError("nobody is there to fork it" if answer is None else answer.reason)
+        if isinstance(answer, NotForked):
+            raise ForkError(answer.reason)
+        return answer
 
     def _listen(self) -> None:
         """Take answers until the forker's end of the line is closed, then look after those it has left."""
@@ -59,19 +72,18 @@ class Forker:
             while packet := self._receive():
                 match answer := _answers.decode(packet):
                     case Ended(pid=pid, returncode=returncode):
-                        self._living.pop(pid, None)
-                        self._on_end(pid, returncode)
+                        self._living.pop(pid).ending.set_result(returncode)
                     case Forked(pid=pid):
-                        self._living[pid] = process_of(pid)
-                        self._answers.put(answer)
+                        living = self._living[pid] = _Living(process_of(pid), Future())
+                        self._answers.put(ForkedProcess(pid, living.ending))
                     case NotForked():
                         self._answers.put(answer)
-        self._answers.put(None)
+        self._answers.put(NotForked(reason="nobody is there to fork it"))
         while self._living:
-            for pid, process in list(self._living.items()):
-                if _is_gone(process):
+            for pid, living in list(self._living.items()):
+                if _is_gone(living.process):
                     del self._living[pid]
-                    self._on_end(pid, None)
+                    living.ending.set_result(None)
             # polled, for a process that is not a child of this one can be waited for in no other way
             time.sleep(_POLL_S)
 

@@ -227,7 +227,7 @@ class Supervisor:
 
     def start_forker(self, name: str, command: Sequence[str]) -> int:
         """Start a child that others can be forked from; it gets ``--fork-fd``. Raises as `start`."""
-        forker = Forker(self._on_forked_end)
+        forker = Forker()
         with forker.theirs as line:
             pid = self.start(name, [*command, "--fork-fd", str(line.fileno())], pass_fds=[line.fileno()])
         self._forkers[name] = forker
@@ -246,12 +246,14 @@ class Supervisor:
             ours = os.fdopen(our_stdin, "wb", buffering=0), os.fdopen(our_stdout, "rb")
             request = Fork(name=name, arguments=tuple(arguments), environment=self._mark(name))
             try:
-                pid = self._forkers[forker].fork(request, (stdin, stdout, log.fileno()))
+                forked = self._forkers[forker].fork(request, (stdin, stdout, log.fileno()))
             except ForkError as error:
                 for pipe in ours:
                     pipe.close()
                 raise SupervisorError(f"{name}: cannot be forked by {forker}: {error}") from None
-            return self._add(_Child(name, pid, *ours, log)).pid
+            child = self._add(_Child(name, forked.pid, *ours, log))
+            forked.ending.add_done_callback(lambda ending: self._on_end(child, ending.result()))
+            return child.pid
 
     @contextlib.contextmanager
     def _starting(self, name: str) -> Iterator[IO[bytes]]:
@@ -287,14 +289,6 @@ class Supervisor:
                 except (msgspec.DecodeError, UnicodeDecodeError):
                     with contextlib.suppress(OSError):  # a full disk must not stop the events
                         child.log.write(line)
-
-    def _on_forked_end(self, pid: int, returncode: int | None) -> None:
-        with self._lock:  # it may have ended before it was known
-            of_pid = [
-                child for child in self._children.values() if child.pid == pid and not child.gone.is_set()
-            ]
-        for child in of_pid:
-            self._on_end(child, returncode)
 
     def _on_end(self, child: _Child, returncode: int | None) -> None:
         """Queue a child's end after its last event."""

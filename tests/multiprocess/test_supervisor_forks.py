@@ -139,6 +139,19 @@ def test_kill_returns_when_it_is_gone_and_the_others_live(supervisor: Supervisor
     assert supervisor.end(["uav 0", "uav 2"]) == []
 
 
+def test_who_ends_at_once_does_not_hold_up_those_that_are_still_forked(supervisor: Supervisor) -> None:
+    began_s = time.monotonic()
+    names = [f"uav {i}" for i in range(40)]
+    for i, name in enumerate(names):
+        supervisor.fork(name, ["returns", str(i % 2)], forker="forker")
+    heard = [supervisor.hear(WALL_LIMIT_S) for _ in names]
+    assert time.monotonic() - began_s < WALL_LIMIT_S
+    ends = {
+        message[0]: message[1].returncode for message in heard if message and isinstance(message[1], Exited)
+    }
+    assert ends == {name: i % 2 for i, name in enumerate(names)}
+
+
 def test_all_end_when_they_are_stopped_together_and_who_does_not_is_forced(supervisor: Supervisor) -> None:
     supervisor.fork("uav 0", ["polite", "uav 0"], forker="forker")
     pid = supervisor.fork("uav 1", ["stubborn", "uav 1"], forker="forker")
