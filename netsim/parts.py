@@ -17,7 +17,6 @@ PARTS = {
     "netsim.record_log": "records",
     "netsim.capture": "records",
     "netsim.clock_line": LINK,
-    "netsim.clock_line": LINK,
     "netsim.transport": LINK,
     "netsim.server": LINK,
 }
