@@ -70,8 +70,10 @@ class GpsError(Struct, frozen=True):
 
     Said only while distances hold the sender's position, and that is what the formation goes by: a UAV of
     whom it is not heard may drift, and who has a height layer beside it goes there (`layers`). The numbers
-    are for whoever else listens, to whom they make the sender's fixes right: in the formation each estimates
-    all receivers itself, and what another made of the same distances would be counted twice.
+    are for whoever else listens, to whom they make the sender's fixes right: where each estimates everybody's
+    receivers itself, what another made of the same distances would be counted twice. Where each estimates
+    those of its neighbourhood alone, they tell the others where the sender believes itself to be, and are
+    horizontally of the newest fix itself (`common_frame`).
     """
 
     ned_m: Vector
