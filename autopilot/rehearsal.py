@@ -1,4 +1,4 @@
-"""A flight on the table: runs every numerical kernel of a vehicle, so that all are compiled and on disk.
+"""A flight on the table: runs every numerical kernel of a vehicle, so that all are on disk and loaded.
 
 Two vehicles are lifted by hand once their rotors turn, with perfect sensors and a perfect radio between them,
 until both are on their way to their places. What they compute is of no interest, only that they compute it.
