@@ -53,8 +53,7 @@ def _check_burst(config: RadioConfig) -> None:
     mode = phy_mode(ftm.mode, config.bandwidth_mhz)
     answer_ns = SIFS_NS + response_mode(mode).duration_ns(ACK_BYTES)
     first_ns, second_ns = (
-        mode.duration_ns(DATA_OVERHEAD_BYTES + len(Measurement(token=1, parameters=parameters).encode()))
-        + answer_ns
+        mode.duration_ns(DATA_OVERHEAD_BYTES + Measurement(token=1, parameters=parameters).size) + answer_ns
         for parameters in (granted, None)
     )
     access = DCF if config.access == "dcf" else EDCA[ftm.access_category]

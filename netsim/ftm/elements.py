@@ -17,6 +17,7 @@ REQUEST_ACTION = 32
 MEASUREMENT_ACTION = 33
 PARAMETERS_ELEMENT = 206
 PARAMETERS_BYTES = 9
+_ELEMENT_BYTES = 2 + PARAMETERS_BYTES
 STAMP_BITS = 48
 NO_PREFERENCE = 15
 """Number of bursts exponent and burst duration; in the other fields it is 0."""
@@ -102,8 +103,13 @@ class Request(Struct, frozen=True, kw_only=True):
     """Start or continue sending measurement frames; False: stop."""
     parameters: Parameters | None = None
 
-    def encode(self) -> bytes:
+    @property
+    def size(self) -> int:
         """Bytes of the body."""
+        return _HEAD.size if self.parameters is None else _HEAD.size + _ELEMENT_BYTES
+
+    def encode(self) -> bytes:
+        """Give the body."""
         head = _HEAD.pack(PUBLIC_ACTION, REQUEST_ACTION, self.trigger)
         return head if self.parameters is None else head + self.parameters.encode()
 
@@ -125,8 +131,13 @@ class Measurement(Struct, frozen=True, kw_only=True):
     parameters: Parameters | None = None
     """In the first frame of a session."""
 
-    def encode(self) -> bytes:
+    @property
+    def size(self) -> int:
         """Bytes of the body."""
+        return _STAMPS.size if self.parameters is None else _STAMPS.size + _ELEMENT_BYTES
+
+    def encode(self) -> bytes:
+        """Give the body."""
         body = _STAMPS.pack(
             PUBLIC_ACTION,
             MEASUREMENT_ACTION,

@@ -119,7 +119,7 @@ class Port:
             kind=FrameKind.FTM if isinstance(body, Measurement) else FrameKind.FTM_REQUEST,
             destination=to,
             mode=self.mode,
-            frame_bytes=DATA_OVERHEAD_BYTES + len(body.encode()),
+            frame_bytes=DATA_OVERHEAD_BYTES + body.size,
             expires_ns=lives_until_ns if expires_ns is None else min(lives_until_ns, expires_ns),
             retry_limit=self._retry_limit,
             done=done,

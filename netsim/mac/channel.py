@@ -174,7 +174,7 @@ class ChannelAccess(ABC):
 
     def on_air_changed(self) -> None:
         """See `netsim.phy.medium.Listener`."""
-        if not self._planned:
+        if not self._planned and self._current is None:
             self._resume()
 
     def on_unused(self) -> None:
