@@ -13,7 +13,7 @@ FLY = """
 import sys
 from harness.one_process import OneProcessSwarm
 with OneProcessSwarm(sys.argv[1], agents=3, seed=5, out=sys.argv[2]) as swarm:
-    swarm.run(until_s=13.0)  # armed, up in the wind, in offboard, with beacons and distances
+    swarm.run(until_s=16.0)  # up in the wind, in offboard, with beacons and distances, joining the formation
 assert {vehicle.armed for vehicle in swarm.truth.vehicles} == {True}
 print(swarm.summary(draw=False)["log_sha256"])
 """
