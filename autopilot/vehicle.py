@@ -174,14 +174,14 @@ class Vehicle:
         self._last_us = now_us
         self._sense(sim_messages, now_us)
         simulator = [_greeting()] if last_us is None else []
-        decides = now_us >= self._decide_us or bool(link_messages)
+        decides = now_us >= self._decide_us or self._is_wanted(link_messages)
+        to_answer = self._take_in(link_messages, now_us) if link_messages else []
         if decides:
             self._decide_us = now_us - now_us % DECISION_PERIOD_US + DECISION_PERIOD_US
-            to_answer = self._take_in(link_messages, now_us)
             self._look_around()
             self._decide()
-            for received in to_answer:
-                self._on_link_message(received, now_us)
+        for received in to_answer:
+            self._on_link_message(received, now_us)
         if self._told_truth:
             self._pass_truth_on(sim_messages, now_us)
         radio = self._run_app(radio_items, simulator, now_us)
@@ -298,6 +298,14 @@ class Vehicle:
         if self.estimator.numerical_failure and not self.commander.armed:
             self.estimator.restart()
         self.monitor.update(flight)
+
+    def _is_wanted(self, link_messages: Sequence[Addressed]) -> bool:
+        """Whether a link wants something of this vehicle: what is for others must not change its timing."""
+        return any(
+            is_addressed_to(message, system=self._system, component=component)
+            for _, message in link_messages
+            for component in (AUTOPILOT_COMPONENT, APPLICATION_COMPONENT)
+        )
 
     def _take_in(self, link_messages: Sequence[Addressed], now_us: int) -> list[Addressed]:
         """Take what conditions depend on, wherever it stands among the messages; returns the others."""

@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import socket
 import sys
 from pathlib import Path
 
@@ -225,8 +226,10 @@ def test_settings_that_cannot_be_are_one_line(settings, says, tmp_path, capsys):
 def test_the_emulator_of_a_run_refuses_contradictory_settings_in_one_line(tmp_path, capsys, monkeypatch):
     path = tmp_path / "radio.json"
     path.write_text(f'{{"run_id":"x","stations":2,"seed":1,"radio":{CONTRADICTORY}}}')
-    monkeypatch.setattr(sys, "argv", ["netsim", "--config", str(path)])
-    assert serve_run() == 2
+    clock, master = socket.socketpair()
+    monkeypatch.setattr(sys, "argv", ["netsim", "--config", str(path), "--clock-fd", str(clock.detach())])
+    with master:
+        assert serve_run() == 2
     error = capsys.readouterr().err
     assert error == "radio: control_mode: RTS is a non-HT frame, vht_mcs0 is none\n"
 
