@@ -155,9 +155,12 @@ def shares_s(counts: Mapping[str, int], *, cpu_s: float, threads_s: float) -> di
 
 
 def _queued_ns() -> int:
-    """Time that the main thread has waited for a processor so far; 0 where that is not told."""
+    """Time that the main thread has waited for a processor so far; 0 where that is not told.
+
+    Of bytes, for a codec would be imported, and the next sample may come in the middle of that.
+    """
     try:
-        return int(_SCHEDULER.read_text(encoding="ascii").split()[1])
+        return int(_SCHEDULER.read_bytes().split()[1])
     except (OSError, IndexError, ValueError):
         return 0
 

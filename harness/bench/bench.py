@@ -115,14 +115,31 @@ class Bench(Struct, frozen=True, kw_only=True):
     duration_s: float
     repeats: int
     runs: tuple[Run, ...]
+    failure: str | None = None
+    """Why there are no more runs than these."""
 
 
 def bench(plan: Plan, note: Callable[[str], None]) -> Bench:
-    """Measure; ``note`` is told how it goes. Raises BenchError, and CompileError of the kernels."""
+    """Measure; ``note`` is told how it goes.
+
+    What was measured before a measurement failed is returned, with the failure. Raises BenchError if that is
+    nothing, and CompileError of the kernels.
+    """
     kernel_cache.prepare(note)
     machine = _machine()
-    runs = tuple(_run(plan, agents, note) for agents in plan.agents)
-    return Bench(machine=machine, duration_s=plan.duration_s, repeats=plan.repeats, runs=runs)
+    runs: list[Run] = []
+    failure = None
+    for agents in plan.agents:
+        try:
+            runs.append(_run(plan, agents, note))
+        except BenchError as error:
+            if not runs:
+                raise
+            failure = f"{_uavs(agents)}: {error}"
+            break
+    return Bench(
+        machine=machine, duration_s=plan.duration_s, repeats=plan.repeats, runs=tuple(runs), failure=failure
+    )
 
 
 def _run(plan: Plan, agents: int, note: Callable[[str], None]) -> Run:

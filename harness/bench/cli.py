@@ -77,6 +77,8 @@ def main(
         for sheet in sheets(found):
             console.print(sheet.title, style="bold")
             console.print(terminal_table(sheet))
+    if found.failure is not None:
+        _end(messages, FAILED, found.failure)
 
 
 def _numbers(text: str) -> tuple[int, ...]:
