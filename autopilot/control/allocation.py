@@ -12,6 +12,7 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
+from autopilot.control.block import Block, new_block
 from autopilot.control.params import AllocationParams
 from autopilot.types import Array
 
@@ -138,23 +139,31 @@ def mixer(params: AllocationParams) -> Array:
 class Allocator:
     """Motor controls for a demand, and what of the demand they meet."""
 
-    def __init__(self, params: AllocationParams) -> None:
-        self.params = params
-        self.thrust = 0.0
-        """Collective that was given last, 0..1"""
-        self.unallocated: Array = np.zeros(3)
-        """(3,) normalised roll, pitch and yaw torque that the last demand did not get"""
-        self.mix = mixer(params)
+    def __init__(self, params: AllocationParams, block: Block | None = None) -> None:
+        block = new_block() if block is None else block
+        self.mix: Array = block["mix"][0]
         """(4, 3)"""
+        self.unallocated: Array = block["unallocated"][0]
+        """(3,) normalised roll, pitch and yaw torque that the last demand did not get"""
+        self._thrust: Array = block["thrust"]
+        self._yaw_margin: Array = block["yaw_thrust_margin"]
+        self._model_factor: Array = block["thrust_model_factor"]
+        self.set_params(params)
+
+    @property
+    def thrust(self) -> float:
+        """Collective that was given last, 0..1."""
+        return float(self._thrust[0])
 
     def set_params(self, params: AllocationParams) -> None:
         """Act by these from the next demand on. Raises ValueError for a frame that cannot fly."""
-        self.mix = mixer(params)
-        self.params = params
+        self.mix[:] = mixer(params)
+        self._yaw_margin[0] = params.yaw_thrust_margin
+        self._model_factor[0] = params.thrust_model_factor
 
     def reset(self) -> None:
         """Nothing was asked and nothing given."""
-        self.thrust = 0.0
+        self._thrust[0] = 0.0
         self.unallocated[:] = 0.0
 
     def allocate(self, thrust: float, torque: Array, *, airmode: bool) -> Array:
@@ -163,8 +172,8 @@ class Allocator:
         ``thrust`` is collective. ``airmode`` lets torque raise it, which must not happen on the ground.
         """
         controls = np.empty(4)
-        self.thrust = allocate(
-            thrust, torque, self.mix, self.params.yaw_thrust_margin, 1.0 if airmode else 0.0,
-            self.params.thrust_model_factor, controls, self.unallocated,
+        self._thrust[0] = allocate(
+            thrust, torque, self.mix, float(self._yaw_margin[0]), 1.0 if airmode else 0.0,
+            float(self._model_factor[0]), controls, self.unallocated,
         )  # fmt: skip
         return controls

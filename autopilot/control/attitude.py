@@ -9,6 +9,7 @@ import math
 import numpy as np
 from numba import njit
 
+from autopilot.control.block import Block, new_block
 from autopilot.control.params import AttitudeParams
 from autopilot.estimation.rotation import conjugate, multiply, normalise, rotate
 from autopilot.types import Array, AttitudeSetpoint
@@ -57,30 +58,39 @@ def rate_setpoint(
 class AttitudeController:
     """P controller from attitude error to body rates."""
 
-    def __init__(self, params: AttitudeParams) -> None:
-        self.tilt_cosine = 1.0
-        """Cosine of the angle between the wanted and the present thrust axis at the last `update`"""
+    def __init__(self, params: AttitudeParams, block: Block | None = None) -> None:
+        block = new_block() if block is None else block
+        self.gain: Array = block["attitude_gain"][0]
+        self.rate_max_rad_s: Array = block["rate_max_rad_s"][0]
+        self._yaw_weight: Array = block["yaw_weight"]
+        self._tilt_cosine: Array = block["tilt_cosine"]
+        self._tilt_cosine[0] = 1.0
         self.set_params(params)
+
+    @property
+    def tilt_cosine(self) -> float:
+        """Cosine of the angle between the wanted and the present thrust axis at the last update."""
+        return float(self._tilt_cosine[0])
 
     def set_params(self, params: AttitudeParams) -> None:
         """Act by these from the next update on."""
-        self.yaw_weight = params.yaw_weight
+        self._yaw_weight[0] = params.yaw_weight
         # only the weighted part of a yaw error enters the error quaternion: undo that in the gain
         yaw_gain = params.yaw_p / params.yaw_weight if params.yaw_weight > 1e-4 else 0.0
-        self.gain: Array = np.array((params.roll_p, params.pitch_p, yaw_gain))
-        self.rate_max_rad_s: Array = np.array(
-            (params.roll_rate_max_rad_s, params.pitch_rate_max_rad_s, params.yaw_rate_max_rad_s)
-        )
+        self.gain[:] = (params.roll_p, params.pitch_p, yaw_gain)
+        self.rate_max_rad_s[:] = (
+            params.roll_rate_max_rad_s, params.pitch_rate_max_rad_s, params.yaw_rate_max_rad_s,
+        )  # fmt: skip
 
     def update(self, q_ned_frd: Array, setpoint: AttitudeSetpoint) -> Array:
         """(3,) body rate setpoint, FRD, within the limits; the setpoint's yaw rate is about NED down."""
         rate: Array
-        rate, self.tilt_cosine = rate_setpoint(
+        rate, self._tilt_cosine[0] = rate_setpoint(
             q_ned_frd,
             setpoint.q_ned_frd,
             setpoint.yaw_rate_rad_s,
             self.gain,
-            self.yaw_weight,
+            float(self._yaw_weight[0]),
             self.rate_max_rad_s,
         )
         return rate

@@ -1,15 +1,15 @@
 """The whole cascade of one sample in compiled code, for whoever follows a trajectory: nearly every step.
 
 Disturbance observer, hover thrust, position, attitude, rates and allocation are classes of their own that can
-be used alone. Here their kernels run one after the other over the memories and settings of one of each:
-crossing into compiled code once instead of five times, and leaving the objects alone in between, is worth
-several times their arithmetic.
+be used alone. Here their kernels run one after the other over the block that holds settings and memories of
+one of each: crossing into compiled code once instead of five times, and leaving the objects alone in between,
+is worth several times their arithmetic.
 """
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from autopilot.control.block import Block
 from autopilot.control.disturbance import OBSERVED, THRUST, observe_disturbance
 from autopilot.control.hover_thrust import HOVER, learn_hover_thrust
 from autopilot.control.inner_loop import follow_attitude
@@ -45,51 +45,50 @@ def airmode_above(landed: bool, thr_min: float) -> float:  # noqa: FBT001 - kern
 
 @njit(cache=True)
 def follow_trajectory(
+    block: Block,
     # the estimate, NED and FRD, and whether the velocity in it is known
     q_ned_frd: Array, omega: Array, pos: Array, vel: Array, acc: Array, velocity_valid: bool,  # noqa: FBT001
-    # the setpoint as `PositionController.take` lays it out
-    wanted: Array, mask: NDArray[np.bool_], yaw_rad: float, yaw_rate_rad_s: float,
-    # the moment: since the last sample, since the last position loop (0: it has a rest), collective given
-    dt_s: float, position_dt_s: float, thrust: float,
-    # the take-off: idling on the ground, on the ground at all, whether flight teaches the hover thrust
-    idles: bool, landed: bool, teaches: bool, climb_max_m_s: float,  # noqa: FBT001
-    controls: Array,
-    # settings and memories of the observer, the hover thrust, position, attitude, rates, allocation
-    observer_settings: Array, observer: Array, hover_settings: Array, hover: Array,
-    position_gains: Array, position_limits: Array, position: Array, decided: Array,
-    attitude_gain: Array, yaw_weight: float, rate_max_rad_s: Array,
-    rate_gains: Array, integral_max: float, cutoff_hz: float, rate_state: Array,
-    mix: Array, yaw_margin: float, thrust_factor: float, unallocated: Array,
-    stages: Array,
-) -> tuple[float, float]:  # fmt: skip
-    """Fill ``controls`` (4,) 0..1, and ``decided`` and ``stages`` with what led to them.
+    # since the last sample; idling on the ground, on the ground at all, in flight
+    dt_s: float, idles: bool, landed: bool, flies: bool,  # noqa: FBT001
+) -> None:  # fmt: skip
+    """Fill the block's ``controls`` (4,) 0..1, and what led to them, from the setpoint laid out in it.
 
-    Returns achieved collective and cosine of the tilt error.
+    The position loop acts at every ``position_divider``-th call. What flight teaches of the hover thrust it
+    teaches from the second on.
     """
+    c = block[0]
+    goes_on = c["updates"] > 0
+    c["since_position_s"] += dt_s
+    position_dt_s = 0.0
+    if c["updates"] % c["position_divider"] == 0:
+        position_dt_s = c["since_position_s"]
+        c["since_position_s"] = 0.0
+    c["updates"] += 1
+    observer, hover, decided = c["observer"], c["hover"], c["decided"]
+    limits, yaw_rad = c["position_limits"], c["yaw_rad"]
     observe_disturbance(
-        observer, observer_settings, acc, q_ned_frd, thrust, hover[HOVER], dt_s,
+        observer, c["observer_settings"], acc, q_ned_frd, c["thrust"], hover[HOVER], dt_s,
         velocity_valid and not landed,
     )  # fmt: skip
-    disturbance = observer[OBSERVED:THRUST]
     if position_dt_s > 0.0:
+        disturbance, position = observer[OBSERVED:THRUST], c["position"]
         x, y = q_ned_frd[1], q_ned_frd[2]
         up = 1.0 - 2.0 * (x * x + y * y)
-        if teaches and velocity_valid and up >= _HOVER_LEARN_UP:
+        if goes_on and flies and velocity_valid and up >= _HOVER_LEARN_UP:
             before = hover[HOVER]
-            learn_hover_thrust(hover, hover_settings, -acc[2], observer[THRUST] * up, position_dt_s)
+            learn_hover_thrust(hover, c["hover_settings"], -acc[2], observer[THRUST] * up, position_dt_s)
             acc_down = decided[ACCELERATION, 2] - disturbance[2]
             position[INTEGRAL, 2] += integral_shift_m_s2(before, hover[HOVER], acc_down)
         control_position(
-            wanted, mask, pos, vel, acc, disturbance, hover[HOVER], yaw_rad, climb_max_m_s, position_dt_s,
-            position_gains, position_limits, position, decided,
+            c["wanted"], c["mask"], pos, vel, acc, disturbance, hover[HOVER], yaw_rad, c["climb_max_m_s"],
+            position_dt_s, c["position_gains"], limits, position, decided,
         )  # fmt: skip
+    yaw_rate_rad_s = c["yaw_rate_rad_s"]
     if idles:
         decided[ATTITUDE] = quat_from_euler(0.0, 0.0, yaw_rad)
         decided[THRUST_VECTOR, COLLECTIVE] = 0.0
         yaw_rate_rad_s = 0.0
-    return follow_attitude(
-        q_ned_frd, omega, decided[ATTITUDE], yaw_rate_rad_s, decided[THRUST_VECTOR, COLLECTIVE],
-        dt_s, BY_TILT, not landed, airmode_above(landed, position_limits[THR_MIN]),
-        attitude_gain, yaw_weight, rate_max_rad_s, rate_gains, integral_max, cutoff_hz, rate_state,
-        mix, yaw_margin, thrust_factor, unallocated, stages, controls,
+    follow_attitude(
+        block, q_ned_frd, omega, decided[ATTITUDE], yaw_rate_rad_s, decided[THRUST_VECTOR, COLLECTIVE],
+        dt_s, BY_TILT, not landed, airmode_above(landed, limits[THR_MIN]),
     )  # fmt: skip

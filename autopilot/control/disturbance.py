@@ -7,9 +7,9 @@ the accelerometer's reading less the thrust's, so an attitude error turns it but
 
 import math
 
-import numpy as np
 from numba import njit
 
+from autopilot.control.block import Block, new_block
 from autopilot.control.hover_thrust import GRAVITY_M_S2
 from autopilot.control.params import DisturbanceParams
 from autopilot.estimation.rotation import rotate
@@ -47,9 +47,11 @@ def observe_disturbance(
 class DisturbanceObserver:
     """Low-passed external acceleration."""
 
-    def __init__(self, params: DisturbanceParams) -> None:
-        self.memory: Array = np.zeros(4)
-        """As `observe_disturbance` has it"""
+    def __init__(self, params: DisturbanceParams, block: Block | None = None) -> None:
+        block = new_block() if block is None else block
+        self.memory: Array = block["observer"][0]
+        """As `observe_disturbance` has it, like the settings"""
+        self.settings: Array = block["observer_settings"][0]
         self.acc_ned_m_s2: Array = self.memory[OBSERVED:THRUST]
         """(3,) the estimate, NED; zero when the observer is switched off"""
         self.set_params(params)
@@ -62,8 +64,7 @@ class DisturbanceObserver:
     def set_params(self, params: DisturbanceParams) -> None:
         """Act by these from the next update on; the estimate stays, to be judged by the caller."""
         cutoff_hz = params.cutoff_hz if params.enabled else 0.0
-        self.settings: Array = np.array((params.thrust_lag_s, cutoff_hz, params.acc_max_m_s2))
-        """As `observe_disturbance` has them"""
+        self.settings[:] = (params.thrust_lag_s, cutoff_hz, params.acc_max_m_s2)
 
     def reset(self) -> None:
         """Nothing is known of what pushes: on the ground, which pushes too. The motors go on as they are."""

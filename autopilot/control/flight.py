@@ -2,12 +2,12 @@
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from autopilot.control.allocation import Allocator
 from autopilot.control.attitude import AttitudeController
+from autopilot.control.block import new_block
 from autopilot.control.cascade import airmode_above, follow_trajectory
 from autopilot.control.disturbance import DisturbanceObserver
 from autopilot.control.hover_thrust import HoverThrustEstimator
@@ -41,24 +41,26 @@ class FlightController:
 
     def __init__(self, params: ControlParams) -> None:
         self.params = params
-        self._position = PositionController(params.position, integral_share=_integral_share(params))
-        self._disturbance = DisturbanceObserver(params.disturbance)
-        self._hover = HoverThrustEstimator(params.hover_thrust, start=params.position.thr_hover)
-        self._rates = RateController(params.rate)
-        self._allocator = Allocator(params.allocation)
-        self._attitude = AttitudeController(params.attitude)
-        self._inner = InnerLoop(self._attitude, self._rates, self._allocator)
+        self.block = block = new_block()
+        """Of all of them, for compiled code"""
+        self._moment = block[0]
+        self._position = PositionController(
+            params.position, integral_share=_integral_share(params), block=block
+        )
+        self._disturbance = DisturbanceObserver(params.disturbance, block)
+        self._hover = HoverThrustEstimator(params.hover_thrust, start=params.position.thr_hover, block=block)
+        self._rates = RateController(params.rate, block)
+        self._allocator = Allocator(params.allocation, block)
+        self._attitude = AttitudeController(params.attitude, block)
+        self._inner = InnerLoop(block, self._rates, self._allocator)
         self._takeoff = TakeoffRamp(params.position)
         self._setpoint: TrajectorySetpoint | AttitudeSetpoint | None = None
         """What is flown; None while the motors idle or rates are flown"""
-        self._decided: Array = np.zeros((4, 4))
+        self._decided: Array = block["decided"][0]
         """What became of the last trajectory setpoint, as `control_position` has it"""
         self._yaw_rad: float | None = None
         self._reset_counter = 0
-        self._updates = 0
-        self._since_position_s = 0.0
-        self._parts = self._lay_out_parts()
-        """Settings and memories, as `follow_trajectory` takes them"""
+        self._moment["position_divider"] = params.position_divider
 
     def set_params(self, params: ControlParams) -> None:
         """Act by these from the next update on, in flight too. Raises ValueError for a frame that cannot fly.
@@ -75,7 +77,7 @@ class FlightController:
         self._attitude.set_params(params.attitude)
         self._rates.set_params(params.rate)
         self._takeoff.set_params(params.position)
-        self._parts = self._lay_out_parts()
+        self._moment["position_divider"] = params.position_divider
         if was_observing != params.disturbance.enabled:
             self._hand_over_disturbance(to_observer=not was_observing)
 
@@ -187,7 +189,6 @@ class FlightController:
     ) -> Array:
         """All of the cascade, the position loop at its divider."""
         phase = self._takeoff.phase
-        goes_on = self._updates > 0
         if setpoint.yaw_rad is not None:
             self._yaw_rad = setpoint.yaw_rad
         elif self._yaw_rad is None or phase is Phase.GROUND or state.reset_counter != self._reset_counter:
@@ -195,33 +196,20 @@ class FlightController:
         else:
             self._yaw_rad = math.remainder(self._yaw_rad + setpoint.yaw_rate_rad_s * dt_s, math.tau)
         self._reset_counter = state.reset_counter
-        self._since_position_s += dt_s
-        position_dt_s = 0.0
-        if self._updates % self.params.position_divider == 0:
+        moment = self._moment
+        if moment["updates"] % moment["position_divider"] == 0:
             self._position.take(state, setpoint)
-            position_dt_s, self._since_position_s = self._since_position_s, 0.0
-        self._updates += 1
+        moment["yaw_rad"], moment["yaw_rate_rad_s"] = self._yaw_rad, setpoint.yaw_rate_rad_s
+        moment["climb_max_m_s"] = self._takeoff.climb_max_m_s
         self._setpoint = setpoint
         self._rates.start(state.omega_frd_rad_s)
-        controls = np.empty(4)
-        self._allocator.thrust, self._attitude.tilt_cosine = follow_trajectory(
-            state.q_ned_frd, state.omega_frd_rad_s, state.pos_ned_m, state.vel_ned_m_s, state.acc_ned_m_s2,
-            state.velocity_valid, self._position.wanted, self._position.mask, self._yaw_rad,
-            setpoint.yaw_rate_rad_s, dt_s, position_dt_s, self._allocator.thrust, phase is Phase.GROUND,
-            landed, goes_on and phase is Phase.FLYING, self._takeoff.climb_max_m_s, controls, *self._parts,
+        follow_trajectory(
+            self.block, state.q_ned_frd, state.omega_frd_rad_s, state.pos_ned_m, state.vel_ned_m_s,
+            state.acc_ned_m_s2, state.velocity_valid, dt_s, phase is Phase.GROUND, landed,
+            phase is Phase.FLYING,
         )  # fmt: skip
+        controls: Array = moment["controls"].copy()
         return controls
-
-    def _lay_out_parts(self) -> tuple[Any, ...]:
-        attitude, rates, allocator = self._attitude, self._rates, self._allocator
-        return (
-            self._disturbance.settings, self._disturbance.memory, self._hover.settings, self._hover.memory,
-            self._position.gains, self._position.limits, self._position.memory, self._decided,
-            attitude.gain, attitude.yaw_weight, attitude.rate_max_rad_s,
-            rates.gains, rates.integral_max, rates.cutoff_hz, rates.state,
-            allocator.mix, allocator.params.yaw_thrust_margin, allocator.params.thrust_model_factor,
-            allocator.unallocated, self._inner.stages,
-        )  # fmt: skip
 
     def _hand_over_disturbance(self, *, to_observer: bool) -> None:
         """Let the integrals hold what the observer held, or the other way round: the demand stays."""
@@ -230,17 +218,17 @@ class FlightController:
             held_ned_m_s2 = self._position.integral
             norm_m_s2 = math.sqrt(held_ned_m_s2 @ held_ned_m_s2)
             held_ned_m_s2 *= min(self.params.disturbance.acc_max_m_s2 / max(norm_m_s2, 1e-12), 1.0)
-        if self._updates > 0:  # else nobody flies by the integrals, and they stay empty
+        if self._moment["updates"] > 0:  # else nobody flies by the integrals, and they stay empty
             self._position.add_to_integral(-held_ned_m_s2)
         self._disturbance.acc_ned_m_s2[:] = -held_ned_m_s2 if to_observer else 0.0
 
     def _leave_position(self) -> None:
         """Forget the position loop: idle, or somebody else commands attitude or rates."""
         self._setpoint = None
-        if self._updates > 0:
+        if self._moment["updates"] > 0:
             self._position.reset()
-            self._updates = 0
-            self._since_position_s = 0.0
+            self._moment["updates"] = 0
+            self._moment["since_position_s"] = 0.0
 
 
 def _integral_share(params: ControlParams) -> float:

@@ -1,8 +1,8 @@
 """Estimate of the thrust that hovers: a Kalman filter of one state on the vertical acceleration, as PX4's."""
 
-import numpy as np
 from numba import njit
 
+from autopilot.control.block import Block, new_block
 from autopilot.control.params import HoverThrustParams
 from autopilot.types import Array
 
@@ -51,9 +51,11 @@ class HoverThrustEstimator:
     -g thrust / hover^2. The measurement's variance is learned from the residuals.
     """
 
-    def __init__(self, params: HoverThrustParams, *, start: float) -> None:
-        self.memory: Array = np.zeros(5)
-        """As `learn_hover_thrust` has it"""
+    def __init__(self, params: HoverThrustParams, *, start: float, block: Block | None = None) -> None:
+        block = new_block() if block is None else block
+        self.memory: Array = block["hover"][0]
+        """As `learn_hover_thrust` has it, like the settings"""
+        self.settings: Array = block["hover_settings"][0]
         self._set(params, start)
         self.reset()
 
@@ -81,5 +83,4 @@ class HoverThrustEstimator:
         self._start = start
         self._initial_variance = params.initial_std**2
         lowest, highest = max(start - params.range, 0.05), min(start + params.range, 0.95)
-        self.settings: Array = np.array((lowest, highest, params.process_noise_1_s, params.gate_sigma))
-        """As `learn_hover_thrust` has them"""
+        self.settings[:] = (lowest, highest, params.process_noise_1_s, params.gate_sigma)

@@ -8,77 +8,86 @@ import numpy as np
 from numba import njit
 
 from autopilot.control.allocation import Allocator, allocate
-from autopilot.control.attitude import AttitudeController, rate_setpoint
+from autopilot.control.attitude import rate_setpoint
+from autopilot.control.block import Block
 from autopilot.control.rates import RateController, rate_torque
 from autopilot.types import Array, AttitudeSetpoint, RateSetpoint
+
+RATE_SETPOINT, TORQUE = range(2)
+"""Rows of the block's ``stages``"""
 
 
 @njit(cache=True)
 def follow_attitude(
-    q_ned_frd: Array, omega_frd_rad_s: Array, q_setpoint: Array, yaw_rate_rad_s: float, thrust: float,
-    dt_s: float, by_tilt: bool, integrate: bool, airmode_above: float,  # noqa: FBT001 - kernels take positions
-    attitude_gain: Array, yaw_weight: float, rate_max_rad_s: Array,
-    rate_gains: Array, integral_max: float, cutoff_hz: float, rate_state: Array,
-    mix: Array, yaw_margin: float, thrust_factor: float, unallocated: Array,
-    stages: Array, controls: Array,
-) -> tuple[float, float]:  # fmt: skip
-    """Fill ``stages`` (2, 3) with rate setpoint and torque, and ``controls`` (4,).
-
-    Returns achieved collective and cosine of the tilt error.
-    """
+    block: Block, q_ned_frd: Array, omega_frd_rad_s: Array, q_setpoint: Array, yaw_rate_rad_s: float,
+    thrust: float, dt_s: float,
+    by_tilt: bool, integrate: bool, airmode_above: float,  # noqa: FBT001 - kernels take positions
+) -> None:  # fmt: skip
+    """Fill the block's ``controls``, and what led to them, from an attitude and a collective thrust."""
+    c = block[0]
     rate, cosine = rate_setpoint(
-        q_ned_frd, q_setpoint, yaw_rate_rad_s, attitude_gain, yaw_weight, rate_max_rad_s
+        q_ned_frd, q_setpoint, yaw_rate_rad_s, c["attitude_gain"], c["yaw_weight"], c["rate_max_rad_s"]
     )
-    torque = rate_torque(
-        omega_frd_rad_s, rate, unallocated, dt_s, rate_gains, integral_max, cutoff_hz, rate_state, integrate
-    )
-    stages[0] = rate
-    stages[1] = torque
+    c["tilt_cosine"] = cosine
     highest = 1.0 if thrust > airmode_above else 0.0
     if by_tilt:
         thrust *= max(cosine, 0.0)
-    collective = allocate(thrust, torque, mix, yaw_margin, highest, thrust_factor, controls, unallocated)
-    return collective, cosine
+    _follow_rate(block, omega_frd_rad_s, rate, thrust, highest, dt_s, integrate)
 
 
 @njit(cache=True)
-def _rate_step(
-    omega_frd_rad_s: Array, wanted_frd_rad_s: Array, rate_max_rad_s: Array, thrust: float,
-    dt_s: float, integrate: bool, airmode_above: float,  # noqa: FBT001 - kernels take positions
-    rate_gains: Array, integral_max: float, cutoff_hz: float, rate_state: Array,
-    mix: Array, yaw_margin: float, thrust_factor: float, unallocated: Array,
-    stages: Array, controls: Array,
-) -> float:  # fmt: skip
+def follow_rates(
+    block: Block, omega_frd_rad_s: Array, wanted_frd_rad_s: Array, thrust: float, dt_s: float,
+    integrate: bool, airmode_above: float,  # noqa: FBT001 - kernels take positions
+) -> None:  # fmt: skip
     """Do as `follow_attitude`, with rates that were asked for in place of those towards an attitude."""
+    c = block[0]
+    rate_max_rad_s = c["rate_max_rad_s"]
     rate = np.empty(3)
     for i in range(3):
         rate[i] = min(max(wanted_frd_rad_s[i], -rate_max_rad_s[i]), rate_max_rad_s[i])
-    torque = rate_torque(
-        omega_frd_rad_s, rate, unallocated, dt_s, rate_gains, integral_max, cutoff_hz, rate_state, integrate
-    )
-    stages[0] = rate
-    stages[1] = torque
+    c["tilt_cosine"] = 1.0  # there is no tilt to miss
     highest = 1.0 if thrust > airmode_above else 0.0
-    return allocate(thrust, torque, mix, yaw_margin, highest, thrust_factor, controls, unallocated)
+    _follow_rate(block, omega_frd_rad_s, rate, thrust, highest, dt_s, integrate)
+
+
+@njit(cache=True)
+def _follow_rate(
+    block: Block, omega_frd_rad_s: Array, rate_frd_rad_s: Array, thrust: float, highest: float, dt_s: float,
+    integrate: bool,  # noqa: FBT001 - kernels take positions
+) -> None:  # fmt: skip
+    """Rates to torque, and torque with collective thrust to controls; torque may raise it to ``highest``."""
+    c = block[0]
+    torque = rate_torque(
+        omega_frd_rad_s, rate_frd_rad_s, c["unallocated"], dt_s,
+        c["rate_gains"], c["integral_max"], c["rate_cutoff_hz"], c["rate_state"], integrate,
+    )  # fmt: skip
+    stages = c["stages"]
+    stages[RATE_SETPOINT] = rate_frd_rad_s
+    stages[TORQUE] = torque
+    c["thrust"] = allocate(
+        thrust, torque, c["mix"], c["yaw_thrust_margin"], highest, c["thrust_model_factor"],
+        c["controls"], c["unallocated"],
+    )  # fmt: skip
 
 
 class InnerLoop:
-    """The three stages, whose settings and memories it uses."""
+    """The three stages over the block that their controllers, of which it resets two, have in common."""
 
-    def __init__(self, attitude: AttitudeController, rates: RateController, allocator: Allocator) -> None:
-        self._attitude = attitude
+    def __init__(self, block: Block, rates: RateController, allocator: Allocator) -> None:
+        self._block = block
         self._rates = rates
         self._allocator = allocator
-        self.stages: Array = np.zeros((2, 3))
-        """As `follow_attitude` has them"""
-        self.rate_setpoint_frd_rad_s: Array = self.stages[0]
+        self._stages: Array = block["stages"][0]
+        self._controls: Array = block["controls"][0]
+        self.rate_setpoint_frd_rad_s: Array = self._stages[RATE_SETPOINT]
         """(3,) of the last step, like the torque rewritten in place"""
-        self.torque: Array = self.stages[1]
+        self.torque: Array = self._stages[TORQUE]
         """(3,) normalised, FRD"""
 
     def reset(self) -> None:
         """Forget what was flown."""
-        self.stages[:] = 0.0
+        self._stages[:] = 0.0
         self._rates.reset()
         self._allocator.reset()
 
@@ -98,18 +107,12 @@ class InnerLoop:
             airmode_above: a thrust above this lets torque raise the collective.
 
         """
-        attitude, rates, allocator = self._attitude, self._rates, self._allocator
-        rates.start(omega_frd_rad_s)
-        controls = np.empty(4)
-        allocator.thrust, attitude.tilt_cosine = follow_attitude(
-            q_ned_frd, omega_frd_rad_s, setpoint.q_ned_frd, setpoint.yaw_rate_rad_s, setpoint.thrust,
-            dt_s, by_tilt, integrate, airmode_above,
-            attitude.gain, attitude.yaw_weight, attitude.rate_max_rad_s,
-            rates.gains, rates.integral_max, rates.cutoff_hz, rates.state,
-            allocator.mix, allocator.params.yaw_thrust_margin, allocator.params.thrust_model_factor,
-            allocator.unallocated, self.stages, controls,
+        self._rates.start(omega_frd_rad_s)
+        follow_attitude(
+            self._block, q_ned_frd, omega_frd_rad_s, setpoint.q_ned_frd, setpoint.yaw_rate_rad_s,
+            setpoint.thrust, dt_s, by_tilt, integrate, airmode_above,
         )  # fmt: skip
-        return controls
+        return self._controls.copy()
 
     def follow_rates(
         self, omega_frd_rad_s: Array, setpoint: RateSetpoint, *, dt_s: float, integrate: bool,
@@ -119,15 +122,9 @@ class InnerLoop:
 
         The arguments are those of `update`.
         """
-        attitude, rates, allocator = self._attitude, self._rates, self._allocator
-        rates.start(omega_frd_rad_s)
-        controls = np.empty(4)
-        attitude.tilt_cosine = 1.0  # there is no tilt to miss
-        allocator.thrust = _rate_step(
-            omega_frd_rad_s, setpoint.rate_frd_rad_s, attitude.rate_max_rad_s, setpoint.thrust,
-            dt_s, integrate, airmode_above,
-            rates.gains, rates.integral_max, rates.cutoff_hz, rates.state,
-            allocator.mix, allocator.params.yaw_thrust_margin, allocator.params.thrust_model_factor,
-            allocator.unallocated, self.stages, controls,
+        self._rates.start(omega_frd_rad_s)
+        follow_rates(
+            self._block, omega_frd_rad_s, setpoint.rate_frd_rad_s, setpoint.thrust, dt_s, integrate,
+            airmode_above,
         )  # fmt: skip
-        return controls
+        return self._controls.copy()

@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from autopilot.control.block import Block, new_block
 from autopilot.control.hover_thrust import GRAVITY_M_S2
 from autopilot.control.params import PositionParams
 from autopilot.estimation.rotation import quat_from_dcm
@@ -208,33 +209,35 @@ class PositionOutput:
 class PositionController:
     """Position P and velocity PID with limits and anti-windup; ``integral_share`` scales the I gains."""
 
-    def __init__(self, params: PositionParams, *, integral_share: float = 1.0) -> None:
-        self.set_params(params, integral_share=integral_share)
-        self.memory: Array = np.zeros((2, 3))
-        """As `control_position` has it"""
-        self.wanted: Array = np.zeros((3, 3))
+    def __init__(
+        self, params: PositionParams, *, integral_share: float = 1.0, block: Block | None = None
+    ) -> None:
+        block = new_block() if block is None else block
+        self.gains: Array = block["position_gains"][0]
+        """As `control_position` has them, like limits and memory"""
+        self.limits: Array = block["position_limits"][0]
+        self.memory: Array = block["position"][0]
+        self.wanted: Array = block["wanted"][0]
         """Rows position, velocity, acceleration; ``mask`` says which of them are asked for"""
-        self.mask: NDArray[np.bool_] = np.zeros((3, 3), dtype=np.bool_)
+        self.mask: NDArray[np.bool_] = block["mask"][0].view(np.bool_)
+        self.set_params(params, integral_share=integral_share)
         self._taken: tuple[TrajectorySetpoint, bool, bool, bool] | None = None
         """What ``wanted`` and ``mask`` were made of."""
 
     def set_params(self, params: PositionParams, *, integral_share: float = 1.0) -> None:
         """Act by these from the next update on; integrals and the acceleration filter stay."""
         p = params
-        self.gains: Array = np.array(
-            (
-                (p.xy_p, p.xy_p, p.z_p),
-                (p.xy_vel_p_acc, p.xy_vel_p_acc, p.z_vel_p_acc),
-                (p.xy_vel_i_acc, p.xy_vel_i_acc, p.z_vel_i_acc),
-                (p.xy_vel_d_acc, p.xy_vel_d_acc, p.z_vel_d_acc),
-            )
+        self.gains[:] = (
+            (p.xy_p, p.xy_p, p.z_p),
+            (p.xy_vel_p_acc, p.xy_vel_p_acc, p.z_vel_p_acc),
+            (p.xy_vel_i_acc, p.xy_vel_i_acc, p.z_vel_i_acc),
+            (p.xy_vel_d_acc, p.xy_vel_d_acc, p.z_vel_d_acc),
         )
         self.gains[2] *= integral_share
-        self.limits: Array = np.array((
+        self.limits[:] = (
             p.tilt_max_rad, p.thr_min, p.thr_max, p.thr_xy_margin,
             p.xy_vel_max_m_s, p.z_vel_max_up_m_s, p.z_vel_max_dn_m_s, p.acc_cutoff_hz,
-        ))  # fmt: skip
-        """As `control_position` has them, like the gains"""
+        )  # fmt: skip
 
     @property
     def integral(self) -> Array:

@@ -5,6 +5,7 @@ import math
 import numpy as np
 from numba import njit
 
+from autopilot.control.block import Block, new_block
 from autopilot.control.params import RateParams
 from autopilot.types import Array
 
@@ -40,24 +41,28 @@ def rate_torque(
 class RateController:
     """PID from body rate error to normalised torque."""
 
-    def __init__(self, params: RateParams) -> None:
-        self.set_params(params)
-        self.state: Array = np.zeros((3, 3))
+    def __init__(self, params: RateParams, block: Block | None = None) -> None:
+        block = new_block() if block is None else block
+        self.gains: Array = block["rate_gains"][0]
+        """(4, 3) P, I, D, feed-forward about FRD axes"""
+        self.state: Array = block["rate_state"][0]
         """Rows as `rate_torque` has them"""
+        self._integral_max: Array = block["integral_max"]
+        self._cutoff_hz: Array = block["rate_cutoff_hz"]
+        self.set_params(params)
         self._started = False
 
     def set_params(self, params: RateParams) -> None:
         """Act by these from the next update on; integrals and the gyro's history stay."""
         k = np.array((params.roll_k, params.pitch_k, params.yaw_k))
-        self.gains: Array = np.array((
+        self.gains[:] = (
             k * (params.roll_p, params.pitch_p, params.yaw_p),
             k * (params.roll_i, params.pitch_i, params.yaw_i),
             k * (params.roll_d, params.pitch_d, params.yaw_d),
             (params.roll_ff, params.pitch_ff, params.yaw_ff),
-        ))  # fmt: skip
-        """(4, 3) P, I, D, feed-forward about FRD axes"""
-        self.integral_max = params.integral_max
-        self.cutoff_hz = params.derivative_cutoff_hz
+        )  # fmt: skip
+        self._integral_max[0] = params.integral_max
+        self._cutoff_hz[0] = params.derivative_cutoff_hz
 
     @property
     def integral(self) -> Array:
@@ -83,8 +88,8 @@ class RateController:
         """
         self.start(rate_rad_s)
         torque: Array = rate_torque(
-            rate_rad_s, setpoint_rad_s, unallocated, dt_s, self.gains, self.integral_max, self.cutoff_hz,
-            self.state, integrate,
+            rate_rad_s, setpoint_rad_s, unallocated, dt_s, self.gains,
+            float(self._integral_max[0]), float(self._cutoff_hz[0]), self.state, integrate,
         )  # fmt: skip
         return torque
 

@@ -277,7 +277,7 @@ class Fusion:
         if self.vertical.bad:
             bad_psd = BAD_ACCEL_NOISE_M_S2**2 * PX4_FILTER_PERIOD_S
             noise_psd[kernels.ACCEL_PSD] = max(noise_psd[kernels.ACCEL_PSD], bad_psd)
-        self._delayed.noise_psd = noise_psd
+        self._delayed.noise_psd[:] = noise_psd
 
     def _yaw_emergency(self) -> bool:
         """Turn to the heading that GPS velocity speaks for, if it is known and another.

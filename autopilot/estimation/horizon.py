@@ -14,6 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from autopilot.estimation.kernels import (
+    ERRORS,
     GYRO_BIAS,
     STATES,
     error_transition,
@@ -21,7 +22,7 @@ from autopilot.estimation.kernels import (
     is_plausible,
     predict_covariance,
 )
-from autopilot.estimation.yaw_gsf import carry_level, level_start
+from autopilot.estimation.yaw_gsf import TILT, carry_level, level_start
 from autopilot.types import Array
 
 SHORTEST_SAMPLE_US = 1_000
@@ -42,6 +43,24 @@ OLDEST, WAITING, HORIZON_US, NEWEST_US, DELAY_US = range(5)
 NOT_FINITE = -1
 """Nor plausible."""
 
+HORIZON = np.dtype(
+    [
+        ("x", "f8", STATES),
+        ("cov", "f8", (ERRORS, ERRORS)),
+        ("estimate", "f8", ESTIMATE),
+        ("tilt", "f8", TILT),
+        ("noise_psd", "f8", 4),
+        ("cursor", "i8", 5),
+    ],
+    align=True,
+)
+"""All that the filter remembers but the samples that wait: a block, for compiled code is then given one array."""
+SAMPLE = np.dtype(
+    [("gyro_frd_rad_s", "f8", 3), ("accel_frd_m_s2", "f8", 3), ("dt_s", "f8"), ("time_us", "i8")], align=True
+)
+"""One that waits, and the interval that it is of."""
+Block = NDArray[np.void]
+
 
 @njit(cache=True)
 def describe(cov: Array, gyro_frd_rad_s: Array, estimate: Array) -> None:
@@ -53,43 +72,36 @@ def describe(cov: Array, gyro_frd_rad_s: Array, estimate: Array) -> None:
 
 
 @njit(cache=True)
-def advance(
-    x: Array,
-    cov: Array,
-    estimate: Array,
-    samples: Array,
-    times_us: NDArray[np.int64],
-    cursor: NDArray[np.int64],
-    tilt: Array,
-    noise_psd: Array,
-    time_us: int,
-    gyro_frd_rad_s: Array,
-    accel_frd_m_s2: Array,
-) -> int:
-    """Put a sample into the ring, move ``x``, ``cov``, ``tilt`` on to the newest that the delay lets through.
+def advance(block: Block, samples: Block, time_us: int, gyro_frd_rad_s: Array, accel_frd_m_s2: Array) -> int:
+    """Put a sample into the ring, move the filter on to the newest that the delay lets through.
 
-    ``samples`` rows are gyro, accelerometer and interval; ``estimate`` (ESTIMATE,) moves by the new sample.
-    Returns the horizon's time, or NOT_FINITE for a sample that is dropped.
+    ``block`` (1,) is of `HORIZON`, whose estimate moves by the new sample, ``samples`` (capacity,) of
+    `SAMPLE`. Returns the horizon's time, or NOT_FINITE for a sample that is dropped.
     """
     if not is_plausible(gyro_frd_rad_s, accel_frd_m_s2):
         return NOT_FINITE
-    capacity = times_us.size
-    slot = (cursor[OLDEST] + cursor[WAITING]) % capacity
+    here = block[0]
+    x, cov, estimate, tilt, cursor = here["x"], here["cov"], here["estimate"], here["tilt"], here["cursor"]
+    capacity = samples.size
+    newest = samples[(cursor[OLDEST] + cursor[WAITING]) % capacity]
     dt_s = (time_us - cursor[NEWEST_US]) * 1e-6
     cursor[NEWEST_US] = time_us
-    samples[slot, 0:3] = gyro_frd_rad_s
-    samples[slot, 3:6] = accel_frd_m_s2
-    samples[slot, 6] = dt_s
-    times_us[slot] = time_us
+    newest["gyro_frd_rad_s"][:] = gyro_frd_rad_s
+    newest["accel_frd_m_s2"][:] = accel_frd_m_s2
+    newest["dt_s"] = dt_s
+    newest["time_us"] = time_us
     cursor[WAITING] += 1
     limit_us = time_us - cursor[DELAY_US]
-    while cursor[WAITING] > 0 and (times_us[cursor[OLDEST]] <= limit_us or cursor[WAITING] == capacity):
+    while cursor[WAITING] > 0 and (
+        samples[cursor[OLDEST]]["time_us"] <= limit_us or cursor[WAITING] == capacity
+    ):
         sample = samples[cursor[OLDEST]]
-        from_bias, vel_from_attitude = error_transition(x, sample[3:6], sample[6])
-        integrate(x, sample[0:3], sample[3:6], sample[6])
-        predict_covariance(cov, from_bias, vel_from_attitude, noise_psd, sample[6])
-        carry_level(tilt, sample[0:3], sample[3:6], sample[6])
-        cursor[HORIZON_US] = times_us[cursor[OLDEST]]
+        gyro, accel, over_s = sample["gyro_frd_rad_s"], sample["accel_frd_m_s2"], sample["dt_s"]
+        from_bias, vel_from_attitude = error_transition(x, accel, over_s)
+        integrate(x, gyro, accel, over_s)
+        predict_covariance(cov, from_bias, vel_from_attitude, here["noise_psd"], over_s)
+        carry_level(tilt, gyro, accel, over_s)
+        cursor[HORIZON_US] = sample["time_us"]
         cursor[OLDEST] = (cursor[OLDEST] + 1) % capacity
         cursor[WAITING] -= 1
     acc = integrate(estimate[:STATES], gyro_frd_rad_s, accel_frd_m_s2, dt_s)
@@ -99,40 +111,49 @@ def advance(
 
 
 @njit(cache=True)
-def predict_now(x: Array, cov: Array, estimate: Array, samples: Array, cursor: NDArray[np.int64]) -> None:
-    """Set the estimate to ``x`` moved by all waiting samples."""
-    estimate[:STATES] = x
-    capacity = samples.shape[0]
+def predict_now(block: Block, samples: Block) -> None:
+    """Set the estimate to the filter's state moved by all waiting samples; arguments as of `advance`."""
+    here = block[0]
+    estimate, cursor = here["estimate"], here["cursor"]
+    estimate[:STATES] = here["x"]
+    capacity = samples.size
     for waiting in range(cursor[WAITING]):
         sample = samples[(cursor[OLDEST] + waiting) % capacity]
-        acc = integrate(estimate[:STATES], sample[0:3], sample[3:6], sample[6])
+        acc = integrate(estimate[:STATES], sample["gyro_frd_rad_s"], sample["accel_frd_m_s2"], sample["dt_s"])
         estimate[ACC], estimate[ACC + 1], estimate[ACC + 2] = acc
     newest = samples[(cursor[OLDEST] + cursor[WAITING] - 1) % capacity]
-    describe(cov, newest[0:3], estimate)
+    describe(here["cov"], newest["gyro_frd_rad_s"], estimate)
 
 
 class DelayedHorizon:
     """State and covariance at the horizon, the samples that wait, and the estimate of now."""
 
     def __init__(self, x: Array, cov: Array, *, time_us: int, delay_us: int, noise_psd: Array) -> None:
-        self.x = x
+        self.block: Block = np.zeros(1, HORIZON)
+        """Of `HORIZON`, like all that follows but the samples"""
+        self.samples: Block = np.zeros(delay_us // SHORTEST_SAMPLE_US + 2, SAMPLE)
+        """The ring, of `SAMPLE`"""
+        here = self.block[0]
+        self.x: Array = here["x"]
         """(16,) nominal state at the horizon"""
-        self.cov = cov
+        self.cov: Array = here["cov"]
         """(15, 15) its covariance"""
-        self.estimate = np.zeros(ESTIMATE)
-        self.estimate[:STATES] = x
-        self.now = self.estimate[:STATES]
+        self.estimate: Array = here["estimate"]
+        self.now: Array = self.estimate[:STATES]
         """(16,) nominal state at ``time_us``"""
-        self.acc_ned_m_s2 = self.estimate[ACC:OMEGA]
-        self.noise_psd = noise_psd
-        """(4,) process noise as ``kernels`` orders it; may be replaced at any time"""
-        self.tilt = level_start(x[:4], x[GYRO_BIAS : GYRO_BIAS + 3])
+        self.acc_ned_m_s2: Array = self.estimate[ACC:OMEGA]
+        self.noise_psd: Array = here["noise_psd"]
+        """(4,) process noise as ``kernels`` orders it; may be written at any time"""
+        self.tilt: Array = here["tilt"]
         """``yaw_gsf``'s complementary filter at the horizon"""
-        capacity = delay_us // SHORTEST_SAMPLE_US + 2
-        self._samples = np.zeros((capacity, 7))
-        self._times_us = np.zeros(capacity, dtype=np.int64)
-        self._cursor = np.array([0, 0, time_us, time_us, delay_us], dtype=np.int64)
-        describe(cov, np.zeros(3), self.estimate)
+        self._cursor: NDArray[np.int64] = here["cursor"]
+        self.x[:] = x
+        self.cov[:] = cov
+        self.now[:] = x
+        self.noise_psd[:] = noise_psd
+        self.tilt[:] = level_start(x[:4], x[GYRO_BIAS : GYRO_BIAS + 3])
+        self._cursor[:] = (0, 0, time_us, time_us, delay_us)
+        describe(self.cov, np.zeros(3), self.estimate)
 
     @property
     def time_us(self) -> int:
@@ -149,24 +170,12 @@ class DelayedHorizon:
 
         Returns the horizon's time, or NOT_FINITE: such a sample changes nothing.
         """
-        horizon_us: int = advance(
-            self.x,
-            self.cov,
-            self.estimate,
-            self._samples,
-            self._times_us,
-            self._cursor,
-            self.tilt,
-            self.noise_psd,
-            time_us,
-            gyro_frd_rad_s,
-            accel_frd_m_s2,
-        )
+        horizon_us: int = advance(self.block, self.samples, time_us, gyro_frd_rad_s, accel_frd_m_s2)
         return horizon_us
 
     def corrected(self) -> None:
         """Carry a change of ``x`` and ``cov`` to the estimate of now."""
-        predict_now(self.x, self.cov, self.estimate, self._samples, self._cursor)
+        predict_now(self.block, self.samples)
 
     def reset(self, first: int, values: Array, variances: Array) -> None:
         """Set ``x[first : first + n]`` (velocity or position) and drop its correlations with the rest."""

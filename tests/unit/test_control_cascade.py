@@ -9,6 +9,7 @@ from control_fixtures import estimate
 from autopilot.control import ControlParams, FlightController
 from autopilot.control.allocation import Allocator
 from autopilot.control.attitude import AttitudeController
+from autopilot.control.block import new_block
 from autopilot.control.cascade import airmode_above
 from autopilot.control.disturbance import DisturbanceObserver
 from autopilot.control.hover_thrust import HoverThrustEstimator
@@ -29,10 +30,10 @@ class Parts:
         self.observer = DisturbanceObserver(PARAMS.disturbance)
         self.hover = HoverThrustEstimator(PARAMS.hover_thrust, start=PARAMS.position.thr_hover)
         self.position = PositionController(PARAMS.position, integral_share=share)
-        self.allocator = Allocator(PARAMS.allocation)
-        self.inner = InnerLoop(
-            AttitudeController(PARAMS.attitude), RateController(PARAMS.rate), self.allocator
-        )
+        block = new_block()
+        self.allocator = Allocator(PARAMS.allocation, block)
+        self.attitude = AttitudeController(PARAMS.attitude, block)
+        self.inner = InnerLoop(block, RateController(PARAMS.rate, block), self.allocator)
         self.output = None
         self.updates = 0
 

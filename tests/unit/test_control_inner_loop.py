@@ -7,6 +7,7 @@ import pytest
 
 from autopilot.control.allocation import Allocator
 from autopilot.control.attitude import AttitudeController
+from autopilot.control.block import new_block
 from autopilot.control.inner_loop import InnerLoop
 from autopilot.control.params import AllocationParams, AttitudeParams, RateParams
 from autopilot.control.rates import RateController
@@ -19,13 +20,19 @@ def stages():
     return AttitudeController(AttitudeParams()), RateController(RateParams()), Allocator(AllocationParams())
 
 
+def inner_loop():
+    block = new_block()
+    AttitudeController(AttitudeParams(), block)
+    return InnerLoop(block, RateController(RateParams(), block), Allocator(AllocationParams(), block))
+
+
 @pytest.mark.parametrize("airmode_above", [math.inf, 0.2])
 @pytest.mark.parametrize("by_tilt", [False, True])
 @pytest.mark.parametrize("integrate", [False, True])
 def test_equals_the_stages_one_after_the_other(airmode_above, by_tilt, integrate):
     rng = np.random.default_rng(1)
     attitude, rates, allocator = stages()
-    inner = InnerLoop(*stages())
+    inner = inner_loop()
     for _ in range(200):
         q, wanted = rng.normal(size=(2, 4))
         q, wanted = q / np.linalg.norm(q), wanted / np.linalg.norm(wanted)
@@ -50,7 +57,7 @@ def test_equals_the_stages_one_after_the_other(airmode_above, by_tilt, integrate
 def test_rates_go_by_the_attitude_within_its_limits(airmode_above, integrate):
     rng = np.random.default_rng(2)
     attitude, rates, allocator = stages()
-    inner = InnerLoop(*stages())
+    inner = inner_loop()
     limit = attitude.rate_max_rad_s
     for _ in range(200):
         omega, wanted = rng.normal(size=(2, 3)) * 3.0
@@ -66,7 +73,7 @@ def test_rates_go_by_the_attitude_within_its_limits(airmode_above, integrate):
 
 
 def test_a_reset_forgets_what_was_flown():
-    inner, fresh = InnerLoop(*stages()), InnerLoop(*stages())
+    inner, fresh = inner_loop(), inner_loop()
     level = np.array((1.0, 0.0, 0.0, 0.0))
     setpoint = AttitudeSetpoint(q_ned_frd=level, yaw_rate_rad_s=0.5, thrust=0.5)
 
