@@ -54,7 +54,7 @@ HORIZON = np.dtype(
     ],
     align=True,
 )
-"""All that the filter remembers but the samples that wait: a block, for compiled code is then given one array."""
+"""All that the filter remembers but the samples that wait: compiled code is then given one array."""
 SAMPLE = np.dtype(
     [("gyro_frd_rad_s", "f8", 3), ("accel_frd_m_s2", "f8", 3), ("dt_s", "f8"), ("time_us", "i8")], align=True
 )
