@@ -1,20 +1,19 @@
 """The launcher's end of the line to a process that forks others: see `netsim.forking`."""
 
+import os
 import queue
 import socket
-import threading
-import time
 from concurrent.futures import Future
 from typing import NamedTuple
 
 import msgspec
 import psutil
 
+from harness.listener import Listener
 from netsim.forking import MOST_BYTES, Answer, Ended, Fork, Forked, NotForked
 
 FORK_LIMIT_S = 30.0
 """Wall time within which a fork must be answered, by a forker that is ready."""
-_POLL_S = 0.02
 _encoder = msgspec.json.Encoder()
 _answers = msgspec.json.Decoder(Answer)
 
@@ -39,14 +38,22 @@ class _Living(NamedTuple):
 class Forker:
     """One such process. ``theirs`` is its end of the line, to be closed here once it has inherited that.
 
-    What is to be done at the end of what was forked is done on a thread of its own, one end after the other.
+    ``listener``: what hears it, and on whose thread endings are told.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, listener: Listener) -> None:
         self._line, self.theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._answers: queue.SimpleQueue[ForkedProcess | NotForked] = queue.SimpleQueue()
         self._living: dict[int, _Living] = {}
-        threading.Thread(target=self._listen, name="hear forker", daemon=True).start()
+        self._listener = listener
+
+    def listen(self) -> None:
+        """Take answers from now on."""
+        self._listener.call(lambda: self._listener.watch(self._line.fileno(), self._on_line))
+
+    def close(self) -> None:
+        """Hang up, when nobody listens: not yet, or not any more."""
+        self._line.close()
 
     def fork(self, request: Fork, stdio: tuple[int, int, int]) -> ForkedProcess:
         """Have a process forked with these standard streams. Raises ForkError.
@@ -66,30 +73,51 @@ class Forker:
             raise ForkError(answer.reason)
         return answer
 
-    def _listen(self) -> None:
-        """Take answers until the forker's end of the line is closed, then look after those it has left."""
-        with self._line:
-            while packet := self._receive():
-                match answer := _answers.decode(packet):
-                    case Ended(pid=pid, returncode=returncode):
-                        self._living.pop(pid).ending.set_result(returncode)
-                    case Forked(pid=pid):
-                        living = self._living[pid] = _Living(process_of(pid), Future())
-                        self._answers.put(ForkedProcess(pid, living.ending))
-                    case NotForked():
-                        self._answers.put(answer)
-        self._answers.put(NotForked(reason="nobody is there to fork it"))
-        while self._living:
-            for pid, living in list(self._living.items()):
-                if _is_gone(living.process):
-                    del self._living[pid]
-                    living.ending.set_result(None)
-            # polled, for a process that is not a child of this one can be waited for in no other way
-            time.sleep(_POLL_S)
+    def _on_line(self) -> None:
+        """Take an answer; once the forker's end of the line is closed, look after those it has left."""
+        packet = self._receive()
+        if packet is None:
+            return
+        if not packet:
+            self._listener.forget(self._line.fileno())
+            self._line.close()
+            self._answers.put(NotForked(reason="nobody is there to fork it"))
+            for pid in list(self._living):
+                self._adopt(pid)
+            return
+        match answer := _answers.decode(packet):
+            case Ended(pid=pid, returncode=returncode):
+                self._living.pop(pid).ending.set_result(returncode)
+            case Forked(pid=pid):
+                living = self._living[pid] = _Living(process_of(pid), Future())
+                self._answers.put(ForkedProcess(pid, living.ending))
+            case NotForked():
+                self._answers.put(answer)
 
-    def _receive(self) -> bytes:
+    def _adopt(self, pid: int) -> None:
+        """Take note when a process ends whose forker has, and so nobody tells how."""
         try:
-            return self._line.recv(MOST_BYTES)
+            pidfd = os.pidfd_open(pid)
+        except ProcessLookupError:
+            self._living.pop(pid).ending.set_result(None)
+            return
+
+        def look() -> None:
+            self._listener.forget(pidfd)
+            os.close(pidfd)
+            self._living.pop(pid).ending.set_result(None)
+
+        self._listener.watch(pidfd, look)
+        process = self._living[pid].process
+        if process is None or not process.is_running():  # whoever has that number now is a stranger
+            look()
+
+    def _receive(self) -> bytes | None:
+        """Read a packet: empty at the line's end, None if there is none yet."""
+        try:
+            return self._line.recv(MOST_BYTES, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return None
         except ConnectionResetError:
             return b""
 
@@ -100,10 +128,3 @@ def process_of(pid: int) -> psutil.Process | None:
         return psutil.Process(pid)
     except psutil.NoSuchProcess:
         return None
-
-
-def _is_gone(process: psutil.Process | None) -> bool:
-    try:
-        return process is None or not process.is_running() or process.status() == psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return True

@@ -2,7 +2,8 @@
 
 Knows nothing of swarms. A child is a command with a name; it speaks the protocol of `netsim.child`: JSON
 events on its stdout, commands on its stdin, and an end when stdin ends. All that the children say, and how
-they end, comes out of one queue. A child may be a forker (`harness.forker`), and others be forked by it.
+they end, is heard by one thread and comes out of one queue. A child may be a forker (`harness.forker`), and
+others be forked by it.
 
 Ctrl-C cannot fall between a process's start and its being known, nor cut a stop short: `interrupts_deferred`.
 """
@@ -27,6 +28,7 @@ import psutil
 from msgspec import Struct
 
 from harness.forker import Forker, ForkError, process_of
+from harness.listener import Listener
 from harness.messages import AnyCommand, AnyEvent
 from netsim.child import Finished, Influenced, Ready, Stop, Warned
 from netsim.forking import Fork
@@ -40,7 +42,9 @@ TERM_GRACE_S = 2.0
 KILL_GRACE_S = 5.0
 """Wall time within which the kernel must have ended a process after SIGKILL."""
 LAST_WORDS_S = 0.2
-"""Wall time for which a dead child's stdout is still read, if something that it started holds it open."""
+"""Wall time for which the stdout of dead children is still read, if what one started holds it open."""
+PIPE_BYTES = 65_536
+"""As much as a pipe holds."""
 TAIL_LINES = 8
 TAIL_BYTES = 64 * 1024
 
@@ -134,19 +138,24 @@ def interrupts_deferred() -> Iterator[None]:
 
 
 class _Child:
-    """One process with its pipes and what it said last."""
+    """One process with its pipes and what it said last. ``forker``: who forked it, and tells how it ends."""
 
-    def __init__(self, name: str, pid: int, stdin: IO[bytes], stdout: IO[bytes], log: IO[bytes]) -> None:
+    def __init__(self, name: str, pid: int, stdin: IO[bytes], stdout: IO[bytes], forker: str | None) -> None:
         self.name = name
         self.pid = pid
+        self.forker = forker
         self.process = process_of(pid)
         self.stdin = stdin
         self.stdout = stdout
-        self.log = log
         self.gone = threading.Event()
-        self.reader: threading.Thread | None = None
+        """It has ended, and its last words are in the queue."""
+        self.silent = threading.Event()
+        """Its stdout has ended."""
+        self._unfinished = b""
+        """The line that it is about to say."""
         self._stdin_lock = threading.Lock()
-        os.set_blocking(self.stdin.fileno(), False)  # a child that does not read must not stop its launcher
+        for pipe in (self.stdin, self.stdout):  # whatever a child does, its launcher goes on
+            os.set_blocking(pipe.fileno(), False)
 
     def __str__(self) -> str:
         return f"{self.name} (pid {self.pid})"
@@ -166,6 +175,19 @@ class _Child:
     def end_input(self) -> None:
         with self._stdin_lock:
             self.stdin.close()
+
+    def read_lines(self) -> list[bytes]:
+        """Lines that it has finished, as far as one pipe holds; `silent` is set when there are no more."""
+        if self.silent.is_set():
+            return []
+        try:
+            data = os.read(self.stdout.fileno(), PIPE_BYTES)
+        except BlockingIOError:
+            return []
+        if not data:
+            self.silent.set()
+        *lines, self._unfinished = (self._unfinished + data).split(b"\n")
+        return lines if data or not self._unfinished else [self._unfinished]
 
     def signal(self, number: signal.Signals) -> None:
         with contextlib.suppress(psutil.NoSuchProcess):
@@ -187,6 +209,7 @@ class Supervisor:
         self._heard: queue.SimpleQueue[Heard] = queue.SimpleQueue()
         self._children: dict[str, _Child] = {}
         self._forkers: dict[str, Forker] = {}
+        self._listener = Listener("hear children")
         self._lock = threading.Lock()
         self._stopping = False
 
@@ -209,6 +232,7 @@ class Supervisor:
             try:
                 popen = subprocess.Popen(
                     list(command),
+                    bufsize=0,
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     stderr=log,
@@ -219,17 +243,26 @@ class Supervisor:
             except OSError as error:
                 raise SupervisorError(f"{name}: cannot be started: {error}") from None
             assert popen.stdin is not None and popen.stdout is not None  # noqa: PT018, S101  as asked for
-            child = self._add(_Child(name, popen.pid, popen.stdin, popen.stdout, log))
-            threading.Thread(
-                target=lambda: self._on_end(child, popen.wait()), name=f"watch {name}", daemon=True
-            ).start()
+            try:
+                pidfd = os.pidfd_open(popen.pid)
+            except OSError as error:
+                popen.kill()
+                popen.wait()
+                raise SupervisorError(f"{name}: cannot be watched: {error}") from None
+            child = self._add(_Child(name, popen.pid, popen.stdin, popen.stdout, None))
+            self._listener.call(lambda: self._watch_end(child, popen, pidfd))
             return child.pid
 
     def start_forker(self, name: str, command: Sequence[str]) -> int:
         """Start a child that others can be forked from; it gets ``--fork-fd``. Raises as `start`."""
-        forker = Forker()
-        with forker.theirs as line:
-            pid = self.start(name, [*command, "--fork-fd", str(line.fileno())], pass_fds=[line.fileno()])
+        forker = Forker(self._listener)
+        try:
+            with forker.theirs as line:
+                pid = self.start(name, [*command, "--fork-fd", str(line.fileno())], pass_fds=[line.fileno()])
+        except SupervisorError:
+            forker.close()
+            raise
+        forker.listen()
         self._forkers[name] = forker
         return pid
 
@@ -243,7 +276,7 @@ class Supervisor:
             (stdin, our_stdin), (our_stdout, stdout) = os.pipe(), os.pipe()
             for fd in (stdin, stdout):
                 theirs.callback(os.close, fd)
-            ours = os.fdopen(our_stdin, "wb", buffering=0), os.fdopen(our_stdout, "rb")
+            ours = os.fdopen(our_stdin, "wb", buffering=0), os.fdopen(our_stdout, "rb", buffering=0)
             request = Fork(name=name, arguments=tuple(arguments), environment=self._mark(name))
             try:
                 forked = self._forkers[forker].fork(request, (stdin, stdout, log.fileno()))
@@ -251,8 +284,10 @@ class Supervisor:
                 for pipe in ours:
                     pipe.close()
                 raise SupervisorError(f"{name}: cannot be forked by {forker}: {error}") from None
-            child = self._add(_Child(name, forked.pid, *ours, log))
-            forked.ending.add_done_callback(lambda ending: self._on_end(child, ending.result()))
+            child = self._add(_Child(name, forked.pid, *ours, forker))
+            forked.ending.add_done_callback(
+                lambda ending: self._listener.call(lambda: self._on_end(child, ending.result()))
+            )
             return child.pid
 
     @contextlib.contextmanager
@@ -261,12 +296,8 @@ class Supervisor:
         with interrupts_deferred(), self._lock:
             if self._stopping:
                 raise SupervisorError(f"{name}: not started, for the run is being stopped")
-            log = self.log_path(name).open("ab", buffering=0)  # appended to, so parent and child can share it
-            try:
+            with self.log_path(name).open("ab", buffering=0) as log:  # appended to: both write into it
                 yield log
-            except SupervisorError:
-                log.close()
-                raise
 
     def _mark(self, name: str) -> dict[str, str]:
         return {MARK: f"{self.token}/{name}"}
@@ -274,27 +305,41 @@ class Supervisor:
     def _add(self, child: _Child) -> _Child:
         """Know a new child and hear it."""
         self._children[child.name] = child
-        child.reader = threading.Thread(
-            target=self._read, args=(child,), name=f"hear {child.name}", daemon=True
-        )
-        child.reader.start()
+        stdout = child.stdout.fileno()
+        self._listener.call(lambda: self._listener.watch(stdout, lambda: self._hear(child)))
         return child
 
-    def _read(self, child: _Child) -> None:
+    def _hear(self, child: _Child) -> None:
         """Queue each line that is an event; native libraries print too, and that belongs in the log."""
-        with child.stdout, child.log:
-            for line in child.stdout:
-                try:
-                    self._heard.put((child.name, _decoder.decode(line)))
-                except (msgspec.DecodeError, UnicodeDecodeError):
-                    with contextlib.suppress(OSError):  # a full disk must not stop the events
-                        child.log.write(line)
+        if child.silent.is_set():
+            return
+        for line in child.read_lines():
+            try:
+                self._heard.put((child.name, _decoder.decode(line)))
+            except (msgspec.DecodeError, UnicodeDecodeError):
+                # a full disk must not stop the events
+                with contextlib.suppress(OSError), self.log_path(child.name).open("ab") as log:
+                    log.write(line + b"\n")
+        if child.silent.is_set():
+            self._listener.forget(child.stdout.fileno())
+            child.stdout.close()
+
+    def _watch_end(self, child: _Child, process: "subprocess.Popen[bytes]", pidfd: int) -> None:
+        """Take note when a child of this process ends."""
+
+        def look() -> None:
+            returncode = process.poll()
+            if returncode is not None:
+                self._listener.forget(pidfd)
+                os.close(pidfd)
+                self._on_end(child, returncode)
+
+        self._listener.watch(pidfd, look)
 
     def _on_end(self, child: _Child, returncode: int | None) -> None:
-        """Queue a child's end after its last event."""
+        """Queue a child's end after its last event, which is in the pipe if it has not been heard yet."""
         child.end_input()
-        if child.reader is not None:
-            child.reader.join(LAST_WORDS_S)
+        self._hear(child)
         exited = Exited(
             name=child.name,
             pid=child.pid,
@@ -325,6 +370,7 @@ class Supervisor:
         """SIGKILL a child and return when it is gone."""
         child = self._children[name]
         child.signal(signal.SIGKILL)
+        self._wake([child])
         if not child.gone.wait(KILL_GRACE_S):
             raise SupervisorError(f"{child} does not end on SIGKILL")
 
@@ -332,10 +378,11 @@ class Supervisor:
         """End these children, all at once, and return a line for each that had to be forced.
 
         They are told to stop and have ``grace_s`` to write what they have; then their input ends, and
-        SIGTERM and SIGKILL follow, after `INPUT_GRACE_S` and `TERM_GRACE_S`.
+        SIGTERM and SIGKILL follow, after `INPUT_GRACE_S` and `TERM_GRACE_S`. Who is stopped goes on, to obey.
         """
         with interrupts_deferred():
             children = [self._children[name] for name in names if self.alive(name)]
+            self._wake(children)
             for child in children:
                 with contextlib.suppress(SupervisorError):
                     child.write(_encoder.encode(Stop()) + b"\n")
@@ -354,6 +401,11 @@ class Supervisor:
                 _wait_gone(late, patience_s)
             return forced
 
+    def _wake(self, children: Iterable[_Child]) -> None:
+        """Have these go on if they were stopped (SIGSTOP), and their forkers, who tell how they end."""
+        for name in {name for child in children for name in (child.name, child.forker) if name}:
+            self._children[name].signal(signal.SIGCONT)
+
     def stop(self) -> list[str]:
         """End every child at once, and whatever these started, for good: none can be started afterwards.
 
@@ -363,9 +415,14 @@ class Supervisor:
             with self._lock:
                 self._stopping = True
             forced = self.end(self._children) + self._end_strays()
+            deadline = time.monotonic() + LAST_WORDS_S
             for child in self._children.values():
-                if child.reader is not None:
-                    child.reader.join(LAST_WORDS_S)
+                child.silent.wait(max(0.0, deadline - time.monotonic()))
+            self._listener.close()
+            for child in self._children.values():
+                child.stdout.close()
+            for forker in self._forkers.values():
+                forker.close()
             return forced
 
     def _end_strays(self) -> list[str]:

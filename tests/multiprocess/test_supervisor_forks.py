@@ -201,21 +201,62 @@ def test_forker_that_cannot_work_and_a_fork_that_is_refused_are_a_line_each(tmp_
         supervisor.stop()
 
 
-def test_sixty_four_need_few_descriptors_and_little_time(supervisor: Supervisor) -> None:
-    before, count = psutil.Process().num_fds(), 64
+def test_sixty_four_need_few_descriptors_no_threads_and_little_time(supervisor: Supervisor) -> None:
+    before, threads, count = psutil.Process().num_fds(), psutil.Process().num_threads(), 64
     began_s = time.process_time()
     names = [f"uav {i}" for i in range(count)]
     pids = [supervisor.fork(name, ["polite", name], forker="forker") for name in names]
     assert time.process_time() - began_s < 1.0
     ready = {hear_any(supervisor) for _ in names}
     assert ready == set(names)
-    assert psutil.Process().num_fds() - before <= 3 * count
+    assert psutil.Process().num_fds() - before == 2 * count  # stdin and stdout
+    assert psutil.Process().num_threads() == threads
     limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     assert psutil.Process(supervisor.pids["forker"]).num_fds() < count + 16 < limit
     assert supervisor.end(names) == []
     assert not any(psutil.pid_exists(pid) for pid in pids)
     # and gives them back
     wait_for(lambda: psutil.Process().num_fds() <= before, "descriptors of children that have ended")
+
+
+def test_who_is_stopped_goes_on_to_end_as_it_should(supervisor: Supervisor) -> None:
+    """A forker that is stopped cannot tell how its own ended, and would hold up everybody's end."""
+    names = ["uav 0", "uav 1", "uav 2"]
+    for name in names:
+        supervisor.fork(name, ["polite", name], forker="forker")
+    assert {hear_any(supervisor) for _ in names} == set(names)
+    os.kill(supervisor.pids["forker"], signal.SIGSTOP)
+    supervisor.kill("uav 0")
+    for name in ("forker", "uav 1"):
+        os.kill(supervisor.pids[name], signal.SIGSTOP)
+    began_s = time.monotonic()
+    assert supervisor.end(["uav 1", "uav 2"], grace_s=WALL_LIMIT_S) == []
+    assert supervisor.stop() == []
+    assert time.monotonic() - began_s < WALL_LIMIT_S / 4
+    ends = {}
+    while (heard := supervisor.hear(0.0)) is not None:
+        if isinstance(heard[1], Exited):
+            ends[heard[0]] = heard[1].returncode
+    assert ends == {"uav 0": -signal.SIGKILL, "uav 1": 0, "uav 2": 0, "forker": 0}
+
+
+def test_who_is_left_by_a_forker_and_who_ended_with_it_is_told_in_any_order(supervisor: Supervisor) -> None:
+    """The launcher waits for each that the forker has left, without its help."""
+    names = [f"uav {i}" for i in range(8)]
+    pids = [supervisor.fork(name, ["polite", name], forker="forker") for name in names]
+    assert {hear_any(supervisor) for _ in names} == set(names)
+    os.kill(supervisor.pids["forker"], signal.SIGSTOP)
+    for pid in pids[::2]:
+        os.kill(pid, signal.SIGKILL)
+    os.kill(supervisor.pids["forker"], signal.SIGKILL)
+    ends = {}
+    while len(ends) < 1 + len(pids[::2]):
+        heard = supervisor.hear(WALL_LIMIT_S)
+        assert heard is not None
+        if isinstance(heard[1], Exited):
+            ends[heard[0]] = heard[1].returncode
+    assert ends == dict.fromkeys(names[::2]) | {"forker": -signal.SIGKILL}
+    assert supervisor.stop() == []
 
 
 def hear_any(supervisor: Supervisor) -> str:

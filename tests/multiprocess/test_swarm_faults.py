@@ -43,8 +43,21 @@ def test_a_vehicle_that_stops_answering_is_named_within_a_second_and_the_others_
     truth = flight.run_until(lambda truth: truth.height_m[2] < 0.3, timeout_s=5.0)
     assert truth.alive.tolist() == [True, True, False]
     assert truth.height_m[:2].min() > 1.8
+    wall_begin_s = time.monotonic()
     flight.stop()
-    assert flight.forced  # it could not end by itself, and is gone all the same (the fixture looks)
+    assert flight.forced == ()  # it goes on in order to end
+    assert time.monotonic() - wall_begin_s < 5.0
+
+
+def test_a_hangar_that_is_stopped_does_not_hold_up_the_end(swarm):
+    flight = swarm(ARTICLE, agents=2)
+    flight.run_for(0.1)
+    os.kill(flight.pids["hangar"], signal.SIGSTOP)
+    wall_begin_s = time.monotonic()
+    flight.stop()
+    assert time.monotonic() - wall_begin_s < 5.0  # what a vehicle is given alone is 10 s
+    assert flight.forced == ()
+    assert flight.summary(draw=False)["status"] == "completed"
 
 
 def test_a_scenario_may_end_with_the_first_loss(swarm):
