@@ -1,9 +1,9 @@
 """``python -m autopilot --instance 3``: one UAV's process, and the only part of it that touches sockets.
 
-It connects to the simulator as PX4 does (TCP, retrying until it is there), to the run's radio, and opens its
-MAVLink links; then each HIL_SENSOR makes one step of the vehicle and one answer. While the simulator is
-silent, for simulated time stands or is slow, the links are answered all the same and heartbeats go on by wall
-clock. It ends when the simulator hangs up.
+It connects to the simulator as PX4 does (TCP, retrying until it is there) or by a Unix socket that it is told
+of, to the run's radio, and opens its MAVLink links; then each HIL_SENSOR makes one step of the vehicle and
+one answer. While the simulator is silent, for simulated time stands or is slow, the links are answered all
+the same and heartbeats go on by wall clock. It ends when the simulator hangs up.
 """
 
 import argparse
@@ -61,8 +61,11 @@ class SimulatorUnreachable(ConnectionError):
     """No simulator where there should be one; the text is one line."""
 
 
-def connect_simulator(host: str, port: int, wall_timeout_s: float) -> socket.socket:
-    """Connect to the simulator's TCP port, trying again until it is there. Raises SimulatorUnreachable."""
+def connect_simulator(ports: VehiclePorts, wall_timeout_s: float) -> socket.socket:
+    """Connect to the simulator, trying again until its TCP port is there. Raises SimulatorUnreachable."""
+    if ports.simulator_unix is not None:
+        return _connect_unix(ports.simulator_unix)
+    host, port = ports.host, ports.simulator_tcp
     wall_deadline_s = time.monotonic() + wall_timeout_s
     while True:
         try:
@@ -77,6 +80,17 @@ def connect_simulator(host: str, port: int, wall_timeout_s: float) -> socket.soc
             connection.settimeout(None)
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             return connection
+
+
+def _connect_unix(name: str) -> socket.socket:
+    """Connect to a Unix socket in the abstract namespace; whoever tells its name listens there already."""
+    connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        connection.connect(f"\0{name}")
+    except OSError as error:
+        connection.close()
+        raise SimulatorUnreachable(f"no simulator at {name} ({error.strerror or error})") from None
+    return connection
 
 
 class Process:
@@ -98,9 +112,7 @@ class Process:
         """Whether somebody listens, as of the last look at the links"""
         self._poll_us = 0
         self._wall_poll_s = self._wall_heartbeat_s = time.monotonic()
-        self._simulator = stack.enter_context(
-            connect_simulator(ports.host, ports.simulator_tcp, config.connect_timeout_s)
-        )
+        self._simulator = stack.enter_context(connect_simulator(ports, config.connect_timeout_s))
         self._simulator.sendall(self._host.introduction())
         # the kernel's time limit, for Python's own costs a system call more each time
         self._simulator.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _SILENCE_TIMEVAL)

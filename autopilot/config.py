@@ -266,6 +266,8 @@ class VehiclePorts(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     host: str = "127.0.0.1"
     """The simulator's; that of the links is `LinksConfig`'s."""
     simulator_tcp: Port = 4560
+    simulator_unix: str | None = None
+    """Name of a Unix socket of the simulator in Linux's abstract namespace, used instead of its TCP port."""
     gcs_local_udp: Port = 18570
     gcs_remote_udp: Port = 14550
     companion_local_udp: Port = 14580

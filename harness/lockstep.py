@@ -2,8 +2,8 @@
 
 Everyone gets the sensors of an instant, everyone's answer is waited for, as far as its `Manners` let it be.
 
-An edge: owns the TCP connections of PX4's simulator API and the wall-clock patience with a vehicle that
-stays silent. What a silence means is told from outside by `harness.patience`, and who may take a seat is
+An edge: owns the connections of PX4's simulator API and the wall-clock patience with a vehicle that stays
+silent. What a silence means is told from outside by `harness.patience`, and who may take a seat is
 `harness.reception`'s.
 """
 
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.hil import HilActuatorControls, HilParser, whole_answer
 from harness.patience import STARTING_LIMIT_S, Patience
-from harness.reception import Newcomer, Reception
+from harness.reception import Arrival, Door, Reception
 
 POLL_S = 0.1
 FREE_STEP_S = 0.004
@@ -119,7 +119,8 @@ class Lockstep:
 
     ``on_message(instance, message)`` is called for everything but the answers; ``on_silent(instance,
     wall_silence_s)`` once per silence; ``on_lost(instance, reason)`` when a vehicle leaves for good.
-    ``manners`` are the vehicles', own ones' if not given.
+    ``manners`` are the vehicles', own ones' if not given. ``listeners`` are one for each seat, TCP;
+    ``own_listener`` is a Unix socket at which all own vehicles may come as well.
     """
 
     def __init__(
@@ -131,13 +132,18 @@ class Lockstep:
         on_silent: Callable[[int, float], None],
         on_lost: Callable[[int, str], None],
         manners: Sequence[Manners] = (),
+        own_listener: socket.socket | None = None,
     ) -> None:
         manners = manners or [OWN] * len(listeners)
         self.seats = [Seat(i, manners[i]) for i in range(len(listeners))]
         self.living = 0
         """How many vehicles are in the run."""
-        self._listeners = list(listeners)
-        self._reception = Reception(dict(enumerate(listeners)))
+        doors = [Door(listener, frozenset((i,))) for i, listener in enumerate(listeners)]
+        if own_listener is not None:
+            own = frozenset(seat.instance for seat in self.seats if seat.manners == OWN)
+            doors.append(Door(own_listener, own))
+        self._listeners = [door.listener for door in doors]
+        self._reception = Reception(doors)
         self._patience = patience
         self._on_message, self._on_silent, self._on_lost = on_message, on_silent, on_lost
         self._pending: list[Seat] = []
@@ -161,25 +167,26 @@ class Lockstep:
         reception = self._reception
         wall_deadline_s = time.monotonic() + wall_timeout_s
         while reception.waiting_for and keep_waiting():
-            for newcomer in reception.look(POLL_S):
-                self._seat(newcomer)
+            for arrival in reception.look(POLL_S):
+                self._seat(arrival)
             if time.monotonic() > wall_deadline_s and reception.waiting_for:
                 absent = ", ".join(map(str, reception.waiting_for))
                 raise ConnectTimeout(f"no connection from uav {absent} within {wall_timeout_s:g} s")
         if not reception.waiting_for:
             reception.close()
 
-    def _seat(self, newcomer: Newcomer) -> None:
-        connection, seat = newcomer.connection, self.seats[newcomer.instance]
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    def _seat(self, arrival: Arrival) -> None:
+        connection, seat = arrival.connection, self.seats[arrival.instance]
+        if connection.family == socket.AF_INET:
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         # the kernel's time limit, for Python's own costs a system call more each time
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _POLL_TIMEVAL)
         if seat.manners.late_after_s is not None:
             # steps go on without it, so it may leave megabytes unread, and must not hold up the others then
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _POLL_TIMEVAL)
-        seat.connection, seat.parser = connection, newcomer.parser
+        seat.connection, seat.parser = connection, arrival.parser
         self.living += 1
-        for message in newcomer.said[1:]:  # the first was its introduction, which is no news of a flight
+        for message in arrival.said[1:]:  # the first was its introduction, which is no news of a flight
             self._on_message(seat.instance, message)
 
     def overhear(self, instance: int, message: Message) -> None:
@@ -201,11 +208,15 @@ class Lockstep:
                 continue
             try:
                 seat.connection.sendall(frame)
-                (self._free if seat.is_free else self._pending).append(seat)
             except BlockingIOError:
                 self.lose(seat.instance, "it takes no sensors any more")
+                continue
+            except (BrokenPipeError, ConnectionResetError):
+                pass  # it has hung up, which is found where its last words are read
             except OSError:
                 self.lose(seat.instance, "its connection broke")
+                continue
+            (self._free if seat.is_free else self._pending).append(seat)
         self._wall_sent_s = time.monotonic()
         if self._tolerated:
             self._begin_tolerant()

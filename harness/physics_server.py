@@ -247,6 +247,7 @@ def _run(
 def serve(
     config: PhysicsConfig,
     listeners: list[socket.socket],
+    own_listener: socket.socket | None,
     clock: socket.socket | None,
     radio_endpoint: str | None,
 ) -> None:
@@ -266,6 +267,7 @@ def serve(
     def meet(simulation: Simulation) -> Lockstep:
         lockstep = Lockstep(
             listeners,
+            own_listener=own_listener,
             patience=patience,
             on_message=simulation.on_message,
             on_silent=simulation.on_silent,
@@ -313,6 +315,9 @@ def main() -> int:
         "--listen-fds", required=True, help="inherited listening TCP sockets, one per vehicle: 5,6,7"
     )
     parser.add_argument(
+        "--own-listen-fd", type=int, help="inherited listening Unix socket, for all vehicles but PX4s"
+    )
+    parser.add_argument(
         "--clock-fd",
         type=int,
         help="inherited stream socket to the 802.11 emulator; none flies without a radio",
@@ -327,8 +332,11 @@ def main() -> int:
     try:
         config = msgspec.json.decode(arguments.config.read_bytes(), type=PhysicsConfig)
         listeners = [socket.socket(fileno=int(fd)) for fd in arguments.listen_fds.split(",")]
-        clock = None if arguments.clock_fd is None else socket.socket(fileno=arguments.clock_fd)
-        serve(config, listeners, clock, arguments.radio_endpoint)
+        own_listener, clock = (
+            None if fd is None else socket.socket(fileno=fd)
+            for fd in (arguments.own_listen_fd, arguments.clock_fd)
+        )
+        serve(config, listeners, own_listener, clock, arguments.radio_endpoint)
     except (ConnectTimeout, RadioSilent, OSError, ValueError) as error:
         print(f"physics: {error}", file=sys.stderr)
         return 2

@@ -23,12 +23,14 @@ from harness.px4_seat import Px4Error
 from harness.run_folder import RunFolder
 from harness.scenario import Scenario
 from harness.supervisor import (
+    HAS_NAMED_SOCKETS,
     ChildMessage,
     Exited,
     PortError,
     Supervisor,
     SupervisorError,
     bind,
+    bind_local,
     interrupts_deferred,
 )
 from netsim.child import Finished, Influenced, Ready, Warned
@@ -184,6 +186,7 @@ class Processes:
             ]
             simulator_ports = [listener.getsockname()[1] for listener in listeners]
             self._ports.update(simulator_ports)
+            own_name = self._own_link_name(run_id)
             RunFolder.create(self._folder.path)
             if self._has_hangar:  # it takes longest, and needs none of the others
                 self._supervisor.start_forker(HANGAR, python_module("autopilot.hangar", "--supervised"))
@@ -196,6 +199,10 @@ class Processes:
             config = self._folder.write_physics_config(scenario, run_id=run_id)
             command = python_module("harness.physics_server", *supervised(config))
             command += ["--listen-fds", ",".join(map(str, fds)), "--clock-fd", str(physics_fd)]
+            if own_name is not None:
+                own_listener = sockets.enter_context(bind_local(own_name, backlog=len(vehicles)))
+                fds.append(own_listener.fileno())
+                command += ["--own-listen-fd", str(own_listener.fileno())]
             if self._px4:  # whose applications' words reach it by way of the radio
                 command += ["--radio-endpoint", self._radio_endpoint()]
             self._supervisor.start(PHYSICS, command, pass_fds=[*fds, physics_fd])
@@ -204,7 +211,12 @@ class Processes:
             self._await_ready([HANGAR])
         for i in vehicles:
             config = self._folder.write_vehicle_config(
-                scenario, i, run_id=run_id, simulator_port=simulator_ports[i], radio_endpoint=endpoint
+                scenario,
+                i,
+                run_id=run_id,
+                simulator_port=simulator_ports[i],
+                radio_endpoint=endpoint,
+                simulator_unix=None if i in self._px4 else own_name,
             )
             if i in self._px4:
                 self._start_px4(i, simulator_ports[i])
@@ -218,6 +230,11 @@ class Processes:
             details = self.ready[uav(i)].details
             self._ports |= {details["gcs_local_udp"], details["companion_local_udp"]}
             self.send(SetPid(instance=i, pid=self.ready[uav(i)].pid))
+
+    def _own_link_name(self, run_id: str) -> str | None:
+        """Name of the Unix socket at which own vehicles meet the simulator; None: at its TCP ports."""
+        wanted = self._scenario.ports.simulator_link == "unix" and self._has_hangar
+        return f"coflight-{run_id}" if wanted and HAS_NAMED_SOCKETS else None
 
     def _start_px4(self, instance: int, simulator_port: int) -> None:
         seat = px4_seat.seat(

@@ -1,15 +1,16 @@
 """Who is let into a vehicle's seat at the simulator: whoever says who it is.
 
-An edge: accepts TCP connections on the seats' listeners. A PX4 introduces itself on connecting, with a
-HEARTBEAT and a COMMAND_LONG of its system number, in either order; coflight's own vehicles do so with a
-HEARTBEAT. Who says anything else, or nothing, is sent away, and holds up nobody.
+An edge: accepts connections at the seats' doors. A PX4 introduces itself on connecting, with a HEARTBEAT
+and a COMMAND_LONG of its system number, in either order; coflight's own vehicles do so with a HEARTBEAT. Who
+says anything else, or nothing, is sent away, and holds up nobody.
 """
 
 import selectors
 import socket
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common
 
@@ -19,50 +20,62 @@ from autopilot.mavlink.hil import HilActuatorControls, HilParser
 INTRODUCTION_LIMIT_S = 10.0
 """Wall time that a newcomer has for its first words; the others are attended to meanwhile."""
 MOST_NEWCOMERS = 8
-"""That a seat hears at once; a ninth sends the first away."""
+"""That a door hears at once, for each of its seats; one more sends the first away."""
 _FIRST_WORDS = {common.MAVLINK_MSG_ID_HEARTBEAT, common.MAVLINK_MSG_ID_COMMAND_LONG}
 _RECEIVE_BYTES = 4096
 
 
-@dataclass(slots=True, kw_only=True)
-class Newcomer:
-    """A connection whose owner is not known yet, or just has become known."""
+class Door(NamedTuple):
+    """A listening socket, and the instances whose seats can be taken there."""
+
+    listener: socket.socket
+    seats: frozenset[int]
+
+
+class Arrival(NamedTuple):
+    """A vehicle that may take its seat; the connection is the caller's."""
 
     instance: int
-    """Of the seat that it wants."""
+    connection: socket.socket
+    said: list[Message]
+    """So far, its introduction first; its parser has the rest."""
+    parser: HilParser
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class _Newcomer:
+    """A connection whose owner is not known yet."""
+
+    door: Door
     connection: socket.socket
     wall_deadline_s: float
     parser: HilParser
-    said: list[Message]
-    """So far, its introduction first; its parser has the rest."""
 
 
 class Reception:
-    """Listens for the vehicles of empty seats. Close it.
+    """Listens for the vehicles of empty seats, each of which has one door or several. Close it."""
 
-    ``listeners`` are the empty seats' by instance.
-    """
-
-    def __init__(self, listeners: Mapping[int, socket.socket]) -> None:
+    def __init__(self, doors: Sequence[Door]) -> None:
         self._selector = selectors.DefaultSelector()
-        self._listeners = dict(listeners)
-        self._newcomers: dict[int, list[Newcomer]] = {instance: [] for instance in listeners}
-        for instance, listener in listeners.items():
-            self._selector.register(listener, selectors.EVENT_READ, instance)
+        self._vacant = set().union(*(door.seats for door in doors))
+        self._newcomers: dict[Door, list[_Newcomer]] = {door: [] for door in doors}
+        """By open door, the longest there first."""
+        for door in doors:
+            self._selector.register(door.listener, selectors.EVENT_READ, door)
 
     @property
     def waiting_for(self) -> list[int]:
         """Seats that are empty still."""
-        return sorted(self._listeners)
+        return sorted(self._vacant)
 
-    def look(self, wall_limit_s: float) -> Iterator[Newcomer]:
-        """Wait for something to happen, and give those who may take their seats; they are the caller's."""
+    def look(self, wall_limit_s: float) -> Iterator[Arrival]:
+        """Wait for something to happen, and give those who may take their seats."""
         for key, _ in self._selector.select(wall_limit_s):
-            if isinstance(key.data, Newcomer):
+            if isinstance(key.data, _Newcomer):
                 newcomer = key.data
-                if newcomer in self._newcomers.get(newcomer.instance, ()):  # else sent away a moment ago
+                if newcomer in self._newcomers.get(newcomer.door, ()):  # else sent away a moment ago
                     yield from self._hear(newcomer)
-            elif key.data in self._listeners:
+            elif key.data in self._newcomers:
                 self._accept(key.data)
         wall_s = time.monotonic()
         for newcomers in self._newcomers.values():
@@ -76,51 +89,56 @@ class Reception:
                 self._send_away(newcomer)
         self._selector.close()
 
-    def _accept(self, instance: int) -> None:
-        connection, _ = self._listeners[instance].accept()
-        newcomer = Newcomer(
-            instance=instance,
+    def _accept(self, door: Door) -> None:
+        connection, _ = door.listener.accept()
+        newcomer = _Newcomer(
+            door=door,
             connection=connection,
             wall_deadline_s=time.monotonic() + INTRODUCTION_LIMIT_S,
             parser=HilParser(HilActuatorControls),
-            said=[],
         )
-        newcomers = self._newcomers[instance]
-        if len(newcomers) == MOST_NEWCOMERS:
+        newcomers = self._newcomers[door]
+        if len(newcomers) == MOST_NEWCOMERS * len(door.seats):
             self._send_away(newcomers[0])
         newcomers.append(newcomer)
         self._selector.register(connection, selectors.EVENT_READ, newcomer)
 
-    def _hear(self, newcomer: Newcomer) -> Iterator[Newcomer]:
+    def _hear(self, newcomer: _Newcomer) -> Iterator[Arrival]:
         try:
             data = newcomer.connection.recv(_RECEIVE_BYTES, socket.MSG_DONTWAIT)
         except BlockingIOError:
             return
         except OSError:
             data = b""
-        newcomer.said += newcomer.parser.push(data)
-        if newcomer.said and _introduces(newcomer.said[0], newcomer.instance):
-            self._selector.unregister(newcomer.connection)
-            self._newcomers[newcomer.instance].remove(newcomer)
-            yield self._let_in(newcomer)
-        elif newcomer.said or newcomer.parser.bad_bytes or not data:
+        said = newcomer.parser.push(data)
+        instance = _introduced(said[0]) if said else None
+        if instance is not None and instance in newcomer.door.seats & self._vacant:
+            self._take_leave(newcomer)
+            self._fill(instance)
+            yield Arrival(instance, newcomer.connection, said, newcomer.parser)
+        elif said or newcomer.parser.bad_bytes or not data:
             self._send_away(newcomer)
 
-    def _let_in(self, newcomer: Newcomer) -> Newcomer:
-        instance = newcomer.instance
-        self._selector.unregister(self._listeners.pop(instance))
-        for late in list(self._newcomers[instance]):
-            self._send_away(late)
-        return newcomer
+    def _fill(self, instance: int) -> None:
+        """Close the doors that led to this seat alone of the empty ones."""
+        self._vacant.remove(instance)
+        for door in [each for each in self._newcomers if not each.seats & self._vacant]:
+            for late in list(self._newcomers[door]):
+                self._send_away(late)
+            del self._newcomers[door]
+            self._selector.unregister(door.listener)
 
-    def _send_away(self, newcomer: Newcomer) -> None:
-        self._newcomers[newcomer.instance].remove(newcomer)
+    def _take_leave(self, newcomer: _Newcomer) -> None:
+        self._newcomers[newcomer.door].remove(newcomer)
         self._selector.unregister(newcomer.connection)
+
+    def _send_away(self, newcomer: _Newcomer) -> None:
+        self._take_leave(newcomer)
         newcomer.connection.close()
 
 
-def _introduces(message: Message | HilActuatorControls, instance: int) -> bool:
-    """Whether these are the first words of the vehicle that the seat is for."""
+def _introduced(message: Message | HilActuatorControls) -> int | None:
+    """The instance of the vehicle whose first words these are; None if they are no introduction."""
     if isinstance(message, HilActuatorControls) or message.get_msgId() not in _FIRST_WORDS:
-        return False
-    return bool(message.get_srcSystem() == instance + 1)
+        return None
+    return int(message.get_srcSystem()) - 1

@@ -104,12 +104,15 @@ class RunFolder:
         run_id: str,
         simulator_port: int,
         radio_endpoint: str | None,
+        simulator_unix: str | None = None,
     ) -> Path:
-        """Settings of one UAV's process, with the port that the simulator really listens on."""
+        """Settings of one UAV's process, with the port and the name that the simulator really listens on."""
         config = scenario.vehicle(
             instance, run_id=run_id, radio_endpoint=radio_endpoint, log_path=str(self.raw_vehicle(instance))
         )
-        ports = msgspec.structs.replace(config.ports, simulator_tcp=simulator_port)
+        ports = msgspec.structs.replace(
+            config.ports, simulator_tcp=simulator_port, simulator_unix=simulator_unix
+        )
         params_path = str(self.path / f"uav-{instance}.params")
         config = msgspec.structs.replace(
             config, ports=ports, params_path=params_path, profile_from_us=self._profile_from_us

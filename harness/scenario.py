@@ -91,6 +91,10 @@ class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     host: str = "127.0.0.1"
     """Of simulator and radio; the addresses of the vehicles' links are in ``[links]``."""
     simulator_tcp: Port = 4560
+    simulator_link: Literal["unix", "tcp"] = "unix"
+    """How coflight's own vehicles reach the simulator. "unix": by a Unix socket of the run, where the system
+    is Linux; a message costs a third of what it does by "tcp", which can be captured on the loopback. PX4s,
+    and vehicles started by hand, come by TCP in any case."""
     gcs_local_udp: Port = 18570
     gcs_remote_udp: Port = 14550
     """The ground station's; all vehicles share it. 0: nobody is called, who calls is answered."""
@@ -101,6 +105,10 @@ class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     and so on. Their companions are not called, and are answered as ever when they call."""
     radio_tcp: Port = 7447
     """The 802.11 emulator's Zenoh router."""
+
+    def numbers(self) -> dict[str, int]:
+        """Ports and bases by their fields' names, without what else is in the table."""
+        return {name: value for name, value in msgspec.structs.asdict(self).items() if isinstance(value, int)}
 
     def check(self, agents: int) -> None:
         """Raise ValueError with the field's path for ports that are none, or that two cannot have at once."""

@@ -15,6 +15,7 @@ import queue
 import signal
 import socket
 import subprocess
+import sys
 import threading
 import time
 import uuid
@@ -45,6 +46,8 @@ LAST_WORDS_S = 0.2
 """Wall time for which the stdout of dead children is still read, if what one started holds it open."""
 PIPE_BYTES = 65_536
 """As much as a pipe holds."""
+HAS_NAMED_SOCKETS = sys.platform == "linux"
+"""Whether Unix sockets may have a name that is no file's."""
 TAIL_LINES = 8
 TAIL_BYTES = 64 * 1024
 
@@ -108,6 +111,18 @@ def bind(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
         sock.close()
         protocol = "TCP" if kind == socket.SOCK_STREAM else "UDP"
         raise PortError(f"{protocol} port {port} on {host}: {os.strerror(error.errno or 0)}") from None
+    return sock
+
+
+def bind_local(name: str, *, backlog: int) -> socket.socket:
+    """Unix socket that listens by a name that is no file's (`HAS_NAMED_SOCKETS`). Raises OSError."""
+    sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        sock.bind(f"\0{name}")
+        sock.listen(backlog)
+    except OSError:
+        sock.close()
+        raise
     return sock
 
 

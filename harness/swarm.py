@@ -451,7 +451,7 @@ def _factor(speed: Speed) -> float:
 
 def _with_ports(scenario: Scenario, ports: Ports, offset: int) -> Scenario:
     """Put the scenario on free ports (0), or on its own plus the offset; 0 stays 0."""
-    bases = {name: base for name, base in msgspec.structs.asdict(scenario.ports).items() if name != "host"}
+    bases = scenario.ports.numbers()
     changed = {name: base + offset if base and ports == "scenario" else 0 for name, base in bases.items()}
     for name, port in changed.items():
         if not 0 <= port + scenario.agents - 1 <= 65_535:

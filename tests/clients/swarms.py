@@ -13,8 +13,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
 from harness.scenario import PortsConfig
 from harness.supervisor import PortError, bind
 
@@ -32,9 +30,9 @@ def free_offset() -> int:
     begin = os.getpid() % len(OFFSETS)
     for offset in (*OFFSETS[begin:], *OFFSETS[:begin]):
         with contextlib.ExitStack() as stack, contextlib.suppress(PortError):
-            for name, base in msgspec.structs.asdict(PortsConfig()).items():
+            for name, base in PortsConfig().numbers().items():
                 kind = socket.SOCK_STREAM if name.endswith("tcp") else socket.SOCK_DGRAM
-                for i in range(AGENTS) if name != "host" else ():
+                for i in range(AGENTS):
                     stack.enter_context(bind(kind, "127.0.0.1", base + offset + i))
             return offset
     raise AssertionError("no free ports for a swarm")

@@ -33,8 +33,9 @@ def burners(count):
         yield
 
 
-def fly(folder, *, seed, results):
-    with Swarm(ARTICLE, agents=4, seed=seed, out=folder, wall_limit_s=280.0) as swarm:
+def fly(folder, *, seed, results, link="unix"):
+    overrides = [f"ports.simulator_link={link}"]
+    with Swarm(ARTICLE, agents=4, seed=seed, overrides=overrides, out=folder, wall_limit_s=280.0) as swarm:
         swarm.run(until_s=4.0)
         swarm.degrade_channel(30.0)  # what a program does between run calls belongs to the run
         swarm.run(until_s=UNTIL_S)
@@ -52,8 +53,10 @@ def test_equal_runs_are_equal_byte_for_byte_and_two_at_once_do_not_disturb_each_
     fly(tmp_path / "alone", seed=5, results=results)
     with burners(3):  # on two processors, with twelve processes of ours
         threads = [
-            threading.Thread(target=fly, args=(tmp_path / name,), kwargs={"seed": seed, "results": results})
-            for name, seed in (("loaded", 5), ("other", 6))
+            threading.Thread(
+                target=fly, args=(tmp_path / name,), kwargs={"seed": seed, "results": results, "link": link}
+            )
+            for name, seed, link in (("loaded", 5, "tcp"), ("other", 6, "unix"))
         ]
         for thread in threads:
             thread.start()

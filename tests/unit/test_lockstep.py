@@ -9,19 +9,26 @@ import subprocess
 import sys
 import threading
 import time
+import uuid
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import psutil
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
+from autopilot.__main__ import SimulatorUnreachable, connect_simulator
+from autopilot.config import VehiclePorts
 from autopilot.mavlink.codec import Encoder, Parser
-from harness.lockstep import ConnectTimeout, Lockstep
+from harness.lockstep import CLOSED, OWN, PX4, ConnectTimeout, Lockstep
 from harness.messages import RunUntil, SetAttenuation
 from harness.patience import COMPUTING_LIMIT_S, LOOK_AFTER_S, REPORT_AFTER_S, Patience
 from harness.physics_server import obey
+from harness.supervisor import HAS_NAMED_SOCKETS, bind_local
 from netsim.child import Stop
+
+by_name = pytest.mark.skipif(not HAS_NAMED_SOCKETS, reason="Unix sockets' names are files' here")
 
 
 class Vehicles:
@@ -351,3 +358,132 @@ def test_a_vehicle_has_its_sensors_before_the_next_ones_are_made(vehicles):
 
     two.lockstep.send(frames())
     assert two.clients[1].recv(4096) == sensors(4000)
+
+
+class Local(NamedTuple):
+    """A rendezvous that has a Unix socket beside its TCP ports."""
+
+    lockstep: Lockstep
+    listeners: list[socket.socket]
+    name: str
+    lost: list[tuple[int, str]]
+
+
+@pytest.fixture
+def local():
+    with contextlib.ExitStack() as stack:
+
+        def make(count, manners=()):
+            name, lost = f"coflight-test-{uuid.uuid4().hex}", []
+            listeners = [socket.create_server(("127.0.0.1", 0)) for _ in range(count)]
+            lockstep = Lockstep(
+                listeners,
+                own_listener=bind_local(name, backlog=16),
+                patience=Patience(1.0),
+                on_message=lambda *_: None,
+                on_silent=lambda *_: None,
+                on_lost=lambda *who_and_why: lost.append(who_and_why),
+                manners=manners,
+            )
+            return Local(stack.enter_context(contextlib.closing(lockstep)), listeners, name, lost)
+
+        yield make
+
+
+def come(name, first_words):
+    """Connect to a Unix socket as a vehicle's process does."""
+    connection = connect_simulator(VehiclePorts(simulator_unix=name), 1.0)
+    connection.settimeout(5.0)
+    connection.sendall(first_words)
+    return connection
+
+
+@by_name
+def test_a_seat_is_taken_through_either_of_its_doors(local):
+    """One comes by TCP, two by the Unix socket that all share; bytes and losses are the same either way."""
+    lockstep, listeners, name, lost = local(3)
+    with contextlib.ExitStack() as stack:
+        last = stack.enter_context(come(name, introduction(2)))
+        clients = [
+            stack.enter_context(introduced(listeners[0], 0)),
+            stack.enter_context(come(name, introduction(1))),
+            last,
+        ]
+        lockstep.connect(5.0, keep_waiting=lambda: True)
+        frames = [b"first", b"second", b"third"]
+        lockstep.send(frames)
+        for i, client in enumerate(clients):
+            assert client.recv(64) == frames[i]
+            client.sendall(Encoder(system=i + 1, component=1).encode(actuators(4_000)))
+        assert [answer.time_usec for answer in lockstep.answers(4_000)] == [4_000] * 3
+        clients[1].close()
+        lockstep.send(frames)
+        for i in (0, 2):
+            clients[i].sendall(Encoder(system=i + 1, component=1).encode(actuators(8_000)))
+        assert [answer is not None for answer in lockstep.answers(8_000)] == [True, False, True]
+        lockstep.close()
+        assert last.recv(64) == b"third"
+        assert last.recv(64) == b""
+    assert lost == [(1, CLOSED)]
+
+
+@pytest.mark.parametrize("by_unix", [False, pytest.param(True, marks=by_name)])
+def test_last_words_of_a_vehicle_that_hung_up_are_heard_in_the_step_that_loses_it(local, by_unix):
+    lockstep, (listener,), name, lost = local(1)
+    said = []
+    lockstep._on_message = lambda i, message: said.append((i, message.get_type()))
+    with come(name, introduction(0)) if by_unix else introduced(listener, 0) as client:
+        lockstep.connect(5.0, keep_waiting=lambda: True)
+        client.sendall(introduction(0))
+    lockstep.send([sensors(4_000)])
+    assert lost == []
+    assert lockstep.answers(4_000) == [None]
+    assert said == [(0, "HEARTBEAT")]
+    assert lost == [(0, CLOSED)]
+
+
+@by_name
+def test_strangers_at_the_unix_socket_are_sent_away_and_none_takes_a_px4s_seat(local):
+    lockstep, listeners, name, _ = local(3, [OWN, PX4, OWN])
+    strange_words = [
+        b"GET / HTTP/1.1\r\n\r\n",
+        sensors(4_000),
+        introduction(1),  # of a vehicle whose seat is a PX4's
+        introduction(3),  # of one that is not in the run
+    ]
+    with contextlib.ExitStack() as stack:
+        silent = stack.enter_context(come(name, b""))
+        strangers = [stack.enter_context(come(name, words)) for words in strange_words]
+        stack.enter_context(come(name, introduction(0)))
+        stack.enter_context(introduced(listeners[1], 1))
+        twin = stack.enter_context(come(name, introduction(0)))  # its seat is taken
+        vehicle = stack.enter_context(come(name, introduction(2)))
+        lockstep.connect(5.0, keep_waiting=lambda: True)
+        for stranger in (silent, *strangers, twin):
+            with contextlib.suppress(ConnectionResetError):
+                assert stranger.recv(1) == b""
+        lockstep.send([None, None, b"sensors"])
+        assert vehicle.recv(64) == b"sensors"
+
+
+@by_name
+def test_a_hung_vehicle_at_a_unix_socket_is_reported_and_given_up(local):
+    lockstep, _, name, lost = local(1)
+    with come(name, introduction(0)) as client:
+        lockstep.connect(5.0, keep_waiting=lambda: True)
+        lockstep.send([b"sensors"])
+        client.sendall(Encoder(system=1, component=1).encode(actuators(4_000)))
+        lockstep.answers(4_000)
+        with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
+            lockstep._patience.set_pid(0, process.pid)
+            process.send_signal(signal.SIGSTOP)
+            lockstep.send([b"sensors"])
+            assert lockstep.answers(8_000) == [None]
+            process.send_signal(signal.SIGCONT)
+    assert lost == [(0, "its process is stopped")]
+
+
+@by_name
+def test_a_unix_socket_that_nobody_listens_at_is_one_line():
+    with pytest.raises(SimulatorUnreachable, match="no simulator at coflight-nobody"):
+        come("coflight-nobody", b"")
