@@ -215,7 +215,7 @@ class Process:
         incoming: Links = []
         wall_s = time.monotonic()
         if now_us >= self._poll_us or wall_s - self._wall_poll_s >= WALL_LINK_PERIOD_S:
-            self._poll_us = now_us + LINK_PERIOD_US
+            self._poll_us = now_us - now_us % LINK_PERIOD_US + LINK_PERIOD_US
             incoming = self._receive(wall_s)
             self._keep_beating()
         answer, outgoing = self._host.step(

@@ -176,6 +176,9 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     localisation: Literal["gps", "ftm", "truth"] = "ftm"
     """Correct the own position by everyone's GPS and the FTM distances, trust the own GPS alone, or be told
     by the simulator: the last two are what the first is measured against."""
+    loop_period_ms: Annotated[int, Meta(ge=4, le=40)] = 20
+    """How often the application works, and deals with autopilot and radio: at the multiples of this, a whole
+    number of steps. The channel goes on in intervals as long. Beside a PX4 it works when PX4 speaks."""
     beacon_period_ms: Annotated[int, Meta(ge=10, le=1_000)] = 100
     neighbours: Annotated[int, Meta(ge=0, le=254)] = 0
     """Localise, range to and keep clear of so many UAVs alone, those with the nearest places, and who has
@@ -212,6 +215,11 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     By a UAV in its place at most 0.6 of the distance between the two's places; one that is away from its
     place keeps more, by half of the way that it has to it.
     """
+
+    @property
+    def loop_period_us(self) -> int:
+        """Period of the application's loop in microseconds."""
+        return 1_000 * self.loop_period_ms
 
 
 class TrackMotion(

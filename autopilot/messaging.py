@@ -219,7 +219,11 @@ class Messaging:
 
     def is_due(self, now_us: int) -> bool:
         """Whether there is something for `on_timer` to do though nobody listens."""
-        return bool(self._outgoing) or now_us >= self.services.deadline_us
+        return now_us >= self.next_deadline_us()
+
+    def next_deadline_us(self) -> int:
+        """When that will be."""
+        return 0 if self._outgoing else self.services.deadline_us
 
     def take_outgoing(self) -> list[Addressed]:
         """Give what has been posted, which then is gone from here."""

@@ -5,7 +5,9 @@ come in as objects and go out as objects, and time is the sensor's.
 
 Parts have rates of their own, as in PX4: estimator, rates and attitude act at every sample, position control
 at every second; what is felt of the ground, conditions, failsafes and modes are looked at every
-`DECISION_PERIOD_US`, and at once when a link or the application wants something.
+`DECISION_PERIOD_US`, and at once when a link or the application wants something. The application has a loop
+of its own (``onboard.loop_period_ms``), in which it takes telemetry and says what it has to say. Both come at
+the multiples of their periods, so that most steps have nothing but the sample.
 """
 
 from collections.abc import Sequence
@@ -38,6 +40,7 @@ from autopilot.protocol.service import (
     APPLICATION_PARTNER,
     AUTOPILOT_COMPONENT,
     GROUND_STATION,
+    NEVER_US,
     Addressed,
     Partner,
     is_addressed_to,
@@ -144,6 +147,7 @@ class Vehicle:
         self._before_conditions = self.offboard.takes | self.manual.takes
         """Messages that conditions depend on, so that a mode is not asked for in vain."""
         self._told_truth = config.onboard.localisation == "truth"
+        self._loop_period_us = config.onboard.loop_period_us
         self.app = make_application(config) if config.onboard.enabled else None
         if self.app is not None:
             self.messaging.tell_application = self.app.on_mavlink
@@ -151,6 +155,8 @@ class Vehicle:
         self._announced: tuple[FlightMode, bool, bool] | None = None
         self._announce_us = 0
         self._decide_us = 0
+        self._loop_us = NEVER_US
+        """When the application's loop comes round next, once there was a step."""
 
     def step(
         self,
@@ -173,24 +179,33 @@ class Vehicle:
             )
         self._last_us = now_us
         self._sense(sim_messages, now_us)
-        simulator = [_greeting()] if last_us is None else []
+        simulator: list[Message] = []
+        if last_us is None:
+            simulator.append(_greeting())
+            if self.app is not None:
+                self._loop_us = _next(now_us - 1, self._loop_period_us)
+        loops = now_us >= self._loop_us
         decides = now_us >= self._decide_us or self._is_wanted(link_messages)
         to_answer = self._take_in(link_messages, now_us) if link_messages else []
         if decides:
-            self._decide_us = now_us - now_us % DECISION_PERIOD_US + DECISION_PERIOD_US
+            self._decide_us = _next(now_us, DECISION_PERIOD_US)
             self._look_around()
             self._decide()
         for received in to_answer:
             self._on_link_message(received, now_us)
         if self._told_truth:
             self._pass_truth_on(sim_messages, now_us)
-        radio = self._run_app(radio_items, simulator, now_us)
+        if self.app is not None:
+            for item in radio_items:
+                self.app.on_radio(item, now_us)
+        radio = self._run_app(simulator, now_us) if loops else ()
         self.pilot.fly((self.config.step_us if last_us is None else now_us - last_us) / US_PER_S)
         messaging = self.messaging
         links: list[Addressed] = []
         if decides or messaging.is_due(now_us) or any(link_active):
             links = messaging.on_timer(now_us, link_active)
-        self._announce(simulator, now_us)
+        if decides or loops:
+            self._announce(simulator, now_us)
         return StepOutput(
             now_us=now_us,
             actuators=self._actuators(now_us),
@@ -216,6 +231,11 @@ class Vehicle:
             self._on_link_message(received, now_us)
         self.flight.time_stands = False
         return self.messaging.take_outgoing()
+
+    @property
+    def next_look_us(self) -> int:
+        """From when on a step has to look at more than what its messages bring, if no link asks before."""
+        return min(self._decide_us, self._loop_us, self.messaging.next_deadline_us())
 
     @property
     def has_begun(self) -> bool:
@@ -344,19 +364,13 @@ class Vehicle:
         else:
             messaging.not_addressed[partner.link] += 1
 
-    def _run_app(
-        self,
-        radio_items: Sequence[RxItem],
-        simulator: list[Message],
-        now_us: int,
-    ) -> tuple[TxItem, ...]:
-        """Give the application its telemetry and radio, and carry out what it asks for."""
+    def _run_app(self, simulator: list[Message], now_us: int) -> tuple[TxItem, ...]:
+        """Give the application its telemetry, and carry out what it asks for."""
         app = self.app
         if app is None:
             return ()
+        self._loop_us = _next(now_us, self._loop_period_us)
         self.messaging.stream_to_application(now_us)
-        for item in radio_items:
-            app.on_radio(item, now_us)
         output = app.on_timer(now_us)
         if output is NOTHING:
             return ()
@@ -390,7 +404,7 @@ class Vehicle:
                 self.flight.armed_us = now_us
                 self.flight.flights += 1
             self._announced = present
-            self._announce_us = now_us + _HEARTBEAT_PERIOD_US
+            self._announce_us = _next(now_us, _HEARTBEAT_PERIOD_US)
             message = heartbeat(self.commander, self.flight.conditions)
             simulator.append(message)
             if self.app is not None:
@@ -401,6 +415,11 @@ class Vehicle:
     def _actuators(self, now_us: int) -> HilActuatorControls:
         mode = _MODE_ARMED if self.commander.armed else _MODE_DISARMED
         return HilActuatorControls(now_us, self.pilot.controls, mode, _LOCKSTEP_FLAG)
+
+
+def _next(now_us: int, period_us: int) -> int:
+    """First multiple of a period that is later than now."""
+    return now_us - now_us % period_us + period_us
 
 
 def _greeting() -> Message:

@@ -29,12 +29,19 @@ class EmulatorLine(Protocol):
 class Air:
     """The time master's side of the emulated channel.
 
-    Asks it to go on when it has something to do, and so often that it is never left far behind; with guests
-    on the channel at every step.
+    It goes on in intervals as long as the loop of the vehicles' applications, ``period_us``: one begins when
+    they have handed over their batches, and what arrives in it is theirs when it ends. The emulator works on
+    it beside the steps in between. Of quiet intervals it is asked for as few as keep it from being left far
+    behind.
+
+    ``free``: there are radios whose hosts are in no lockstep, and may speak at any time. Then intervals are
+    as long as the steps, and none is left out; what arrives is released a step after the end, which is the
+    step that the emulator needs to work beside the others.
     """
 
-    def __init__(self, line: EmulatorLine, *, guests: bool = False) -> None:
-        self._guests = guests
+    def __init__(self, line: EmulatorLine, *, period_us: int, free: bool = False) -> None:
+        self._period_us = period_us
+        self._free = free
         self._line = line
         self._request: Advance | None = None
         """What the emulator has not answered yet."""
@@ -48,10 +55,19 @@ class Air:
         self.range_offsets_m: Mapping[int, float] = {}
         """By station, how much farther than it is its radio measures, from then on too."""
         self.busy_ns = 0
+        """Time for which the channel was occupied until the end of the last interval that is done."""
+
+    def is_awaited(self, time_us: int) -> bool:
+        """Whether the emulator has not done yet what the sensors of ``time_us`` have to tell of."""
+        return self._request is not None and self._request.release_us <= time_us
 
     def delivered(self, time_us: int) -> tuple[int, ...]:
         """Vehicles whose radio has brought something for the step of ``time_us``; to be asked once a step."""
         return self._delivered.pop(time_us, ()) if self._delivered else ()
+
+    def begins_at(self, time_us: int) -> bool:
+        """Whether an interval begins with the step of ``time_us``; the one before has to be done by then."""
+        return self._free or time_us % self._period_us == 0
 
     def begin(
         self,
@@ -62,20 +78,20 @@ class Air:
         senders: tuple[int, ...] = (),
         silent: tuple[int, ...] = (),
     ) -> None:
-        """Let the emulator simulate the step that begins now, unless the air stays quiet for so long.
+        """Let the emulator simulate the interval that begins now, unless the air stays quiet for so long.
 
-        It works beside the physics, so it is given where the vehicles are and how they move now: what their
-        acceleration changes in a step is less than a tenth of a millimetre. The ``senders`` have handed
-        something over in this step; the ``silent`` are gone.
+        It works beside the physics, so it is given where the vehicles are and how they move now: what an
+        acceleration of 2 m/s2 changes in 20 ms are 0.4 mm. The ``senders`` have handed something over in
+        this step; the ``silent`` are gone.
         """
-        to_us = time_us + step_us
+        to_us = time_us + (step_us if self._free else self._period_us)
         quiet_us = min(self._quiet_until_us, self._asked_us + LONGEST_REST_US)
-        if not self._guests and not senders and to_us < quiet_us:
+        if not self._free and not senders and to_us < quiet_us:
             return
         self._asked_us = to_us
         self._request = Advance(
             to_us=to_us,
-            release_us=to_us + step_us,
+            release_us=to_us + step_us if self._free else to_us,
             at_us=time_us,
             pos_ned_m=pack_rows(truth.pos_ned_m),
             vel_ned_m_s=pack_rows(truth.vel_ned_m_s),

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from autopilot.types import Array
 from harness.hil_frames import ESC_STATUS
 
-PERIOD_US = 50_000
-"""20 Hz"""
+PERIOD_US = 40_000
+"""25 Hz"""
 HOVER_CURRENT_A = 4.0
 HOVER_SPEED_RAD_S = 806.7
 """Of the Iris: 3.8 N per rotor."""

@@ -46,7 +46,7 @@ class SetSpeed(Command, frozen=True, kw_only=True):
 
 
 class SetAttenuation(Command, frozen=True, kw_only=True):
-    """From the next step on, attenuate every radio link by this; None is the scenario's own value."""
+    """From the air's next interval on, attenuate every radio link by this; None: as the scenario says."""
 
     extra_attenuation_db: float | None
 

@@ -86,7 +86,9 @@ class _Flight:
         self._emulator = stack.enter_context(contextlib.closing(HostedEmulator(radio)))
         self._emulator.open_logs()
         radios = [LocalRadio(self._emulator, config.instance) for config in vehicles]
-        air = Air(LocalLine(self._emulator, radios), guests=bool(radio.radio.guests))
+        line = LocalLine(self._emulator, radios)
+        period_us = physics.scenario.onboard.loop_period_us
+        air = Air(line, period_us=period_us, free=bool(radio.radio.guests))
 
         def meet(simulation: Simulation) -> LocalVehicles:
             self.vehicles = LocalVehicles(

@@ -53,8 +53,14 @@ class Channel(Protocol):
     range_offsets_m: Mapping[int, float]
     busy_ns: int
 
+    def is_awaited(self, time_us: int) -> bool:
+        """Whether it has yet to end what the sensors of ``time_us`` tell of."""
+
     def delivered(self, time_us: int) -> tuple[int, ...]:
         """Vehicles whose radio has brought something for the step of ``time_us``."""
+
+    def begins_at(self, time_us: int) -> bool:
+        """Whether `begin` has to be called in the step of ``time_us``."""
 
     def begin(
         self,
@@ -65,7 +71,7 @@ class Channel(Protocol):
         senders: tuple[int, ...] = (),
         silent: tuple[int, ...] = (),
     ) -> None:
-        """Let the air go on over the step that begins now."""
+        """Let the air go on over the interval that begins now."""
 
     def end(self) -> tuple[int, ...]:
         """Wait until it has; returns the vehicles whose batches it misses."""

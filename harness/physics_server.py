@@ -282,7 +282,8 @@ def serve(
         if clock is not None:
             line = time_masters_end(stack.enter_context(clock))
             # applications beside PX4s are in no lockstep, so their radios are as unforeseeable as guests'
-            air = Air(line, guests=bool(scenario.radio.guests) or has_px4)
+            free = bool(scenario.radio.guests) or has_px4
+            air = Air(line, period_us=scenario.onboard.loop_period_us, free=free)
         simulation = stack.enter_context(
             contextlib.closing(Simulation(config, meet=meet, air=air, emit=emit))
         )

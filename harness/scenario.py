@@ -155,6 +155,11 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         """Check what no single field can."""
         autopilot_settings.check(self.autopilot, self.site, self.agents)
+        if self.onboard.loop_period_us % self.run.step_us:
+            raise ValueError(
+                f"onboard.loop_period_ms: {self.onboard.loop_period_ms} ms is no whole number of steps; "
+                f"expected a multiple of {self.run.step_us / 1e3:g}"
+            )
         if self.onboard.wind_feed_forward:
             self._check_wind()
         for number, fault in enumerate(self.faults):

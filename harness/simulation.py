@@ -73,7 +73,7 @@ class Simulation:
         self._air = air
         self._tell = emit
         self._step_us = scenario.run.step_us
-        self._record_period_us = scenario.record_period_us
+        self._record_period_us = self._air_record_us = scenario.record_period_us
         n = scenario.agents
         streams = np.random.SeedSequence([scenario.run.seed, STREAM]).spawn(3)
         self._plan = scenario.plan()
@@ -151,15 +151,20 @@ class Simulation:
         """One step: sensors of this instant out, answers in, air, world and wind on to the next instant.
 
         What needs no answer is done between the two, beside the vehicles: they idle while the rest is done.
-        The air goes on beside world and vehicles, and is waited for with the next answers.
+        The air goes on beside world and vehicles over an interval of several steps, and is waited for when
+        what it delivers is to be told.
         """
-        truth = self._world.truth
+        truth, air = self._world.truth, self._air
         recorded = self.time_us % self._record_period_us == 0
-        alive = [seat.alive for seat in self.lockstep.seats] if recorded else []
         self._advance_faults()
         frame = self._sensors.sample(self.time_us, truth, self._faults)
         told = truth if self._tells_truth and self.time_us % TRUTH_PERIOD_US < self._step_us else None
-        delivered = self._air.delivered(self.time_us) if self._air is not None else ()
+        delivered: tuple[int, ...] = ()
+        if air is not None:
+            if air.is_awaited(self.time_us):
+                self.settle()
+            delivered = air.delivered(self.time_us)
+        alive = [seat.alive for seat in self.lockstep.seats] if recorded else []
         self.lockstep.send(self._encoder.encode(self.time_us, frame, self._escs(truth), told, delivered))
         if recorded:
             self._record(truth, alive)
@@ -169,12 +174,16 @@ class Simulation:
         )
         self._sensors.look_ahead()
         answers = self.lockstep.answers(self.time_us)
-        self.settle()
+        air_begins = air is not None and air.begins_at(self.time_us)
+        if air_begins:
+            self.settle()
         senders = self._obey(answers)
-        if self._air is not None:
-            if recorded:
-                self._air_log.append([(self.time_us, self._air.busy_ns)])
-            self._air.begin(self.time_us, self._step_us, truth, senders=senders, silent=self._gone)
+        if air is not None and air_begins:
+            if self.time_us >= self._air_record_us:
+                period_us = self._record_period_us
+                self._air_record_us = self.time_us - self.time_us % period_us + period_us
+                self._air_log.append([(self.time_us, air.busy_ns)])
+            air.begin(self.time_us, self._step_us, truth, senders=senders, silent=self._gone)
         stopped = self._faults.rotor_stopped
         self._world.step(
             np.array(self._controls),
@@ -190,7 +199,7 @@ class Simulation:
             self._notice_motion()
 
     def set_extra_attenuation_db(self, value: float | None) -> None:
-        """From the next step on, attenuate every radio link by this; None is the scenario's own value."""
+        """From the air's next interval on, attenuate every radio link by this; None: as the scenario says."""
         self._attenuation_db = value
         self._spoil_air()
 

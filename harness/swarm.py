@@ -296,12 +296,12 @@ class Swarm:
         self._processes.kill(instance)
 
     def cut_channel(self) -> None:
-        """Let no frame through from the next step on."""
+        """Let no frame through from the next round of the applications' loop on, when the air goes on."""
         self._intervene("cut the channel")
         self._processes.send(SetAttenuation(extra_attenuation_db=CUT_DB))
 
     def degrade_channel(self, attenuation_db: float) -> None:
-        """From the next step on, attenuate every link by this in place of ``radio.extra_attenuation_db``.
+        """Attenuate every link by this in place of ``radio.extra_attenuation_db``; as from `cut_channel` on.
 
         Raises ValueError for what no link can have: 0 to `harness.faults.MOST_ATTENUATION_DB`.
         """
@@ -311,7 +311,7 @@ class Swarm:
         self._processes.send(SetAttenuation(extra_attenuation_db=attenuation_db))
 
     def restore_channel(self) -> None:
-        """Give the channel back the scenario's own attenuation from the next step on."""
+        """Give the channel back the scenario's own attenuation, as from `cut_channel` on."""
         self._intervene("restore the channel")
         self._processes.send(SetAttenuation(extra_attenuation_db=None))
 

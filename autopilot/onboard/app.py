@@ -35,10 +35,10 @@ from netsim.wire.messages import Delivery, FtmResult, RxItem, Sent, Survey, TxIt
 
 Array = NDArray[np.float64]
 
-SETPOINT_PERIOD_US = 50_000
+SETPOINT_PERIOD_US = 40_000
 HEARTBEAT_PERIOD_US = 1_000_000
-SHORTEST_STEP_US, LONGEST_STEP_US = 1_000, 20_000
-"""Of the autopilot."""
+SHORTEST_STEP_US, LONGEST_STEP_US = 1_000, 40_000
+"""Of the loop that `OnboardApp.on_timer` is called in."""
 TELEMETRY_GAP_US = 500_000
 """Velocities this far apart do not tell what was flown between them."""
 TRUTH_STD_M = 0.01
@@ -268,8 +268,7 @@ class OnboardApp:
         mavlink: list[common.MAVLink_message] = []
         if now_us >= self._setpoint_us and self._own.time_us >= 0:
             mavlink += self._fly(now_us)
-            # On a grid, unless that has fallen behind.
-            self._setpoint_us = max(self._setpoint_us + SETPOINT_PERIOD_US, now_us + 1)
+            self._setpoint_us = now_us - now_us % SETPOINT_PERIOD_US + SETPOINT_PERIOD_US
         mavlink += self._commands.on_timer(now_us)
         if self._told != (self.phase, self._guidance.start.start_us) or now_us >= self._heartbeat_out_us:
             self._told = (self.phase, self._guidance.start.start_us)

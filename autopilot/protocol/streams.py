@@ -74,14 +74,12 @@ COMPANION_HZ: dict[int, float] = {
 """As PX4 v1.17 streams to 14540."""
 
 APPLICATION_HZ: dict[int, float] = {
-    message_id: COMPANION_HZ[message_id]
-    for message_id in (
-        common.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
-        common.MAVLINK_MSG_ID_GPS_RAW_INT,
-        common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
-    )
+    common.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 25.0,
+    common.MAVLINK_MSG_ID_GPS_RAW_INT: COMPANION_HZ[common.MAVLINK_MSG_ID_GPS_RAW_INT],
+    common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: COMPANION_HZ[common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN],
 }
-"""What the on-board application in this process listens to, at a companion's rates, beside the heartbeat."""
+"""What the on-board application in this process listens to beside the heartbeat: its position as often as it
+gives setpoints, the rest as often as a companion."""
 
 APPLICATION_WITH_ATTITUDE_HZ = {
     **APPLICATION_HZ,

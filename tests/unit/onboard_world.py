@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.config import Devices, OnboardConfig, Site
 from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.onboard import OnboardApp, Phase
+from autopilot.onboard.app import NOTHING
 from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult
 
 STEP_US = 4_000
@@ -125,9 +126,13 @@ class ScriptedAutopilot:
 
 
 class SwarmWorld:
-    """N applications in lockstep; `log` holds (time_s, truth (N, 3), estimates (N, 3)) at 10 Hz."""
+    """N applications in lockstep; `log` holds (time_s, truth (N, 3), estimates (N, 3)) at 10 Hz.
 
-    def __init__(self, *, places_ned_m, seed, errors=None, config=None, boot_offset_us=0):
+    They are given what comes at once, and asked for what they have to say at the multiples of ``loop_us``.
+    """
+
+    def __init__(self, *, places_ned_m, seed, errors=None, config=None, boot_offset_us=0, loop_us=STEP_US):
+        self.loop_us = loop_us
         self.places = np.asarray(places_ned_m, float)
         self.n = len(self.places)
         self.errors = errors or Errors()
@@ -203,12 +208,12 @@ class SwarmWorld:
                 continue
             for msg in self._telemetry(i, step):
                 app.on_mavlink(msg, now_us)
-            out = app.on_timer(now_us)
+            out = app.on_timer(now_us) if now_us % self.loop_us == 0 else NOTHING
             for msg in out.mavlink:
                 for answer in self.autopilots[i].on_message(msg, now_us):
                     app.on_mavlink(answer, now_us)
             for item in out.radio:
-                assert now_us <= item.at_us < now_us + STEP_US
+                assert now_us <= item.at_us < now_us + self.loop_us
                 self._transmit(i, item)
         if step % 25 == 0:
             estimates = np.array([app.estimate.pos_ned_m for app in self.apps])

@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.config import Devices, OnboardConfig
 from autopilot.onboard import OnboardApp, Phase, messages
 from autopilot.onboard import beacon as wire
-from autopilot.onboard.app import NOTHING
+from autopilot.onboard.app import NOTHING, SETPOINT_PERIOD_US
 from autopilot.onboard.commands import CommandSender
 from autopilot.onboard.flight import OFFBOARD_MAIN_MODE, Flight, Situation
 from autopilot.onboard.formation import COAST_S
@@ -102,7 +102,7 @@ def test_an_unanswered_command_is_repeated_with_its_confirmation_raised():
     assert np.diff([now_us for now_us, _ in sent]).tolist() == [500_000] * (len(sent) - 1)
 
 
-def test_setpoints_are_20_hz_before_and_in_offboard():
+def test_setpoints_keep_their_period_before_and_in_offboard():
     w = world(ALONE)
     w.run_until(phase_is(Phase.TAKE_OFF), limit_s=5.0)
     received = []
@@ -113,9 +113,30 @@ def test_setpoints_are_20_hz_before_and_in_offboard():
         original(msg, now_us),
     )[1]
     w.run(5.0)
-    assert np.all(np.abs(np.diff([now_us for now_us, _ in received]) - 50_000) <= STEP_US)
+    assert np.all(np.abs(np.diff([now_us for now_us, _ in received]) - SETPOINT_PERIOD_US) <= STEP_US)
     mask = {m.type_mask for _, m in received}
     assert mask == {0b1101_1100_0000}  # position and velocity count; acceleration, yaw and yaw rate do not
+
+
+@pytest.mark.parametrize("loop_us", [4_000, 20_000, 40_000])
+def test_what_is_due_before_the_loop_comes_round_again_is_handed_over_with_its_own_time(loop_us):
+    """Ten beacons a second, a period apart but for their jitter, however slow the loop is."""
+    w = world(ALONE, loop_us=loop_us)
+    w.run_until(phase_is(Phase.TAKE_OFF), limit_s=5.0)
+    app, beacons_us = w.apps[0], []
+    on_timer = app.on_timer
+
+    def spy(now_us):
+        out = on_timer(now_us)
+        assert all(now_us <= item.at_us < now_us + loop_us for item in out.radio)
+        beacons_us.extend(item.at_us for item in out.radio)
+        return out
+
+    app.on_timer = spy
+    w.run(5.0)
+    between_us = np.diff(beacons_us)
+    assert len(between_us) >= 48
+    assert np.all(np.abs(between_us - 100_000) <= 4_000)  # twice 2 %
 
 
 def test_a_step_before_the_deadline_has_nothing_to_send():

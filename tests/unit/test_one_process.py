@@ -374,23 +374,23 @@ def test_what_is_handed_over_in_a_later_step_waits_for_that_steps_interval():
 
 
 def test_who_speaks_after_minutes_of_silence_is_heard():
-    """Nobody speaks for two minutes, in steps of a second, and the air has nothing to do."""
+    """Nobody speaks for two minutes, in intervals of a second, and the air has nothing to do."""
     channel, second_us = Channel(), 1_000_000
-    air = Air(channel.line)
+    air = Air(channel.line, period_us=second_us)
     truth = SimpleNamespace(
         pos_ned_m=np.array([[0.0, 0.0, -10.0], [10.0, 0.0, -10.0]]),
         vel_ned_m_s=np.zeros((2, 3)),
         q_ned_frd=np.tile([1.0, 0.0, 0.0, 0.0], (2, 1)),
     )
     for time_us in range(0, 120 * second_us, second_us):
-        air.begin(time_us, second_us, truth)
+        air.begin(time_us, STEP_US, truth)
         air.end()
     now_us = 120 * second_us
     channel.radios[0].send(now_us, [Broadcast(seq=0, at_us=now_us, payload=b"again")])
-    air.begin(now_us, second_us, truth, senders=(0,))
+    air.begin(now_us, STEP_US, truth, senders=(0,))
     assert air.end() == ()
-    assert air.delivered(now_us + 2 * second_us) == (1,)
-    assert [item.payload for item in channel.heard(1, now_us + 2 * second_us)] == [b"again"]
+    assert air.delivered(now_us + second_us) == (1,)
+    assert [item.payload for item in channel.heard(1, now_us + second_us)] == [b"again"]
 
 
 def test_motion_that_makes_no_sense_and_times_that_cannot_be_are_refused():

@@ -118,6 +118,8 @@ def test_overrides_take_numbers_strings_words_and_new_tables():
         ("wind.mean_n=-1", "wind.mean_n: expected `float` >= 0.0"),
         ("wind.mean_n=strong", "wind.mean_n: expected `float`"),
         ("run.seed=-1", "run.seed: expected `int` >= 0"),
+        ("onboard.loop_period_ms=18", "onboard.loop_period_ms: 18 ms is no whole number of steps"),
+        ("onboard.loop_period_ms=0", "onboard.loop_period_ms: expected `int` >= 4"),
         ("radio.bandwidth_mhz=60", "radio.bandwidth_mhz: invalid enum value 60"),
         ("radio.ftm.ftms_per_burst=1", "radio.ftm.ftms_per_burst: expected `int` >= 2"),
         ("radio.control_mode=vht_mcs0", "radio.control_mode: RTS is a non-HT frame, vht_mcs0 is none"),

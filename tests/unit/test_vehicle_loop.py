@@ -1,0 +1,101 @@
+"""When a step has more to do than its inertial sample asks for: decisions, and the application's loop."""
+
+from unittest.mock import Mock
+
+import pytest
+from msgspec.structs import replace
+from pymavlink.dialects.v20 import common
+from vehicle_world import STEP_US, Flight, vehicle_config
+
+from autopilot.onboard.app import OnboardOutput
+from autopilot.protocol.service import NEVER_US
+from autopilot.vehicle import DECISION_PERIOD_US, Vehicle
+from netsim.wire.messages import Broadcast, Delivery
+
+NOBODY = (False, False)
+
+
+def sensor(time_us):
+    return common.MAVLink_hil_sensor_message(
+        time_us, 0.0, 0.0, -9.81, 0.0, 0.0, 0.0, 0.2, 0.0, 0.4, 955.98, 0.0, 488.0, 15.0, 0x1FFF, 0
+    )
+
+
+def vehicle_of(loop_period_ms):
+    config = vehicle_config(onboard=True)
+    return Vehicle(replace(config, onboard=replace(config.onboard, loop_period_ms=loop_period_ms)))
+
+
+@pytest.mark.parametrize("loop_period_ms", [4, 12, 20, 40])
+def test_the_application_works_at_the_multiples_of_its_period_and_in_no_other_step(loop_period_ms):
+    vehicle, asked_us = vehicle_of(loop_period_ms), []
+
+    def on_timer(now_us):
+        asked_us.append(now_us)
+        return OnboardOutput((), (Broadcast(seq=len(asked_us), at_us=now_us, payload=b""),))
+
+    vehicle.app.on_timer = on_timer
+    sent_us = [
+        time_us
+        for time_us in range(STEP_US, 200_000, STEP_US)
+        if vehicle.step(sim_messages=[sensor(time_us)], link_active=NOBODY).radio
+    ]
+    period_us = 1_000 * loop_period_ms
+    assert asked_us == sent_us == list(range(period_us, 200_000, period_us))
+
+
+def test_a_simulator_that_keeps_another_time_has_it_work_as_often():
+    """Its steps meet no multiple of 20 ms; each first one after a multiple does for it."""
+    vehicle = vehicle_of(20)
+    vehicle.app.on_timer = Mock(return_value=OnboardOutput((), ()))
+    for time_us in range(1_001_000, 1_201_000, STEP_US):
+        vehicle.step(sim_messages=[sensor(time_us)], link_active=NOBODY)
+    asked_us = [call.args[0] for call in vehicle.app.on_timer.call_args_list]
+    assert asked_us == list(range(1_021_000, 1_201_000, 20_000))
+
+
+def test_what_the_radio_brings_between_two_rounds_of_the_loop_is_not_lost():
+    vehicle = vehicle_of(20)
+    vehicle.app.on_radio = Mock()
+    item = Delivery(source=1, seq=0, received_ns=5_000_000, rssi_dbm=-60.0, payload=b"")
+    for time_us in (4_000, 8_000):
+        vehicle.step(
+            sim_messages=[sensor(time_us)], radio_items=[item] * (time_us == 8_000), link_active=NOBODY
+        )
+    vehicle.app.on_radio.assert_called_once_with(item, 8_000)
+
+
+def test_before_its_time_there_is_nothing_to_look_at_but_the_sample():
+    """In flight with its application, while nobody listens on the links: four steps of five."""
+    with Flight(vehicle_config(onboard=True)) as flight:
+        flight.run(12.0)
+        vehicle = flight.vehicle
+        assert vehicle.commander.armed
+        looked_us = []
+
+        def watched(look):
+            def watching(*arguments):
+                looked_us.append(flight.now_us)
+                return look(*arguments)
+
+            return watching
+
+        parts = (vehicle, "_look_around"), (vehicle, "_run_app"), (vehicle.messaging, "on_timer")
+        for owner, name in parts:
+            setattr(owner, name, watched(getattr(owner, name)))
+        due_us = []
+        for _ in range(500):
+            if vehicle.next_look_us <= flight.now_us + STEP_US:
+                due_us.append(flight.now_us + STEP_US)
+            flight.step()
+        assert sorted(set(looked_us)) == due_us
+        assert (
+            100 <= len(due_us) <= 110
+        )  # 2 s at 50 Hz, and with the samples after the application's commands
+
+
+def test_without_an_application_decisions_alone_are_looked_at():
+    vehicle = Vehicle(vehicle_config())
+    vehicle.step(sim_messages=[sensor(STEP_US)], link_active=NOBODY)
+    assert vehicle._loop_us == NEVER_US
+    assert vehicle.next_look_us <= DECISION_PERIOD_US
