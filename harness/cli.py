@@ -4,7 +4,6 @@ Exit status: 0 fine, 1 the run failed, 2 bad input, 130 broken off by Ctrl-C. An
 """
 
 import contextlib
-import signal
 import sys
 import traceback
 from collections.abc import Sequence
@@ -17,6 +16,7 @@ import typer
 from rich.console import Console
 
 from harness.faults import MOST_TIME_S
+from harness.interrupts import interruptible
 from harness.keyboard import Keyboard
 from harness.processes import SetupError, SwarmError
 from harness.profiling import profile_table
@@ -264,18 +264,11 @@ def _list_files(messages: Console, folder: Path) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
-    # a shell starts what runs in its background with SIGINT ignored, and `kill -INT` shall stop that as well
-    handlers = {
-        number: signal.signal(number, signal.default_int_handler)
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
     try:
-        status = app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
+        with interruptible():
+            status = app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
     except BaseException as error:  # noqa: BLE001  every end has its status and its line
         failure = _failure(error)
         print(f"coflight: {failure}", file=sys.stderr)
         return failure.status
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
     return status if isinstance(status, int) else FINE

@@ -18,6 +18,7 @@ import psutil
 from msgspec import Struct
 
 from harness import kernel_cache, px4_seat
+from harness.interrupts import interrupts_deferred
 from harness.messages import AnyCommand, AnyEvent, Formed, Paused, Progress, SetPid
 from harness.px4_seat import Px4Error
 from harness.run_folder import RunFolder
@@ -31,7 +32,6 @@ from harness.supervisor import (
     SupervisorError,
     bind,
     bind_local,
-    interrupts_deferred,
 )
 from netsim.child import Finished, Influenced, Ready, Warned
 

@@ -5,7 +5,7 @@ events on its stdout, commands on its stdin, and an end when stdin ends. All tha
 they end, is heard by one thread and comes out of one queue. A child may be a forker (`harness.forker`), and
 others be forked by it.
 
-Ctrl-C cannot fall between a process's start and its being known, nor cut a stop short: `interrupts_deferred`.
+Ctrl-C cannot fall between a process's start and its being known, nor cut a stop short.
 """
 
 import collections
@@ -19,9 +19,8 @@ import sys
 import threading
 import time
 import uuid
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from types import FrameType
 from typing import IO
 
 import msgspec
@@ -29,6 +28,7 @@ import psutil
 from msgspec import Struct
 
 from harness.forker import Forker, ForkError, process_of
+from harness.interrupts import interrupts_deferred
 from harness.listener import Listener
 from harness.messages import AnyCommand, AnyEvent
 from netsim.child import Finished, Influenced, Ready, Stop, Warned
@@ -124,32 +124,6 @@ def bind_local(name: str, *, backlog: int) -> socket.socket:
         sock.close()
         raise
     return sock
-
-
-@contextlib.contextmanager
-def interrupts_deferred() -> Iterator[None]:
-    """Hold back Ctrl-C, and a SIGTERM that has a handler, until the block is left. It must take bounded time.
-
-    Python runs signal handlers in the main thread alone, so in any other there is nothing to hold back.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    handlers: dict[int, Callable[[int, FrameType | None], object]] = {}
-    for number in map(int, (signal.SIGINT, signal.SIGTERM)):
-        handler = signal.getsignal(number)
-        if callable(handler):
-            handlers[number] = handler
-    pending: list[tuple[int, FrameType | None]] = []
-    for number in handlers:
-        signal.signal(number, lambda *arrived: pending.append(arrived))
-    try:
-        yield
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-        for number, frame in pending[:1]:
-            handlers[number](number, frame)
 
 
 class _Child:

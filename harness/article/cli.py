@@ -4,11 +4,9 @@ Exit status: 0 all flights have ended as flights do, 1 some failed or the cluste
 off: the same command goes on. What a verdict says is a result, and no failure. An error is one line.
 """
 
-import contextlib
 import math
 import os
-import signal
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, TextIO
 
@@ -34,6 +32,7 @@ from harness.campaign.display import Display
 from harness.campaign.running import known
 from harness.campaign.store import FAILED, Store
 from harness.campaign.worker import sources_state
+from harness.interrupts import interruptible
 from harness.validation.command import WIDTH, progress_lines
 from harness.validation.report import Section, markdown, show, write
 from harness.validation.standard_output import keep_stdout
@@ -76,7 +75,7 @@ def article(
     plan = replace(plan, seeds=seeds or plan.seeds, duration_s=duration or plan.duration_s)
     stdout = keep_stdout()
     try:
-        with _interruptible():
+        with interruptible():
             tables = _fly(
                 campaigns(plan), runs or (QUICK_RUNS if quick else RUNS),
                 workers=workers or os.cpu_count() or 1, retry=retry, messages=messages,
@@ -104,20 +103,6 @@ def _ending(error: Exception) -> tuple[int, str]:
             return BAD_INPUT, str(error)
         case _:
             return SOME_FAILED, f"{type(error).__name__}: {error}".rstrip(": ").splitlines()[0]
-
-
-@contextlib.contextmanager
-def _interruptible() -> Iterator[None]:
-    """Have SIGINT and SIGTERM raise KeyboardInterrupt, even in the background of a shell."""
-    before = {
-        number: signal.signal(number, signal.default_int_handler)
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _fly(

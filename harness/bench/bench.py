@@ -4,8 +4,10 @@ Each runs in a process of its own. The repeats give real-time factor, processor 
 memory and start-up; one more flight, which samples itself from the formation on, gives the parts' shares.
 """
 
+import contextlib
 import os
 import platform
+import signal
 import statistics
 import subprocess
 import sys
@@ -22,6 +24,7 @@ from msgspec import Struct
 from harness import kernel_cache
 from harness.bench.flight_job import FlightCost, FlightJob
 from harness.bench.floor_job import FloorCost, FloorJob
+from harness.interrupts import interrupts_deferred
 from harness.profiling import VEHICLES
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
@@ -29,6 +32,8 @@ FEW = 8
 """UAVs up to which it is the article's swarm that flies."""
 WALL_LIMIT_S = 1_800.0
 """For one flight or floor: none takes so long but on a machine that is no use for measuring."""
+END_LIMIT_S = 90.0
+"""For one that is broken off: a swarm takes a minute to stop at the most."""
 
 Result = TypeVar("Result", bound=Struct)
 Parts = dict[str, dict[str, float]]
@@ -117,28 +122,36 @@ class Bench(Struct, frozen=True, kw_only=True):
     runs: tuple[Run, ...]
     failure: str | None = None
     """Why there are no more runs than these."""
+    broken_off: bool = False
+    """Its user wanted no more of them."""
 
 
 def bench(plan: Plan, note: Callable[[str], None]) -> Bench:
     """Measure; ``note`` is told how it goes.
 
-    What was measured before a measurement failed is returned, with the failure. Raises BenchError if that is
-    nothing, and CompileError of the kernels.
+    What was measured before a measurement failed, or Ctrl-C came, is returned all the same, with the failure.
+    Raises BenchError or KeyboardInterrupt if that is nothing, and CompileError of the kernels.
     """
     kernel_cache.prepare(note)
     machine = _machine()
     runs: list[Run] = []
-    failure = None
+    failure, broken_off = None, False
     for agents in plan.agents:
         try:
             runs.append(_run(plan, agents, note))
-        except BenchError as error:
+        except (BenchError, KeyboardInterrupt) as error:
             if not runs:
                 raise
-            failure = f"{_uavs(agents)}: {error}"
+            broken_off = isinstance(error, KeyboardInterrupt)
+            failure = f"{_uavs(agents)}: {'broken off' if broken_off else error}"
             break
     return Bench(
-        machine=machine, duration_s=plan.duration_s, repeats=plan.repeats, runs=tuple(runs), failure=failure
+        machine=machine,
+        duration_s=plan.duration_s,
+        repeats=plan.repeats,
+        runs=tuple(runs),
+        failure=failure,
+        broken_off=broken_off,
     )
 
 
@@ -240,20 +253,41 @@ def _flight(plan: Plan, agents: int, *, profile_from_s: float | None = None) -> 
 
 
 def _measured(module: str, job: Struct, kind: type[Result]) -> Result:
-    """Run a measurement in a process of its own. Raises BenchError."""
+    """Run a measurement in a process of its own, which does not outlive this one. Raises BenchError."""
     command = [sys.executable, "-P", "-m", module, msgspec.json.encode(job).decode()]
-    environment = os.environ | kernel_cache.environment()
-    try:
-        done = subprocess.run(
-            command, env=environment, capture_output=True, text=True, check=True, timeout=WALL_LIMIT_S
-        )
-    except subprocess.CalledProcessError as error:
-        last_words = error.stderr.strip().rpartition("\n")[2]
-        raise BenchError(last_words or f"{module} ended with status {error.returncode}") from None
-    except subprocess.TimeoutExpired:
-        raise BenchError(f"{module}: not done within {WALL_LIMIT_S:g} s") from None
-    # PyBullet says when it was built, on whichever of the two it likes
-    return msgspec.json.decode(done.stdout.strip().rpartition("\n")[2], type=kind)
+    with contextlib.ExitStack() as stack:
+        said, complaints = (stack.enter_context(tempfile.TemporaryFile("w+")) for _ in range(2))
+        with interrupts_deferred():
+            process = subprocess.Popen(
+                command,
+                env=os.environ | kernel_cache.environment(),
+                stdin=subprocess.PIPE,  # ends when this process does, however it does
+                stdout=said,
+                stderr=complaints,
+                start_new_session=True,  # Ctrl-C is told once, by this process
+            )
+            stack.callback(_end, process)
+        try:
+            status = process.wait(WALL_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            raise BenchError(f"{module}: not done within {WALL_LIMIT_S:g} s") from None
+        if status:
+            complaints.seek(0)
+            last_words = complaints.read().strip().rpartition("\n")[2]
+            raise BenchError(last_words or f"{module} ended with status {status}")
+        said.seek(0)
+        # PyBullet says when it was built, on whichever of the two it likes
+        return msgspec.json.decode(said.read().strip().rpartition("\n")[2], type=kind)
+
+
+def _end(process: "subprocess.Popen[bytes]") -> None:
+    """Break a measurement off, unless it has ended, and wait until it has ended what it started."""
+    with process, interrupts_deferred():
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(END_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
 
 
 def _machine() -> Machine:

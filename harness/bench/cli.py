@@ -9,6 +9,7 @@ from rich.console import Console
 
 from harness.bench.bench import BenchError, Plan, bench, to_json
 from harness.bench.tables import markdown, sheets, terminal_table
+from harness.interrupts import interruptible
 from harness.kernel_cache import CompileError
 from harness.scenario import ScenarioError, load
 
@@ -61,7 +62,8 @@ def main(
         )
         for number in plan.agents:  # bad input is known before anything flies
             load(plan.scenario_for(number), [f"agents={number}", f"run.seed={seed}"])
-        found = bench(plan, lambda line: messages.print(line, soft_wrap=True))
+        with interruptible():
+            found = bench(plan, lambda line: messages.print(line, soft_wrap=True))
     except (ScenarioError, ValueError) as error:
         _end(messages, BAD_INPUT, str(error))
     except (BenchError, CompileError, OSError) as error:
@@ -78,7 +80,7 @@ def main(
             console.print(sheet.title, style="bold")
             console.print(terminal_table(sheet))
     if found.failure is not None:
-        _end(messages, FAILED, found.failure)
+        _end(messages, INTERRUPTED if found.broken_off else FAILED, found.failure)
 
 
 def _numbers(text: str) -> tuple[int, ...]:

@@ -16,12 +16,14 @@ import psutil
 from msgspec import Struct
 
 from harness.bench.flight_job import LAUNCHER, FlightCost, FlightJob, Span
+from harness.interrupts import interrupt_with_parent, interruptible
 from harness.messages import VehicleLost
 from harness.processes import SwarmError, uav
 from harness.profiling import kind_of
 from harness.scenario import ScenarioError, load
 from harness.swarm import Swarm, SwarmTimeoutError
 
+INTERRUPTED = 130
 _MB = 1e6
 
 
@@ -111,12 +113,20 @@ def _memory_mb(swarm: Swarm) -> tuple[dict[str, float], float]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Fly what the one argument, a `FlightJob` in JSON, says; the cost is the last line on stdout."""
+    """Fly what the one argument, a `FlightJob` in JSON, says; the cost is the last line on stdout.
+
+    The end of stdin breaks it off, as Ctrl-C does.
+    """
     try:
-        cost = fly(msgspec.json.decode(arguments[0], type=FlightJob))
+        with interruptible():
+            interrupt_with_parent()
+            cost = fly(msgspec.json.decode(arguments[0], type=FlightJob))
     except (ScenarioError, SwarmError, psutil.NoSuchProcess) as error:
         sys.stderr.write(f"{error}\n")
         return 2
+    except KeyboardInterrupt:
+        sys.stderr.write("broken off\n")
+        return INTERRUPTED
     sys.stdout.write(msgspec.json.encode(cost).decode() + "\n")
     return 0
 

@@ -4,7 +4,6 @@ Exit status: 0 all runs have ended as flights do, 1 some failed or the cluster d
 off: the same command goes on. An error is one line on stderr.
 """
 
-import signal
 import sys
 from collections import Counter
 from collections.abc import Sequence
@@ -25,6 +24,7 @@ from harness.campaign.store import FAILED, CampaignError, ClusterError, Flown, S
 from harness.campaign.table import Table
 from harness.campaign.values import toml_text
 from harness.campaign.worker import sources_state
+from harness.interrupts import interruptible
 
 FINE, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 DASHBOARD = "127.0.0.1:8787"
@@ -153,22 +153,15 @@ def _print_json(content: object) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
-    # a shell starts what runs in its background with SIGINT ignored, and `kill -INT` shall stop that as well
-    handlers = {
-        number: signal.signal(number, signal.default_int_handler)
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
     try:
-        status = campaign_app(
-            args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False
-        )
+        with interruptible():
+            status = campaign_app(
+                args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False
+            )
     except BaseException as error:  # noqa: BLE001  every end has its status and its line
         status, line = _ending(error)
         if line:
             sys.stderr.write(f"campaign: {line}\n")
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
     return status if isinstance(status, int) else FINE
 
 

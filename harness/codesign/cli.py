@@ -3,11 +3,9 @@
 Exit status as `harness.validation.command` has it; 130 if it was broken off: the same command goes on.
 """
 
-import contextlib
 import os
 import shutil
-import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -34,6 +32,7 @@ from harness.codesign.results import (
 from harness.codesign.sections import Judge, judge_wavelength, judge_wind_agents
 from harness.codesign.tables import write_csv
 from harness.codesign.trouble_section import judge_trouble
+from harness.interrupts import interruptible
 from harness.validation.command import BAD_INPUT, Page, chosen, progress_lines, tell
 from harness.validation.report import Section
 from harness.validation.standard_output import keep_stdout
@@ -97,7 +96,7 @@ def codesign(
     if missing or ESTIMATOR in names:
         state = sources_state()
         try:
-            with store.alone(), _interruptible():
+            with store.alone(), interruptible():
                 kernel_cache.prepare(messages.print)
                 if ESTIMATOR in names:
                     estimated = _study(plan, data, workers=workers, messages=messages)
@@ -127,16 +126,6 @@ def codesign(
         introduction=introduction(book, tasks, made_by=made_by, changed=changed),
     )
     tell(sections, page=page, out=out, json=json, stdout=stdout, px4=False)
-
-
-@contextlib.contextmanager
-def _interruptible() -> Iterator[None]:
-    """Have SIGINT raise KeyboardInterrupt, even where a shell has started this in its background."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _fly(

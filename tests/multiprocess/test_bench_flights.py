@@ -1,16 +1,21 @@
 """A short bench of real flights."""
 
 import json
+import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
+import psutil
 import pytest
 
 from harness.profiling import VEHICLES
 
 pytestmark = pytest.mark.multiprocess
 BENCH = Path(__file__).parents[2] / "scripts" / "bench.py"
+WALL_LIMIT_S = 60.0
 
 
 def test_bench_tells_speed_floor_parts_memory_and_start_up():
@@ -32,3 +37,27 @@ def test_bench_tells_speed_floor_parts_memory_and_start_up():
         assert 0.0 < run["uss_mb_per_uav"] < 200.0
         assert 0.0 < run["startup_s"] < 120.0
         assert run["formed_s"] > 1.0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_bench_that_is_broken_off_in_mid_flight_leaves_nothing_behind(tmp_path, number):
+    command = [sys.executable, str(BENCH), "--agents", "2", "--duration", "1000", "--repeats", "1"]
+    environment = os.environ | {"TMPDIR": str(tmp_path)}
+    with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as bench:
+        descendants: dict[str, psutil.Process] = {}
+        deadline_s = time.monotonic() + WALL_LIMIT_S
+        while not {"uav 0", "uav 1"} <= descendants.keys():
+            assert time.monotonic() < deadline_s
+            for process in psutil.Process(bench.pid).children(recursive=True):
+                try:
+                    descendants[process.name()] = process
+                except psutil.NoSuchProcess:
+                    continue
+        bench.send_signal(number)
+        _, errors = bench.communicate(timeout=WALL_LIMIT_S)
+    assert psutil.wait_procs(descendants.values(), timeout=WALL_LIMIT_S)[1] == []
+    if number == signal.SIGKILL:  # nobody is left to tidy
+        return
+    assert bench.returncode == 130
+    assert errors.splitlines()[-1] == "bench: broken off"
+    assert list(tmp_path.iterdir()) == []

@@ -14,6 +14,7 @@ from pathlib import Path
 import psutil
 import pytest
 
+from harness.interrupts import interrupts_deferred
 from harness.messages import SetPid
 from harness.supervisor import (
     MARK,
@@ -23,7 +24,6 @@ from harness.supervisor import (
     SupervisorError,
     bind,
     ending,
-    interrupts_deferred,
 )
 from netsim.child import Finished, Ready
 

@@ -4,14 +4,16 @@ import json
 import socket
 import struct
 
+import msgspec
+import psutil
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 from typer.testing import CliRunner
 
 from autopilot.mavlink.hil import HilActuatorControls, HilParser, HilSensor
-from harness.bench import floor
+from harness.bench import bench, floor
 from harness.bench.bench import Bench, Machine, Plan, summarise, to_json
-from harness.bench.cli import bench_app
+from harness.bench.cli import FAILED, INTERRUPTED, bench_app
 from harness.bench.flight_job import LAUNCHER, FlightCost, Span
 from harness.bench.floor_job import FloorCost, FloorJob, FloorSpeed
 from harness.bench.tables import markdown, sheets, terminal_table
@@ -192,6 +194,68 @@ def test_bad_input_is_one_line_before_anything_flies(arguments, line):
     assert result.stderr.startswith(line)
     assert result.stderr.count("\n") == 1
     assert result.stdout == ""
+
+
+@pytest.fixture
+def measure(monkeypatch, run):
+    """Run the command line for 1, 8 and 64 UAVs, of which the 64 come to the end that is given."""
+
+    def invoke(reason, *options, agents="1,8,64"):
+        def one(_plan, agents, note):
+            note(f"{agents} UAVs are measured")
+            if agents == 64:
+                raise reason
+            return msgspec.structs.replace(run, agents=agents)
+
+        monkeypatch.setattr(bench, "_run", one)
+        monkeypatch.setattr(bench.kernel_cache, "prepare", lambda _: None)
+        return CliRunner().invoke(bench_app, ["--agents", agents, *options])
+
+    return invoke
+
+
+@pytest.mark.parametrize(
+    ("reason", "status", "line"),
+    [
+        (bench.BenchError("uav 3 was lost"), FAILED, "bench: 64 UAVs: uav 3 was lost"),
+        (KeyboardInterrupt(), INTERRUPTED, "bench: 64 UAVs: broken off"),
+    ],
+)
+def test_what_was_measured_before_it_came_to_an_end_is_told(measure, reason, status, line):
+    told = measure(reason)
+    assert told.exit_code == status
+    assert told.stderr.splitlines()[-1] == line
+    assert "in formation" in told.stdout
+    kept = json.loads(measure(reason, "--json").stdout)
+    assert [each["agents"] for each in kept["runs"]] == [1, 8]
+    assert f"bench: {kept['failure']}" == line
+    assert kept["broken_off"] is (status == INTERRUPTED)
+
+
+@pytest.mark.parametrize(
+    ("reason", "status", "line"),
+    [
+        (bench.BenchError("uav 3 was lost"), FAILED, "bench: uav 3 was lost"),
+        (KeyboardInterrupt(), INTERRUPTED, "bench: broken off"),
+    ],
+)
+def test_when_nothing_was_measured_the_reason_is_all_there_is(measure, reason, status, line):
+    told = measure(reason, agents="64,8")
+    assert (told.exit_code, told.stdout) == (status, "")
+    assert told.stderr.splitlines()[-1] == line
+
+
+def test_a_measurement_that_fails_is_told_with_its_last_words(tmp_path):
+    plan = Plan(agents=(1,), duration_s=1.0, repeats=1, floor_wall_s=0.1, scenario=tmp_path / "nowhere.toml")
+    with pytest.raises(bench.BenchError, match=r"nowhere\.toml"):
+        bench._flight(plan, 1)
+
+
+def test_a_measurement_that_is_not_done_in_time_is_broken_off(monkeypatch):
+    monkeypatch.setattr(bench, "WALL_LIMIT_S", 1.0)
+    with pytest.raises(bench.BenchError, match=r"^harness\.bench\.floor: not done within 1 s$"):
+        bench._floor(1, 60.0)
+    assert psutil.Process().children() == []
 
 
 def test_frame_lengths_are_a_flights():
