@@ -13,6 +13,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from autopilot.config import AnyMotion, RacetrackMotion
+from autopilot.types import Vector
 
 Array = NDArray[np.float64]
 Number = TypeVar("Number", float, Array)
@@ -28,10 +29,11 @@ SPEED_UP_MAX_S = 3600.0
 TURN_INTERVALS = 256
 """Of a half turn's table. Cubic interpolation is wrong by some 1e-9 radii."""
 _CHECKED_INSTANTS = 200
+_STILL: Vector = (0.0, 0.0, 0.0)
 
 
 class PlanState(Struct, frozen=True, eq=False):
-    """The plan at an instant: of N places (N, 3), or of one (3,). Arrays are not to be written to."""
+    """The plan of N places at an instant. Arrays (N, 3) are not to be written to."""
 
     pos_ned_m: Array
     """Site NED."""
@@ -39,6 +41,16 @@ class PlanState(Struct, frozen=True, eq=False):
     acc_ned_m_s2: Array
     heading_rad: float
     """Of the formation, clockwise from north, -pi to pi."""
+    heading_rate_rad_s: float
+
+
+class PlaceState(Struct, frozen=True):
+    """The plan of one place at an instant; fields as of `PlanState`."""
+
+    pos_ned_m: Vector
+    vel_ned_m_s: Vector
+    acc_ned_m_s2: Vector
+    heading_rad: float
     heading_rate_rad_s: float
 
 
@@ -101,7 +113,8 @@ class FormationPlan:
         heading_rad = math.remainder(self._heading_rad, math.tau)
         self._standing = PlanState(places_ned_m, still, still, heading_rad, 0.0)
         self._own_standing = [
-            PlanState(place_ned_m, still[0], still[0], heading_rad, 0.0) for place_ned_m in places_ned_m
+            PlaceState((north_m, east_m, down_m), _STILL, _STILL, heading_rad, 0.0)
+            for north_m, east_m, down_m in places_ned_m.tolist()
         ]
         if motion is None:
             return
@@ -133,7 +146,7 @@ class FormationPlan:
         pos_ned_m[:, 2] = self._down_m
         return PlanState(pos_ned_m, vel_ned_m_s, acc_ned_m_s2, *self._heading(centre))
 
-    def own(self, station: int, since_start_s: float) -> PlanState:
+    def own(self, station: int, since_start_s: float) -> PlaceState:
         """State of one place: what `at` says of it, for a fraction of its time."""
         if self._motion is None or since_start_s <= 0.0:
             return self._own_standing[station]
@@ -142,10 +155,10 @@ class FormationPlan:
         north_m, east_m, vel_north_m_s, vel_east_m_s, acc_north_m_s2, acc_east_m_s2 = _carried(
             centre, offset_north_m, offset_east_m
         )
-        return PlanState(
-            np.array((north_m, east_m, down_m)),
-            np.array((vel_north_m_s, vel_east_m_s, 0.0)),
-            np.array((acc_north_m_s2, acc_east_m_s2, 0.0)),
+        return PlaceState(
+            (north_m, east_m, down_m),
+            (vel_north_m_s, vel_east_m_s, 0.0),
+            (acc_north_m_s2, acc_east_m_s2, 0.0),
             *self._heading(centre),
         )
 

@@ -117,7 +117,7 @@ class Host:
             self._radio.send(now_us, output.radio)
             actuators = actuators._replace(flags=actuators.flags | BATCH_HANDED_OVER)
         if self._log is not None and now_us % self._config.record_period_us == 0:
-            self._log.append([record(self.vehicle)])
+            self._log.append_packed(record(self.vehicle))
         answer = self._encoder.encode(actuators)
         if output.simulator:
             answer = b"".join(map(self._encoder.encode, output.simulator)) + answer

@@ -13,6 +13,8 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
+"""Where what is done is a few sums: an array's operations cost more than they do."""
 
 
 class Course(Enum):

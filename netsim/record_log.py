@@ -35,7 +35,11 @@ class RecordLog:
 
     def append_array(self, rows: NDArray[np.void]) -> None:
         """Add rows (n,) of the dtype at once; a log gets all of its rows either so or by `append`."""
-        self._packed += rows.tobytes()
+        self.append_packed(rows.tobytes())
+
+    def append_packed(self, rows: bytes) -> None:
+        """Add rows as `append_array`, whose bytes these are."""
+        self._packed += rows
         block_bytes = BLOCK_ROWS * self._dtype.itemsize
         whole = len(self._packed) // block_bytes * block_bytes
         if whole:

@@ -6,9 +6,11 @@ geoid's undulation is constant over a flight and cancels. Pure functions; points
 shape.
 """
 
+import math
 from functools import lru_cache
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
@@ -18,6 +20,39 @@ FLATTENING = 1.0 / 298.257_223_563
 _ECCENTRICITY_SQUARED = FLATTENING * (2.0 - FLATTENING)
 _SEMI_MINOR_AXIS_M = SEMI_MAJOR_AXIS_M * (1.0 - FLATTENING)
 _SECOND_ECCENTRICITY_SQUARED = _ECCENTRICITY_SQUARED / (1.0 - _ECCENTRICITY_SQUARED)
+
+
+@njit(cache=True)
+def place_ned_m(
+    lat_deg: float, lon_deg: float, alt_m: float,
+    origin_lat_deg: float, origin_lon_deg: float, origin_alt_m: float,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Position in metres, NED from the origin, of one geodetic point of finite numbers.
+
+    What `geodetic_to_ned` says but for rounding, for a twentieth of its time: for what comes one by one, as
+    fixes do.
+    """
+    x_m, y_m, z_m = _ecef_m(math.radians(lat_deg), math.radians(lon_deg), alt_m)
+    lat_rad, lon_rad = math.radians(origin_lat_deg), math.radians(origin_lon_deg)
+    from_x_m, from_y_m, from_z_m = _ecef_m(lat_rad, lon_rad, origin_alt_m)
+    x_m, y_m, z_m = x_m - from_x_m, y_m - from_y_m, z_m - from_z_m
+    sin_lat, cos_lat = math.sin(lat_rad), math.cos(lat_rad)
+    sin_lon, cos_lon = math.sin(lon_rad), math.cos(lon_rad)
+    outwards_m = cos_lon * x_m + sin_lon * y_m
+    return (
+        cos_lat * z_m - sin_lat * outwards_m,
+        cos_lon * y_m - sin_lon * x_m,
+        -cos_lat * outwards_m - sin_lat * z_m,
+    )
+
+
+@njit(cache=True)
+def _ecef_m(lat_rad: float, lon_rad: float, alt_m: float) -> tuple[float, float, float]:
+    sin_lat, cos_lat = math.sin(lat_rad), math.cos(lat_rad)
+    prime_vertical_m = SEMI_MAJOR_AXIS_M / math.sqrt(1.0 - _ECCENTRICITY_SQUARED * sin_lat * sin_lat)
+    from_axis_m = (prime_vertical_m + alt_m) * cos_lat
+    z_m = (prime_vertical_m * (1.0 - _ECCENTRICITY_SQUARED) + alt_m) * sin_lat
+    return from_axis_m * math.cos(lon_rad), from_axis_m * math.sin(lon_rad), z_m
 
 
 def geodetic_to_ned(

@@ -9,11 +9,10 @@ positions of both, `Guidance` makes setpoints of positions, and `Flight` decides
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
-from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common
 
 from autopilot.config import AnyMotion, Devices, OnboardConfig, Site
@@ -24,6 +23,7 @@ from autopilot.onboard.beacon import Fix, GpsError
 from autopilot.onboard.commands import CommandSender
 from autopilot.onboard.common_frame import CommonFrame
 from autopilot.onboard.flight import LOCALISE_TIMEOUT_US, Flight, Situation
+from autopilot.onboard.formation import Level
 from autopilot.onboard.guidance import Guidance
 from autopilot.onboard.localisation import CooperativeLocalisation, LocalisationModel, Others
 from autopilot.onboard.motion import Heard
@@ -31,9 +31,8 @@ from autopilot.onboard.neighbourhood import Neighbourhood
 from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.phases import Phase
 from autopilot.onboard.traffic import Traffic
+from autopilot.types import Vector
 from netsim.wire.messages import Delivery, FtmResult, RxItem, Sent, Survey, TxItem
-
-Array = NDArray[np.float64]
 
 SETPOINT_PERIOD_US = 40_000
 HEARTBEAT_PERIOD_US = 1_000_000
@@ -55,22 +54,21 @@ class OnboardOutput(Struct, frozen=True):
     radio: tuple[TxItem, ...]
 
 
+_UNKNOWN: Vector = (math.nan, math.nan, math.nan)
 NOTHING = OnboardOutput((), ())
 """What most steps give."""
 
 
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """Where the application believes itself to be; arrays are site NED, metres."""
+class Estimate(NamedTuple):
+    """Where the application believes itself to be; site NED, metres."""
 
-    pos_ned_m: Array
-    """(3,) the autopilot's position less the correction."""
-    std_ned_m: Array
-    """(3,) one sigma, the error of the formation as a whole included."""
-    correction_ned_m: Array
-    """(3,)"""
-    odometry_offset_ned_m: Array
-    """(3,) the part of it that comes over the radio: the true position less the odometry, as localisation
+    pos_ned_m: Vector
+    """The autopilot's position less the correction."""
+    std_ned_m: Vector
+    """One sigma, the error of the formation as a whole included."""
+    correction_ned_m: Vector
+    odometry_offset_ned_m: Vector
+    """The part of it that comes over the radio: the true position less the odometry, as localisation
     knows it. NaN before it does; frozen while no distances come."""
 
 
@@ -198,9 +196,7 @@ class OnboardApp:
         if 0 <= before_us < own.time_us - TELEMETRY_GAP_US:
             self._begin_anew()
         if self.localisation is not None:
-            self.localisation.on_odometry(
-                self._near.own, own.time_us, own.odometry_ned_m.tolist(), own.vel_ned_m_s.tolist()
-            )
+            self.localisation.on_odometry(self._near.own, own.time_us, own.odometry_ned_m, own.vel_ned_m_s)
             self._localise_by(self._near.own, own.fix)  # should it have been newer than the odometry
         if wind is not None:
             wind.on_velocity(own.time_us, (msg.vx, msg.vy, msg.vz), flying=self._flight.in_formation)
@@ -324,21 +320,20 @@ class OnboardApp:
 
     @property
     def estimate(self) -> Estimate:
-        """The present estimate; arrays are the caller's."""
+        """The present estimate."""
         correction = self._guidance.correction
-        correction_ned_m = np.array((*correction.ne_m.tolist(), self._guidance.down_error_m))
-        offset_ned_m = np.full(3, np.nan)
-        if correction.offset_ne_m is not None:
-            offset_ned_m[:] = (*correction.offset_ne_m.tolist(), 0.0)
         if self.localisation is not None and self._supported:
             std_ned_m = self.localisation.std_ned_m()
         elif self._own.truth_ned_m is not None:
-            std_ned_m = np.full(3, TRUTH_STD_M)
+            std_ned_m = (TRUTH_STD_M, TRUTH_STD_M, TRUTH_STD_M)
         else:
             model = self._model
-            std_ned_m = np.array((model.gps_bias_std_m, model.gps_bias_std_m, model.height_std_m))
+            std_ned_m = (model.gps_bias_std_m, model.gps_bias_std_m, model.height_std_m)
         return Estimate(
-            self._guidance.believed_ned_m(self._own, self._now_us), std_ned_m, correction_ned_m, offset_ned_m
+            self._guidance.believed_ned_m(self._own, self._now_us),
+            std_ned_m,
+            (*correction.ne_m, self._guidance.down_error_m),
+            _UNKNOWN if correction.offset_ne_m is None else (*correction.offset_ne_m, 0.0),
         )
 
     @property
@@ -355,13 +350,12 @@ class OnboardApp:
         guidance, flight, own = self._guidance, self._flight, self._own
         self._correct(now_us)
         place_ned_m, believed_ned_m = guidance.place_ned_m(now_us), guidance.believed_ned_m(own, now_us)
-        miss_m = believed_ned_m - place_ned_m
         flight.update(
             own,
             Situation(
                 shape_std_m=self._shape_std_before_flight_m(now_us),
-                miss_m=math.sqrt(miss_m @ miss_m),
-                place_height_m=-float(place_ned_m[2]),
+                miss_m=math.dist(believed_ned_m, place_ned_m),
+                place_height_m=-place_ned_m[2],
             ),
             now_us,
         )
@@ -378,7 +372,7 @@ class OnboardApp:
     def _correct(self, now_us: int) -> None:
         """Bring the correction up to date with what is known of the true position."""
         own, guidance = self._own, self._guidance
-        offset_ne_m: Array | None = None
+        offset_ne_m: Level | None = None
         if self.localisation is not None:
             self.localisation.update(now_us)
             self._note_support(now_us)
@@ -386,14 +380,17 @@ class OnboardApp:
                 offset_ne_m = self.localisation.offset_ne_m()
                 if self._frame is not None:
                     self._frame.update(now_us, self.localisation)
-                    offset_ne_m = offset_ne_m + self._frame.shift_ne_m
+                    shift_n_m, shift_e_m = self._frame.shift_ne_m
+                    offset_ne_m = (offset_ne_m[0] + shift_n_m, offset_ne_m[1] + shift_e_m)
         elif own.truth_ned_m is not None:
-            offset_ne_m = own.truth_ned_m[:2] - own.odometry_at(own.truth_us)[:2]
-            guidance.down_error_m = float(own.odometry_at(own.truth_us)[2] - own.truth_ned_m[2])
+            (true_n_m, true_e_m, true_d_m), then_ned_m = own.truth_ned_m, own.odometry_at(own.truth_us)
+            offset_ne_m = (true_n_m - then_ned_m[0], true_e_m - then_ned_m[1])
+            guidance.down_error_m = then_ned_m[2] - true_d_m
         else:
             return
         in_air = self._flight.in_air
-        drift_ne_m = own.autopilot_ned_m[:2] - own.odometry_ned_m[:2]
+        (there_n_m, there_e_m, _), (gone_n_m, gone_e_m, _) = own.autopilot_ned_m, own.odometry_ned_m
+        drift_ne_m = (there_n_m - gone_n_m, there_e_m - gone_e_m)
         guidance.correction.update(drift_ne_m, offset_ne_m, SETPOINT_PERIOD_US * 1e-6, at_once=not in_air)
         guidance.layers.update(now_us, supported=not in_air or self._held_together(now_us))
 
@@ -474,6 +471,4 @@ class OnboardApp:
             error = self._frame.error(self._own.fix, self.localisation)
             self._frame.hear(self._station, self._own.fix, error, self._now_us)
             return error
-        error_ned_m, std_m = self.localisation.gps_error(self.localisation.own)
-        north_m, east_m, down_m = error_ned_m.tolist()
-        return GpsError((north_m, east_m, down_m), std_m)
+        return GpsError(*self.localisation.gps_error(self.localisation.own))

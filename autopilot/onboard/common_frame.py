@@ -48,12 +48,12 @@ class CommonFrame:
         gps_std_m: what errors of GPS are taken to be at least, per horizontal axis.
 
     Attributes:
-        shift_ne_m: (2,) to be added to the positions that the own localisation has near the own one.
+        shift_ne_m: to be added to the positions that the own localisation has near the own one.
 
     """
 
     def __init__(self, near: Neighbourhood, *, gps_std_m: float) -> None:
-        self.shift_ne_m: Array = np.zeros(2)
+        self.shift_ne_m = (0.0, 0.0)
         self._near = near
         self._gps_std_m = gps_std_m
         self._told: list[_Told | None] = [None] * near.stations
@@ -73,13 +73,14 @@ class CommonFrame:
 
         Horizontally that of this very fix, so that whoever hears both knows where the UAV believes itself.
         """
-        error_ned_m, std_m = localisation.gps_error(localisation.own)
+        (error_n_m, error_e_m, down_m), std_m = localisation.gps_error(localisation.own)
         odometry_ned_m = localisation.odometry_at(localisation.own, fix.time_ms * 1_000)
         if odometry_ned_m is not None:
-            believed_ne_m = odometry_ned_m[:2] + localisation.offset_ne_m() + self.shift_ne_m
-            error_ned_m[:2] = np.array(fix.pos_ned_m[:2]) - believed_ne_m
-        north_m, east_m, down_m = error_ned_m.tolist()
-        return GpsError((north_m, east_m, down_m), std_m)
+            (odometry_n_m, odometry_e_m, _), (fix_n_m, fix_e_m, _) = odometry_ned_m, fix.pos_ned_m
+            (offset_n_m, offset_e_m), (shift_n_m, shift_e_m) = localisation.offset_ne_m(), self.shift_ne_m
+            error_n_m = fix_n_m - (odometry_n_m + offset_n_m + shift_n_m)
+            error_e_m = fix_e_m - (odometry_e_m + offset_e_m + shift_e_m)
+        return GpsError((error_n_m, error_e_m, down_m), std_m)
 
     def update(self, now_us: int, localisation: CooperativeLocalisation) -> None:
         """Do a round if one is due: lay the own picture onto the others', and that onto everybody's GPS."""
@@ -92,8 +93,10 @@ class CommonFrame:
         if not members:
             return
         rows = [*members, own]
-        self.shift_ne_m = laid_onto(there_ne_m[rows], np.vstack((apart_ne_m, self.shift_ne_m)))
-        self.shift_ne_m += self._anchoring(now_us, there_ne_m[own] + self.shift_ne_m)
+        shift_ne_m = laid_onto(there_ne_m[rows], np.vstack((apart_ne_m, self.shift_ne_m)))
+        shift_ne_m += self._anchoring(now_us, there_ne_m[own] + shift_ne_m)
+        shift_n_m, shift_e_m = shift_ne_m.tolist()
+        self.shift_ne_m = (shift_n_m, shift_e_m)
 
     def _disagreement(self, now_us: int, localisation: CooperativeLocalisation) -> tuple[list[int], Array]:
         """Rows of neighbours who say where they are, and (n, 2) how far from where they are here that is."""

@@ -118,7 +118,7 @@ class Flight:
         return Phase.LOCALISING if situation.shape_std_m > 0.0 else Phase.ARMING
 
     def _taking_off(self, own: OwnState, situation: Situation, now_us: int, *, disarmed: bool) -> Phase:
-        height_m = -float(own.local_ned_m[2])
+        height_m = -own.local_ned_m[2]
         take_off_height_m = min(TAKE_OFF_HEIGHT_M, situation.place_height_m)
         if disarmed:
             return Phase.LANDED if self._has_flown else Phase.ARMING

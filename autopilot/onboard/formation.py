@@ -6,13 +6,17 @@ knows it. Where truly it should be is a point that joins the formation's plan an
 """
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
+from struct import Struct
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Level = tuple[float, float]
+"""North and east."""
 
 OFFSET_TIME_CONSTANT_S = 0.5
 """Smooths the steps that single distances make; the drift of odometry in that time is centimetres."""
@@ -33,13 +37,15 @@ PLAN_SWING_M_S2 = 6.0
 moves otherwise than its last motion says by more than that has jumped."""
 LAG_MAX_M = 1.0
 """The point waits for a vehicle that is this far behind."""
-_STILL = np.zeros(3)
+_STILL = (0.0, 0.0, 0.0)
+_TARGET = Struct("12d")
+"""Of an array's rows: written into its memory, for a fifth of the time that assigning them takes."""
 
 
 @lru_cache(maxsize=4)
 def _part(dt_s: float) -> float:
     """Part of the way to a new estimate that is gone in ``dt_s``."""
-    return float(1.0 - np.exp(-dt_s / OFFSET_TIME_CONSTANT_S))
+    return 1.0 - math.exp(-dt_s / OFFSET_TIME_CONSTANT_S)
 
 
 class Correction:
@@ -51,14 +57,14 @@ class Correction:
     and the correction fades to zero.
 
     Attributes:
-        ne_m: (2,) the correction, NED north and east.
-        offset_ne_m: (2,) smoothed true position less odometry; None before the first.
+        ne_m: the correction, NED north and east.
+        offset_ne_m: smoothed true position less odometry; None before the first.
 
     """
 
     def __init__(self) -> None:
-        self.ne_m = np.zeros(2)
-        self.offset_ne_m: Array | None = None
+        self.ne_m: Level = (0.0, 0.0)
+        self.offset_ne_m: Level | None = None
         self._silent_s = 0.0
 
     @property
@@ -71,38 +77,43 @@ class Correction:
         self._silent_s = math.inf
 
     def update(
-        self, autopilot_less_odometry_ne_m: Array, offset_ne_m: Array | None, dt_s: float, *, at_once: bool
+        self, autopilot_less_odometry_ne_m: Level, offset_ne_m: Level | None, dt_s: float, *, at_once: bool
     ) -> None:
         """Advance by dt_s.
 
         Args:
-            autopilot_less_odometry_ne_m: (2,) the autopilot's position less the odometry, of one moment.
-            offset_ne_m: (2,) estimated true position less odometry; None while no distances support it.
+            autopilot_less_odometry_ne_m: the autopilot's position less the odometry, of one moment.
+            offset_ne_m: estimated true position less odometry; None while no distances support it.
             dt_s: since the last call.
             at_once: take the estimate over without smoothing, as is safe on the ground.
 
         """
+        drift_n_m, drift_e_m = autopilot_less_odometry_ne_m
+        known = self.offset_ne_m
         if offset_ne_m is None:
-            if self.offset_ne_m is None:
+            if known is None:
                 return
             self._silent_s += dt_s
             if self._silent_s > COAST_S:
-                self.ne_m = self.ne_m * np.exp(-dt_s / FADE_TIME_CONSTANT_S)
+                kept = math.exp(-dt_s / FADE_TIME_CONSTANT_S)
+                self.ne_m = (self.ne_m[0] * kept, self.ne_m[1] * kept)
                 return
         elif at_once:
-            self.offset_ne_m = offset_ne_m.copy()
+            known = offset_ne_m
         else:
-            if self.offset_ne_m is None or self._silent_s > COAST_S:
+            if known is None or self._silent_s > COAST_S:
                 # Continue from where the correction is: it may not jump in the air.
-                self.offset_ne_m = autopilot_less_odometry_ne_m - self.ne_m
-            step_m = (offset_ne_m - self.offset_ne_m) * _part(dt_s)
-            limit_m = OFFSET_RATE_M_S * dt_s
-            if step_m @ step_m > 0.99 * limit_m**2:  # below, it is surely within the limit
-                step_m *= min(1.0, limit_m / float(np.hypot(*step_m)))
-            self.offset_ne_m = self.offset_ne_m + step_m
+                known = (drift_n_m - self.ne_m[0], drift_e_m - self.ne_m[1])
+            part, limit_m = _part(dt_s), OFFSET_RATE_M_S * dt_s
+            step_n_m, step_e_m = (offset_ne_m[0] - known[0]) * part, (offset_ne_m[1] - known[1]) * part
+            size_m = math.sqrt(step_n_m * step_n_m + step_e_m * step_e_m)
+            if size_m > limit_m:
+                step_n_m, step_e_m = step_n_m * (limit_m / size_m), step_e_m * (limit_m / size_m)
+            known = (known[0] + step_n_m, known[1] + step_e_m)
         if offset_ne_m is not None:
             self._silent_s = 0.0
-        self.ne_m = autopilot_less_odometry_ne_m - self.offset_ne_m
+        self.offset_ne_m = known
+        self.ne_m = (drift_n_m - known[0], drift_e_m - known[1])
 
 
 @njit(cache=True)
@@ -112,8 +123,9 @@ def join(
 ) -> bool:  # fmt: skip
     """Move pos, vel and acc (3,) on axes ``first`` to below ``end`` by ``dt_s`` towards a moving target.
 
-    ``target`` (3, 3): rows are its position after ``dt_s``, velocity and acceleration. Returns whether pos,
-    vel and acc are the target's; ``joined``: whether they were before. ``speed_m_s`` is relative to it.
+    The first rows of ``target`` (., 3) are its position after ``dt_s``, velocity and acceleration. Returns
+    whether pos, vel and acc are the target's; ``joined``: whether they were before. ``speed_m_s`` is relative
+    to it.
     """
     gap_m, apart_m_s = np.zeros(3), np.zeros(3)
     distance_m2, speed_m2_s2 = 0.0, 0.0
@@ -149,6 +161,28 @@ def join(
     return False
 
 
+@njit(cache=True)
+def follow(
+    motion: Array, joined: NDArray[np.bool_], target: Array, heeded: bool,  # noqa: FBT001
+    climb_speed_m_s: float, dt_s: float,
+) -> None:  # fmt: skip
+    """Move a `Reference` on by ``dt_s``, in place.
+
+    Rows of motion (3, 3) are its position, velocity and acceleration; ``joined`` (2,) says whether these are
+    the target's, horizontally and in height. Rows of target (4, 3) are those of the target, and where the
+    vehicle is, which counts if it is ``heeded``.
+    """
+    if heeded and not joined[0]:
+        north_m, east_m = motion[0, 0] - target[3, 0], motion[0, 1] - target[3, 1]
+        away_m = math.sqrt(north_m * north_m + east_m * east_m)
+        if away_m > LAG_MAX_M:
+            motion[0, 0] -= (1.0 - LAG_MAX_M / away_m) * north_m
+            motion[0, 1] -= (1.0 - LAG_MAX_M / away_m) * east_m
+    pos, vel, acc = motion[0], motion[1], motion[2]
+    joined[0] = join(pos, vel, acc, target, 0, 2, JOIN_SPEED_M_S, dt_s, joined[0])
+    joined[1] = join(pos, vel, acc, target, 2, 3, climb_speed_m_s, dt_s, joined[1])
+
+
 class Reference:
     """A point that joins a moving target, horizontally and vertically apart, and then is the target.
 
@@ -164,29 +198,31 @@ class Reference:
     """
 
     def __init__(self, *, climb_speed_m_s: float) -> None:
-        self.pos_ned_m = np.zeros(3)
-        self.vel_ned_m_s = np.zeros(3)
-        self.acc_ned_m_s2 = np.zeros(3)
+        motion = np.zeros((3, 3))
+        self.pos_ned_m, self.vel_ned_m_s, self.acc_ned_m_s2 = motion
+        self._motion = motion
         self._climb_speed_m_s = climb_speed_m_s
-        self._target = np.zeros((3, 3))
-        self._level_joined = False
-        self._height_joined = False
+        self._target = np.zeros((4, 3))
+        """Of `follow`."""
+        self._target_bytes = self._target.data.cast("B")
+        self._joined = np.zeros(2, bool)
+        """Horizontally and in height."""
 
-    def reset(self, pos_ned_m: Array, vel_ned_m_s: Array) -> None:
-        """Begin at a position and velocity."""
-        self.pos_ned_m = pos_ned_m.copy()
-        self.vel_ned_m_s = vel_ned_m_s.copy()
-        self.acc_ned_m_s2 = np.zeros(3)
-        self._level_joined = self._height_joined = False
+    def reset(self, pos_ned_m: Sequence[float], vel_ned_m_s: Sequence[float]) -> None:
+        """Begin at a position and velocity, (3,)."""
+        self.pos_ned_m[:] = pos_ned_m
+        self.vel_ned_m_s[:] = vel_ned_m_s
+        self.acc_ned_m_s2[:] = 0.0
+        self._joined[:] = False
 
     def advance(
         self,
-        target_pos_ned_m: Array,
+        target_pos_ned_m: Sequence[float],
         dt_s: float,
         *,
-        target_vel_ned_m_s: Array = _STILL,
-        target_acc_ned_m_s2: Array = _STILL,
-        vehicle_ned_m: Array | None = None,
+        target_vel_ned_m_s: Sequence[float] = _STILL,
+        target_acc_ned_m_s2: Sequence[float] = _STILL,
+        vehicle_ned_m: Sequence[float] | None = None,
     ) -> None:
         """Move on by ``dt_s`` (> 0).
 
@@ -199,16 +235,13 @@ class Reference:
                 it horizontally, so it goes around with a vehicle that something is in the way of.
 
         """
-        target = self._target
-        target[0], target[1], target[2] = target_pos_ned_m, target_vel_ned_m_s, target_acc_ned_m_s2
-        own = (self.pos_ned_m, self.vel_ned_m_s, self.acc_ned_m_s2)
-        if vehicle_ned_m is not None and not self._level_joined:
-            way_ne_m = self.pos_ned_m[:2] - vehicle_ned_m[:2]
-            away_m = math.sqrt(way_ne_m @ way_ne_m)
-            if away_m > LAG_MAX_M:
-                self.pos_ned_m[:2] -= (1.0 - LAG_MAX_M / away_m) * way_ne_m
-        self._level_joined = join(*own, target, 0, 2, JOIN_SPEED_M_S, dt_s, self._level_joined)
-        self._height_joined = join(*own, target, 2, 3, self._climb_speed_m_s, dt_s, self._height_joined)
+        heeded = vehicle_ned_m is not None
+        there_ned_m = _STILL if vehicle_ned_m is None else vehicle_ned_m
+        _TARGET.pack_into(
+            self._target_bytes, 0,
+            *target_pos_ned_m, *target_vel_ned_m_s, *target_acc_ned_m_s2, *there_ned_m,
+        )  # fmt: skip
+        follow(self._motion, self._joined, self._target, heeded, self._climb_speed_m_s, dt_s)
 
 
 def joining_time_s(distance_m: float, speed_m_s: float) -> float:

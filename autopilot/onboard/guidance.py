@@ -5,10 +5,7 @@ the formation together; kept clear of the others; and turned into the autopilot'
 believes itself elsewhere than it is.
 """
 
-from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import NamedTuple
 
 from autopilot.config import OnboardConfig
 from autopilot.formation_plan import FormationPlan
@@ -20,8 +17,7 @@ from autopilot.onboard.motion import Heard, MotionStart
 from autopilot.onboard.neighbourhood import Neighbourhood
 from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.wind import WindObserver
-
-Array = NDArray[np.float64]
+from autopilot.types import Vector
 
 POSITION_GAIN_1_S = 0.95
 """MPC_XY_P of an autopilot that has not said what it is."""
@@ -29,13 +25,12 @@ EXTRAPOLATED_US = 50_000
 """The autopilot's position is moved on by its velocity for so long at most: telemetry comes more often."""
 
 
-@dataclass(frozen=True, slots=True)
-class Setpoint:
-    """What the autopilot is asked for; arrays (3,), NED, position from its own origin."""
+class Setpoint(NamedTuple):
+    """What the autopilot is asked for; NED, position from its own origin."""
 
-    pos_ned_m: Array
-    vel_ned_m_s: Array
-    acc_ned_m_s2: Array | None
+    pos_ned_m: Vector
+    vel_ned_m_s: Vector
+    acc_ned_m_s2: Vector | None
     """None: none is given."""
 
 
@@ -74,27 +69,25 @@ class Guidance:
         self._station = station
         self._plan = plan
         self._reference = Reference(climb_speed_m_s=config.climb_speed_m_s)
-        self._near = near.members
         self._avoidance = Avoidance(
-            own=near.own, places_ned_m=places_ned_m[near.members], radius_m=config.safety_radius_m
+            own=near.own, places_ned_m=places_ned_m, radius_m=config.safety_radius_m, members=near.members
         )
 
-    def place_ned_m(self, now_us: int) -> Array:
-        """(3,) the own place of the plan, at the height of the own layer, site NED."""
-        place_ned_m = self._plan.own(self._station, self._since_start_s(now_us)).pos_ned_m.copy()
-        if self.layers.height_m:
-            place_ned_m[2] -= self.layers.height_m
-        return place_ned_m
+    def place_ned_m(self, now_us: int) -> Vector:
+        """The own place of the plan, at the height of the own layer, site NED."""
+        north_m, east_m, down_m = self._plan.own(self._station, self._since_start_s(now_us)).pos_ned_m
+        return north_m, east_m, down_m - self.layers.height_m
 
-    def believed_ned_m(self, own: OwnState, now_us: int) -> Array:
-        """(3,) where the UAV believes itself to be, site NED; the caller's."""
-        age_us = min(max(now_us - own.time_us, 0), EXTRAPOLATED_US)
-        position_ned_m = own.autopilot_ned_m
-        position_ned_m += own.vel_ned_m_s * (1e-6 * age_us)
-        position_ned_m[:2] -= self.correction.ne_m
-        if self.down_error_m:
-            position_ned_m[2] -= self.down_error_m
-        return position_ned_m
+    def believed_ned_m(self, own: OwnState, now_us: int) -> Vector:
+        """Where the UAV believes itself to be, site NED."""
+        age_s = 1e-6 * min(max(now_us - own.time_us, 0), EXTRAPOLATED_US)
+        (north_m, east_m, down_m), (vel_n, vel_e, vel_d) = own.autopilot_ned_m, own.vel_ned_m_s
+        error_n_m, error_e_m = self.correction.ne_m
+        return (
+            north_m + vel_n * age_s - error_n_m,
+            east_m + vel_e * age_s - error_e_m,
+            down_m + vel_d * age_s - self.down_error_m,
+        )
 
     def agree(self, now_us: int, *, on_station: bool, neighbours: dict[int, Heard]) -> None:
         """Settle with the others when the motion starts."""
@@ -104,52 +97,61 @@ class Guidance:
     def wait(self, own: OwnState, now_us: int) -> Setpoint:
         """Setpoint where the vehicle is, going on vertically as it does: offboard begins smoothly from it."""
         believed_ned_m = self.believed_ned_m(own, now_us)
-        vel_ned_m_s = np.array((0.0, 0.0, own.vel_ned_m_s[2]))
+        vel_ned_m_s = (0.0, 0.0, own.vel_ned_m_s[2])
         self._reference.reset(believed_ned_m, vel_ned_m_s)
         return self._in_autopilots_frame(believed_ned_m, vel_ned_m_s, own, leans=False)
 
     def follow(
-        self, own: OwnState, believed_ned_m: Array, others: Others | None, now_us: int, dt_s: float
+        self, own: OwnState, believed_ned_m: Vector, others: Others | None, now_us: int, dt_s: float
     ) -> Setpoint:
-        """Setpoint on the way to the own place, and in it, of a UAV that believes itself at (3,).
+        """Setpoint on the way to the own place, and in it, of a UAV that believes itself there.
 
         ``others`` are the neighbourhood; None where the own position in it is not known, to keep clear.
         """
         since_s = self._since_start_s(now_us) + 0.5 * dt_s  # half of the time for which the setpoint holds
         target = self._plan.own(self._station, since_s)
-        self._reference.advance(
-            target.pos_ned_m - np.array((0.0, 0.0, self.layers.height_m)), dt_s,
+        place_n_m, place_e_m, place_d_m = target.pos_ned_m
+        reference = self._reference
+        reference.advance(
+            (place_n_m, place_e_m, place_d_m - self.layers.height_m), dt_s,
             target_vel_ned_m_s=target.vel_ned_m_s, target_acc_ned_m_s2=target.acc_ned_m_s2,
             vehicle_ned_m=believed_ned_m,
         )  # fmt: skip
-        reference = self._reference
-        vel_ned_m_s = reference.vel_ned_m_s.copy()
+        north_m, east_m, down_m = reference.pos_ned_m.tolist()
+        vel_n, vel_e, vel_d = reference.vel_ned_m_s.tolist()
         if others is not None:
-            way_ne_m = (reference.pos_ned_m - believed_ned_m)[:2]
-            wanted_ne_m_s = self.position_gain_1_s * way_ne_m + vel_ned_m_s[:2]
+            gain_1_s = self.position_gain_1_s
             plan = self._plan.at(since_s)
-            vel_ned_m_s[:2] += self._avoidance.velocity_change_ne_m_s(
+            change_n, change_e = self._avoidance.velocity_change_ne_m_s(
                 now_us,
                 pos_ned_m=others.pos_ned_m, vel_ned_m_s=others.vel_ned_m_s,
                 std_m=others.std_m, fresh=others.fresh,
-                plan_pos_ned_m=plan.pos_ned_m[self._near], plan_vel_ned_m_s=plan.vel_ned_m_s[self._near],
-                goal_ned_m=target.pos_ned_m, wanted_ne_m_s=wanted_ne_m_s,
+                plan_pos_ned_m=plan.pos_ned_m, plan_vel_ned_m_s=plan.vel_ned_m_s,
+                goal_ned_m=target.pos_ned_m,
+                wanted_ne_m_s=(
+                    gain_1_s * (north_m - believed_ned_m[0]) + vel_n,
+                    gain_1_s * (east_m - believed_ned_m[1]) + vel_e,
+                ),
             )  # fmt: skip
-        return self._in_autopilots_frame(reference.pos_ned_m, vel_ned_m_s, own, leans=True)
+            vel_n, vel_e = vel_n + change_n, vel_e + change_e
+        return self._in_autopilots_frame((north_m, east_m, down_m), (vel_n, vel_e, vel_d), own, leans=True)
 
     def _in_autopilots_frame(
-        self, pos_ned_m: Array, vel_ned_m_s: Array, own: OwnState, *, leans: bool
+        self, pos_ned_m: Vector, vel_ned_m_s: Vector, own: OwnState, *, leans: bool
     ) -> Setpoint:
-        asked_ned_m = pos_ned_m.copy()
-        asked_ned_m[:2] += self.correction.ne_m
-        asked_ned_m[2] += self.down_error_m
-        if own.origin_ned_m is not None:
-            asked_ned_m[:2] -= own.origin_ned_m[:2]
+        north_m, east_m, down_m = pos_ned_m
+        error_n_m, error_e_m = self.correction.ne_m
+        origin_n_m, origin_e_m, _ = own.origin_ned_m or (0.0, 0.0, 0.0)
+        asked_ned_m = (
+            north_m + error_n_m - origin_n_m, east_m + error_e_m - origin_e_m, down_m + self.down_error_m
+        )  # fmt: skip
         acc_ned_m_s2 = None
         if leans and (self._plan.moves or self.wind is not None):
-            acc_ned_m_s2 = self._reference.acc_ned_m_s2.copy()
+            acc_n, acc_e, acc_d = self._reference.acc_ned_m_s2.tolist()
             if self.wind is not None:
-                acc_ned_m_s2[:2] += self.wind.feed_forward_ne_m_s2
+                feed_n, feed_e = self.wind.feed_forward_ne_m_s2
+                acc_n, acc_e = acc_n + feed_n, acc_e + feed_e
+            acc_ned_m_s2 = (acc_n, acc_e, acc_d)
         return Setpoint(asked_ned_m, vel_ned_m_s, acc_ned_m_s2)
 
     def _since_start_s(self, now_us: int) -> float:

@@ -11,6 +11,7 @@ not listened to (`trust`); who is silent has no part in the geometry; a GPS whos
 what its receiver states is taken to have errors of that size, and after a step of it they are estimated anew.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -26,7 +27,8 @@ from autopilot.onboard.receivers import MISFIT_WEIGHT, Receivers, clear
 from autopilot.onboard.reference_geometry import ReferenceGeometry, shape_std_m
 from autopilot.onboard.tracks import EXTRAPOLATED_S, Tracks
 from autopilot.onboard.trust import Trust
-from autopilot.onboard.uncertainty import relative_variance, seen_from
+from autopilot.onboard.uncertainty import seen_from, variance_between
+from autopilot.types import Vector
 
 __all__ = ["CLOCK_TOLERANCE_US", "CooperativeLocalisation", "LocalisationModel", "Others"]
 
@@ -225,10 +227,10 @@ class CooperativeLocalisation:
         """Propagate the covariance to now, for whoever wants to read it."""
         self._advance(now_us, decay=True)
 
-    def offset_ne_m(self) -> Array:
-        """(2,) estimated true position less odometry of the own UAV: a view, north and east."""
+    def offset_ne_m(self) -> tuple[float, float]:
+        """Estimated true position less odometry of the own UAV, north and east."""
         base = STATES * self.own
-        return self.state[base : base + 2]
+        return self.state.item(base), self.state.item(base + 1)
 
     def offset_ned_m(self) -> Array:
         """(3,) the same with down: less the barometer's height; a view."""
@@ -239,10 +241,10 @@ class CooperativeLocalisation:
         """(N, 3) estimated positions, site NED; neighbours' extrapolated by their velocity, 1 s at most."""
         return self._tracks.now_ned_m(now_us) + self.state.reshape(-1, STATES)[:, :3]
 
-    def std_ned_m(self) -> Array:
-        """(3,) one sigma of the own position, the formation's place as a whole included."""
-        base = STATES * self.own
-        return np.sqrt(self.cov.diagonal()[base : base + 3])
+    def std_ned_m(self) -> Vector:
+        """One sigma of the own position, the formation's place as a whole included."""
+        at = STATES * self.own
+        return self._std_m(at), self._std_m(at + 1), self._std_m(at + 2)
 
     @property
     def offsets_ned_m(self) -> Array:
@@ -255,31 +257,27 @@ class CooperativeLocalisation:
         known = self._tracks.at(station, time_us, odometry_ned_m) == KNOWN
         return odometry_ned_m if known else None
 
-    def gps_error(self, station: int) -> tuple[Array, float]:
-        """Estimated error of a UAV's GPS, (3,) NED, m, and one sigma of each horizontal axis of it.
+    def gps_error(self, station: int) -> tuple[Vector, float]:
+        """Estimated error of a UAV's GPS, NED, m, and one sigma of each horizontal axis of it.
 
         Horizontally the slow part alone; vertically that of the last fixes, against the barometer.
         """
-        base = STATES * station
-        error_ned_m = np.zeros(3)
-        error_ned_m[:2] = self.state[base + BIAS : base + STATES]
+        bias, variance, down_m = STATES * station + BIAS, self.cov.item, 0.0
         if self.active[station]:
-            error_ned_m[2] = self._receivers.less_odometry_ned_m[station, 2] - self.state[base + 2]
-            variance = self.cov[base + BIAS, base + BIAS] + self.cov[base + BIAS + 1, base + BIAS + 1]
+            down_m = self._receivers.less_odometry_ned_m.item(station, 2) - self.state.item(bias - 1)
+            spread_m2 = variance(bias, bias) + variance(bias + 1, bias + 1)
         else:
-            variance = 2.0 * self._receivers.stated_var_m2[station]
-        return error_ned_m, float(np.sqrt(0.5 * variance))
+            spread_m2 = 2.0 * self._receivers.stated_var_m2.item(station)
+        error_ned_m = (self.state.item(bias), self.state.item(bias + 1), down_m)
+        return error_ned_m, math.sqrt(0.5 * spread_m2)
 
     def distance_variance_m2(self, peer: int, now_us: int) -> float | None:
         """Variance with which the distance to a UAV is known now; None while either end is not located."""
         if not (self.located[self.own] and self.located[peer]):
             return None
-        tracks, offsets_m = self._tracks, self.state.reshape(-1, STATES)
-        line_m = tracks.newest[self.own, :3] - tracks.newest[peer, :3]
-        line_m += offsets_m[self.own, :3] - offsets_m[peer, :3]
-        if not line_m.any():
-            line_m[0] = 1.0
-        return float(relative_variance(self.cov, self.own, peer, line_m)) + self._walked_m2(now_us)
+        tracks = self._tracks
+        relative_m2: float = variance_between(self.cov, self.own, peer, tracks.newest, self.state)
+        return relative_m2 + self._walked_m2(now_us)
 
     def others(self, now_us: int, *, fresh_us: int) -> Others:
         """Everybody, as avoidance wants them; fresh is who was heard within ``fresh_us``."""
@@ -297,6 +295,9 @@ class CooperativeLocalisation:
         Inf with fewer than two.
         """
         return shape_std_m(self.positions_ned_m(now_us), self.cov, self._members(now_us))
+
+    def _std_m(self, at: int) -> float:
+        return math.sqrt(max(self.cov.item(at, at), 0.0))
 
     def _present(self, now_us: int) -> Flags:
         """(N,) who has been heard of within `SILENCE_US`."""

@@ -25,8 +25,8 @@ def offboard_setpoint(setpoint: Setpoint, target_system: int, now_us: int) -> co
     mask = _NO_YAW if acceleration is not None else _NO_YAW | _NO_ACCELERATION
     return common.MAVLink_set_position_target_local_ned_message(
         now_us // 1_000, target_system, _AUTOPILOT_COMPONENT, common.MAV_FRAME_LOCAL_NED, mask,
-        *setpoint.pos_ned_m.tolist(), *setpoint.vel_ned_m_s.tolist(),
-        *((0.0, 0.0, 0.0) if acceleration is None else acceleration.tolist()), 0.0, 0.0,
+        *setpoint.pos_ned_m, *setpoint.vel_ned_m_s,
+        *((0.0, 0.0, 0.0) if acceleration is None else acceleration), 0.0, 0.0,
     )  # fmt: skip
 
 

@@ -5,15 +5,14 @@ position itself would not do: it follows the GPS bias, which is what localisatio
 it is the autopilot's height above the ground it started on, the barometer's.
 """
 
-import numpy as np
-from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common
 
 from autopilot.config import Site
-from autopilot.navigation.geodesy import geodetic_to_ned
+from autopilot.navigation.geodesy import place_ned_m
 from autopilot.onboard.beacon import Fix
+from autopilot.types import Vector
 
-Array = NDArray[np.float64]
+_ZERO: Vector = (0.0, 0.0, 0.0)
 
 
 class OwnState:
@@ -21,13 +20,13 @@ class OwnState:
 
     Attributes:
         time_us: of the position, on the formation's clock; -1 before the first.
-        odometry_ned_m: (3,) horizontal from where the application started, down from the ground.
-        vel_ned_m_s: (3,)
-        local_ned_m: (3,) the autopilot's position from its own origin.
-        origin_ned_m: (3,) the autopilot's origin in the site's frame, or None.
+        odometry_ned_m: horizontal from where the application started, down from the ground.
+        vel_ned_m_s: of the same time.
+        local_ned_m: the autopilot's position from its own origin.
+        origin_ned_m: the autopilot's origin in the site's frame, or None.
         origin_alt_m: its altitude above mean sea level, as the autopilot has it.
         fix: newest GPS position, with the accuracy that the receiver states.
-        truth_ned_m: (3,) where the simulator says that the vehicle is, down from where it stood at the first
+        truth_ned_m: where the simulator says that the vehicle is, down from where it stood at the first
             such message; None unless it does. ``truth_us`` is its time.
         armed, failsafe, main_mode, heartbeat_us: by the newest HEARTBEAT and when that came.
 
@@ -35,13 +34,13 @@ class OwnState:
 
     def __init__(self, *, site: Site, gps_delay_s: float) -> None:
         self.time_us = -1
-        self.odometry_ned_m = np.zeros(3)
-        self.vel_ned_m_s = np.zeros(3)
-        self.local_ned_m = np.zeros(3)
-        self.origin_ned_m: Array | None = None
+        self.odometry_ned_m = _ZERO
+        self.vel_ned_m_s = _ZERO
+        self.local_ned_m = _ZERO
+        self.origin_ned_m: Vector | None = None
         self.origin_alt_m = 0.0
         self.fix: Fix | None = None
-        self.truth_ned_m: Array | None = None
+        self.truth_ned_m: Vector | None = None
         self.truth_us = -1
         self.armed = False
         self.failsafe = False
@@ -53,12 +52,12 @@ class OwnState:
         self._standing_down_m: float | None = None
 
     @property
-    def autopilot_ned_m(self) -> Array:
-        """(3,) the autopilot's position in the site's frame, the caller's; down from where it started."""
-        position_ned_m = self.local_ned_m.copy()
-        if self.origin_ned_m is not None:
-            position_ned_m[:2] += self.origin_ned_m[:2]
-        return position_ned_m
+    def autopilot_ned_m(self) -> Vector:
+        """The autopilot's position in the site's frame; down from where it started."""
+        if self.origin_ned_m is None:
+            return self.local_ned_m
+        north_m, east_m, down_m = self.local_ned_m
+        return north_m + self.origin_ned_m[0], east_m + self.origin_ned_m[1], down_m
 
     def on_local_position(self, msg: common.MAVLink_local_position_ned_message, now_us: int) -> bool:
         """Take a LOCAL_POSITION_NED; False if it is no news."""
@@ -70,15 +69,15 @@ class OwnState:
         if time_us <= self.time_us:
             return False
         vel_n, vel_e, down_m = msg.vx, msg.vy, msg.z
-        north_m, east_m, _ = self.odometry_ned_m.tolist()
+        north_m, east_m, _ = self.odometry_ned_m
         if self.time_us >= 0:
-            before_n, before_e, _ = self.vel_ned_m_s.tolist()
+            before_n, before_e, _ = self.vel_ned_m_s
             half_s = 0.5e-6 * (time_us - self.time_us)
             north_m += half_s * (vel_n + before_n)
             east_m += half_s * (vel_e + before_e)
-        self.odometry_ned_m = np.array((north_m, east_m, down_m), float)
-        self.local_ned_m = np.array((msg.x, msg.y, down_m), float)
-        self.vel_ned_m_s = np.array((vel_n, vel_e, msg.vz), float)
+        self.odometry_ned_m = (north_m, east_m, down_m)
+        self.local_ned_m = (msg.x, msg.y, down_m)
+        self.vel_ned_m_s = (vel_n, vel_e, msg.vz)
         self.time_us = time_us
         return True
 
@@ -89,9 +88,9 @@ class OwnState:
         time_ms = (msg.time_usec + self._boot_offset_us) // 1_000 - self._gps_delay_ms
         if time_ms < 0 or (self.fix is not None and time_ms <= self.fix.time_ms):
             return False
-        north_m, east_m, down_m = self._site_ned_m(msg.lat, msg.lon, msg.alt).tolist()
+        pos_ned_m = self._site_ned_m(msg.lat, msg.lon, msg.alt)
         # Its eph and epv are dilutions of precision, without a unit; the accuracies are zero where unknown.
-        self.fix = Fix(time_ms, (north_m, east_m, down_m), msg.h_acc * 1e-3 or None, msg.v_acc * 1e-3 or None)
+        self.fix = Fix(time_ms, pos_ned_m, msg.h_acc * 1e-3 or None, msg.v_acc * 1e-3 or None)
         return True
 
     def on_origin(self, msg: common.MAVLink_gps_global_origin_message) -> None:
@@ -101,17 +100,16 @@ class OwnState:
 
     def on_truth(self, msg: common.MAVLink_hil_state_quaternion_message) -> None:
         """Take a HIL_STATE_QUATERNION."""
-        truth_ned_m = self._site_ned_m(msg.lat, msg.lon, msg.alt)
+        north_m, east_m, down_m = self._site_ned_m(msg.lat, msg.lon, msg.alt)
         if self._standing_down_m is None:
-            self._standing_down_m = float(truth_ned_m[2])
-        truth_ned_m[2] -= self._standing_down_m
-        self.truth_ned_m, self.truth_us = truth_ned_m, msg.time_usec
+            self._standing_down_m = down_m
+        self.truth_ned_m, self.truth_us = (north_m, east_m, down_m - self._standing_down_m), msg.time_usec
 
-    def odometry_at(self, time_us: int) -> Array:
-        """(3,) odometry at a time near the newest, by the velocity."""
+    def odometry_at(self, time_us: int) -> Vector:
+        """Odometry at a time near the newest, by the velocity."""
         ahead_s = (time_us - self.time_us) * 1e-6
-        odometry_ned_m: Array = self.odometry_ned_m + self.vel_ned_m_s * ahead_s
-        return odometry_ned_m
+        (north_m, east_m, down_m), (vel_n, vel_e, vel_d) = self.odometry_ned_m, self.vel_ned_m_s
+        return north_m + vel_n * ahead_s, east_m + vel_e * ahead_s, down_m + vel_d * ahead_s
 
     def on_heartbeat(self, msg: common.MAVLink_heartbeat_message, now_us: int) -> None:
         """Take a HEARTBEAT; only an autopilot's counts."""
@@ -122,9 +120,10 @@ class OwnState:
         self.main_mode = msg.custom_mode >> 16 & 0xFF
         self.heartbeat_us = now_us
 
-    def _site_ned_m(self, lat_deg_e7: int, lon_deg_e7: int, alt_mm: int) -> Array:
-        return geodetic_to_ned(
+    def _site_ned_m(self, lat_deg_e7: int, lon_deg_e7: int, alt_mm: int) -> Vector:
+        site = self._site
+        place: Vector = place_ned_m(
             lat_deg_e7 * 1e-7, lon_deg_e7 * 1e-7, alt_mm * 1e-3,
-            origin_lat_deg=self._site.latitude_deg, origin_lon_deg=self._site.longitude_deg,
-            origin_alt_m=self._site.altitude_m,
+            site.latitude_deg, site.longitude_deg, site.altitude_m,
         )  # fmt: skip
+        return place

@@ -209,13 +209,11 @@ class Traffic:
         fresh = [item for item in self._distances.values() if item.time_ms >= oldest_ms]
         if len(fresh) > wire.MAX_RANGES:
             fresh.sort(key=lambda item: item.time_ms)
-        odo_n, odo_e, odo_d = own.odometry_ned_m.tolist()
-        vel_n, vel_e, vel_d = own.vel_ned_m_s.tolist()
         seq = self._beacon_seq
         self._beacon_seq = (seq + 1) % wire.SEQ_MODULUS
         return wire.Beacon(
             station=self._station, seq=seq, time_us=own.time_us, phase=phase,
-            odometry_ned_m=(odo_n, odo_e, odo_d), vel_ned_m_s=(vel_n, vel_e, vel_d),
+            odometry_ned_m=own.odometry_ned_m, vel_ned_m_s=own.vel_ned_m_s,
             motion_start_ms=start_ms, fix=own.fix, gps_error=error,
             distances=tuple(fresh[-wire.MAX_RANGES:]),
         )  # fmt: skip

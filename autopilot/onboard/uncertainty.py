@@ -24,6 +24,20 @@ def relative_variance(cov: Array, i: int, j: int, line_m: Array) -> float:
 
 
 @njit(cache=True)
+def variance_between(cov: Array, i: int, j: int, newest: Array, state: Array) -> float:
+    """Variance, m^2, of the distance between UAVs i and j, on the line between them.
+
+    newest (N, 6) is their odometry, m, and velocity; state (5N,) and cov (5N, 5N) are the filter's.
+    """
+    line_m = np.empty(3)
+    for a in range(3):
+        line_m[a] = newest[i, a] - newest[j, a] + (state[STATES * i + a] - state[STATES * j + a])
+    if line_m[0] == 0.0 and line_m[1] == 0.0 and line_m[2] == 0.0:
+        line_m[0] = 1.0
+    return relative_variance(cov, i, j, line_m)
+
+
+@njit(cache=True)
 def seen_from(
     own: int, now_us: int, newest: Array, newest_us: Times, longest_s: float, state: Array, cov: Array,
     located: Flags, since_us: int, added_m2: float, pos_ned_m: Array, std_m: Array, fresh: Flags,

@@ -52,9 +52,9 @@ class WindObserver:
         self._vel_ned_m_s = (0.0, 0.0, 0.0)
 
     @property
-    def feed_forward_ne_m_s2(self) -> Array:
-        """(2,) acceleration to ask the autopilot for beside the formation's own, limited in size and rate."""
-        return np.array(self._feed_ne_m_s2)
+    def feed_forward_ne_m_s2(self) -> tuple[float, float]:
+        """Acceleration to ask the autopilot for beside the formation's own, limited in size and rate."""
+        return self._feed_ne_m_s2
 
     def on_attitude(self, q_ned_frd: tuple[float, float, float, float]) -> None:
         """Take an attitude (wxyz), as of ATTITUDE_QUATERNION; any number per velocity."""

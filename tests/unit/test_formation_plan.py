@@ -85,8 +85,8 @@ def test_a_formation_stands_before_its_motion_and_without_one():
         (FormationPlan(PLACES_NED_M, 390.0, TrackMotion()), -5.0),
     ):
         for state in (plan.at(since_s), *(plan.own(i, since_s) for i in range(8))):
-            assert not state.vel_ned_m_s.any()
-            assert not state.acc_ned_m_s2.any()
+            assert not np.any(state.vel_ned_m_s)
+            assert not np.any(state.acc_ned_m_s2)
             assert state.heading_rad == pytest.approx(np.radians(30.0))
             assert state.heading_rate_rad_s == 0.0
         np.testing.assert_array_equal(plan.at(since_s).pos_ned_m, PLACES_NED_M)

@@ -41,7 +41,7 @@ def change(
     if in_place:
         plan[own] = positions[own]
     avoidance = avoidance or Avoidance(own=own, places_ned_m=places[:n], radius_m=radius_m)
-    return avoidance.velocity_change_ne_m_s(
+    change_ne_m_s = avoidance.velocity_change_ne_m_s(
         now_us,
         pos_ned_m=positions,
         vel_ned_m_s=np.zeros((n, 3)) if velocities is None else np.array(velocities, float),
@@ -52,6 +52,7 @@ def change(
         goal_ned_m=positions[own] if goal is None else np.array(goal, float),
         wanted_ne_m_s=np.array(wanted_ne_m_s, float),
     )
+    return np.array(change_ne_m_s)
 
 
 @settings(deadline=None, max_examples=60)

@@ -309,7 +309,7 @@ def test_nothing_is_known_of_who_is_not_located():
     filter_ = CooperativeLocalisation(own=0, places_ned_m=PLACES, model=STATIC)
     assert filter_.distance_variance_m2(1, 0) is None
     error_ned_m, std_m = filter_.gps_error(1)
-    assert not error_ned_m.any()
+    assert not any(error_ned_m)
     assert std_m == pytest.approx(1.5)
 
 

@@ -37,6 +37,7 @@ CASES = {
         *filtered(), some(5 * N), some(N, 2, size=5.0), 0, 2, some(3, size=6.0), 6.0, 0.01, -1.0, 1.0),
     uncertainty.relative_variance: lambda: (cov(), 0, 1, some(3)),
     uncertainty.relative_stds: lambda: (cov(), 0, some(N, 3, size=6.0), flags(), 0.01, np.zeros(N)),
+    uncertainty.variance_between: lambda: (cov(), 0, 1, some(N, 6), some(5 * N)),
     uncertainty.seen_from: lambda: (
         1, 900_000, some(N, 6), RNG.integers(900_000, size=N), 0.5, *filtered(), flags(), 400_000, 0.01,
         np.zeros((N, 3)), np.zeros(N), flags()),
@@ -44,6 +45,12 @@ CASES = {
     uncertainty.bend: lambda: (
         some(N, 2, size=6.0), some(N, 2, size=6.0), cov(), np.arange(N), np.zeros((N, N)), np.zeros((N, N))),
     formation.join: lambda: (some(3), some(3), some(3), some(3, 3), 0, 2, 1.0, 0.05, bool(RNG.integers(2))),
+    formation.follow: lambda: (
+        some(3, 3, size=2.0), flags()[:2], some(4, 3), bool(RNG.integers(2)), 1.5, 0.05),
+    avoidance.velocity_change: lambda: (
+        0, 10_000_000, some(N, 3, size=3.0), some(N, 3), np.abs(some(N)), flags(), some(6, 3, size=3.0),
+        some(6, 3), np.array((0, 2, 3, 5)), RNG.integers(10_000_000, size=N), np.abs(some(5 * N)), 0.5, 1.2,
+        some(5)),
     avoidance.keep_clear: lambda: (
         0, some(N, 3, size=3.0), some(N, 3), flags(), np.abs(some(N)), np.full(N, 3.0), 0.5, 1.2, some(3),
         some(3), some(2), some(3), np.zeros(2)),

@@ -75,7 +75,7 @@ def test_the_feed_forward_is_against_it_and_limited():
         observer.on_attitude(LEVEL)
         observer.on_velocity(k * PERIOD_US, tuple(vel), flying=True)
         vel = vel + np.array((6.0, -6.0, 0.0)) * PERIOD_US * 1e-6
-        feed = observer.feed_forward_ne_m_s2
+        feed = np.array(observer.feed_forward_ne_m_s2)
         assert np.linalg.norm(feed - before) <= RATE_MAX_M_S3 * PERIOD_US * 1e-6 + 1e-9
         before = feed
     # cut to the largest sample, and that again to the largest feed-forward

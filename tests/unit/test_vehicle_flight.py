@@ -284,7 +284,7 @@ def test_a_wrong_parameter_stops_the_vehicle_from_being_made():
 
 def test_the_record_stands_in_the_sites_frame(flight):
     take_off(flight)
-    row = np.array([record(flight.vehicle)], dtype=VEHICLE_RECORD)[0]
+    row = np.frombuffer(record(flight.vehicle), dtype=VEHICLE_RECORD)[0]
     state = flight.vehicle.flight.state
     truth = flight.world.truth.pos_ned_m[0]
     assert row["time_us"] == flight.now_us
@@ -301,7 +301,7 @@ def test_the_record_stands_in_the_sites_frame(flight):
 def test_nothing_is_known_before_the_origin_and_the_record_says_so():
     vehicle = Vehicle(vehicle_config())
     vehicle.step(sim_messages=[sensor(4_000)])
-    row = np.array([record(vehicle)], dtype=VEHICLE_RECORD)[0]
+    row = np.frombuffer(record(vehicle), dtype=VEHICLE_RECORD)[0]
     for name in ("estimator_pos_ned_m", "gps_pos_ned_m", "setpoint_pos_ned_m"):
         assert np.isnan(row[name]).all()
 

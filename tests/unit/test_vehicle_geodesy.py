@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autopilot.navigation.geodesy import geodetic_to_ned, ned_to_geodetic
+from autopilot.navigation.geodesy import geodetic_to_ned, ned_to_geodetic, place_ned_m
 
 ZURICH = {"origin_lat_deg": 47.397742, "origin_lon_deg": 8.545594, "origin_alt_m": 488.0}
 
@@ -47,6 +47,20 @@ def test_arrays_give_what_scalars_give():
     assert ned.shape == (4, 2, 3)
     assert np.allclose(one, points[3, 1], atol=1e-6, rtol=0.0)
     assert np.allclose(ned, points, atol=1e-6, rtol=0.0)
+
+
+@given(
+    st.floats(-90.0, 90.0), st.floats(-180.0, 180.0), st.floats(-500.0, 9000.0),
+    st.tuples(*[st.floats(-3000.0, 3000.0)] * 3),
+)  # fmt: skip
+def test_a_point_alone_is_where_it_is_among_others(lat_deg, lon_deg, alt_m, pos_ned_m):
+    """But for rounding, which at the size of the earth comes to nanometres."""
+    origin = {"origin_lat_deg": lat_deg, "origin_lon_deg": lon_deg, "origin_alt_m": alt_m}
+    point = [float(number) for number in ned_to_geodetic(pos_ned_m, **origin)]
+    alone = place_ned_m(*point, lat_deg, lon_deg, alt_m)
+    assert np.abs(np.subtract(alone, geodetic_to_ned(*point, **origin))).max() < 2e-8
+    interpreted = getattr(place_ned_m, "py_func", place_ned_m)
+    assert alone == interpreted(*point, lat_deg, lon_deg, alt_m)
 
 
 def test_directions():

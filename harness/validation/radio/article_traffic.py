@@ -89,7 +89,8 @@ class _Talker:
         config = scenario.vehicle(station, run_id="bench", radio_endpoint=None, log_path=None)
         self.own = OwnState(site=config.site, gps_delay_s=config.devices.gps_delay_s)
         self.own.time_us = 0
-        self.own.odometry_ned_m = place_ned_m
+        north_m, east_m, down_m = place_ned_m.tolist()
+        self.own.odometry_ned_m = (north_m, east_m, down_m)
         self.traffic = Traffic(
             station=station,
             stations=scenario.agents,
