@@ -53,7 +53,6 @@ SILENCE_S = 0.5
 HEARTBEAT_S = 1.0
 """Wall time after which a heartbeat goes out whatever simulated time does: ground stations wait for three."""
 _SILENCE_TIMEVAL = struct.pack("ll", 0, round(SILENCE_S * 1e6))
-_RECEIVE_BYTES = 4096
 _LINK_NAMES = {GROUND_STATION: "ground_station", COMPANION: "companion"}
 
 
@@ -141,9 +140,14 @@ class Process:
             profiled(PARTS, now_us=lambda: flight.now_us, from_us=self._profile_from_us) as profile,
             contextlib.suppress(ConnectionResetError, BrokenPipeError),  # a simulator that died hangs up too
         ):
-            while data := self._hear():
-                for messages in self._host.push(data):
-                    self._simulator.sendall(self._step(messages))
+            host, simulator = self._host, self._simulator
+            while size := self._hear():
+                answer = host.inertial_step(size)
+                if answer is not None:
+                    simulator.sendall(answer)
+                    continue
+                for messages in host.push(size):
+                    simulator.sendall(self._step(messages))
         emit(
             Finished(
                 name=self._host.name,
@@ -166,11 +170,14 @@ class Process:
             link.counters.rate_limited = vehicle.messaging.shapers.limited(number)
         return {name: self._links[number].counters.told() for number, name in _LINK_NAMES.items()}
 
-    def _hear(self) -> bytes:
-        """What the simulator says next, nothing if it hung up; meanwhile the links are attended to."""
+    def _hear(self) -> int:
+        """Take what the simulator says next; returns how many bytes, 0 if it hung up.
+
+        Meanwhile the links are attended to.
+        """
         while True:
             try:
-                return self._simulator.recv(_RECEIVE_BYTES)
+                return self._simulator.recv_into(self._host.incoming)
             except BlockingIOError:
                 self._wait()
 

@@ -14,12 +14,13 @@ from pymavlink.dialects.v20 import common
 from autopilot import parameter_file
 from autopilot.config import VehicleConfig
 from autopilot.flight_log import FlightLog
+from autopilot.inertial_step import InertialSteps
 from autopilot.mavlink.codec import Encoder, Message
 from autopilot.mavlink.hil import TO_VEHICLE, HilEncoder, HilParser
 from autopilot.protocol.service import AUTOPILOT_COMPONENT, GROUND_STATION, Addressed
 from autopilot.protocol.status import TEXT_BYTES
 from autopilot.recording import VEHICLE_RECORD, record
-from autopilot.vehicle import Vehicle, is_clock
+from autopilot.vehicle import ANSWER_IN_FLIGHT, Vehicle, is_clock
 from netsim.record_log import RecordLog
 from netsim.wire.lockstep import BATCH_DELIVERED, BATCH_HANDED_OVER
 from netsim.wire.messages import RxItem, TxItem
@@ -54,7 +55,11 @@ class Host:
         self.vehicle = Vehicle(config)
         self._radio = radio
         self._parser = HilParser(*TO_VEHICLE)
-        self._encoder = HilEncoder(system=config.instance + 1, component=1)
+        system = config.instance + 1
+        self._encoder = HilEncoder(system=system, component=AUTOPILOT_COMPONENT)
+        self._inertial = InertialSteps(ANSWER_IN_FLIGHT, system=system, component=AUTOPILOT_COMPONENT)
+        self.incoming = self._inertial.incoming
+        """Where the simulator's bytes go, for `inertial_step` and then for `push`"""
         self._waiting: list[Message] = []
         self._links_waiting: Links = []
         self._log = None if config.log_path is None else RecordLog(config.log_path, VEHICLE_RECORD)
@@ -68,9 +73,17 @@ class Host:
         )
         return Encoder(system=self._config.instance + 1, component=AUTOPILOT_COMPONENT).encode(beat)
 
-    def push(self, data: bytes) -> Iterator[list[Message]]:
-        """The steps that the next bytes from the simulator complete: a HIL_SENSOR and what came before it."""
-        for message in self._parser.push(data):
+    def inertial_step(self, size: int) -> memoryview | None:
+        """Answer ``size`` bytes in `incoming`, if they are a step that brings an inertial sample alone.
+
+        None: nothing has happened, and they are for `push`.
+        """
+        return self._inertial.step(size)
+
+    def push(self, size: int) -> Iterator[list[Message]]:
+        """The steps that ``size`` bytes in `incoming` complete: a HIL_SENSOR and what came before it."""
+        self._catch_up()
+        for message in self._parser.push(bytes(self.incoming[:size])):
             self._waiting.append(message)
             if is_clock(message):
                 complete, self._waiting = self._waiting, []
@@ -121,6 +134,8 @@ class Host:
         answer = self._encoder.encode(actuators)
         if output.simulator:
             answer = b"".join(map(self._encoder.encode, output.simulator)) + answer
+        if not any(link_active):  # who listens hears of every sample
+            self._look_ahead(now_us)
         return answer, output.links
 
     def attend(self, link_messages: Links) -> Links:
@@ -131,12 +146,36 @@ class Host:
         if not self.vehicle.has_begun:
             self._links_waiting = (self._links_waiting + link_messages)[-MOST_WAITING:]
             return []
+        if self._catch_up():
+            self.vehicle.flight.sensor = self._inertial.last_sensor
         answers = self.vehicle.attend(link_messages)
         messaging = self.vehicle.messaging
         if messaging.take_save_wanted():
             self._save_parameters()
             answers += messaging.take_outgoing()
         return answers
+
+    def _look_ahead(self, now_us: int) -> None:
+        """Let inertial steps follow, if that may be, up to the next look at anything else."""
+        if self._waiting or not self._parser.is_between_frames or self._flight_log is not None:
+            return
+        ahead = self.vehicle.ahead
+        if ahead is None:
+            return
+        if self._log is not None:
+            period_us = self._config.record_period_us
+            next_record_us = now_us - now_us % period_us + period_us
+            ahead = ahead._replace(until_us=min(ahead.until_us, next_record_us))
+        self._inertial.open(ahead, self._encoder.sequence)
+
+    def _catch_up(self) -> bool:
+        """Bring the vehicle to where inertial steps have got, which then are over; False: it is there."""
+        reached = self._inertial.close()
+        if reached is None:
+            return False
+        now_us, self._encoder.sequence = reached
+        self.vehicle.catch_up(now_us)
+        return True
 
     @property
     def bad_bytes(self) -> int:

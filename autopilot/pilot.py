@@ -266,8 +266,27 @@ class Pilot:
             )
         self._setpoint = setpoint
         flight.setpoint = setpoint if isinstance(setpoint, TrajectorySetpoint) else None
-        flight.motors = self.controller.update(state, setpoint, dt_s=dt_s, landed=landed)
-        self.controls = flight.motors.tolist() + _NO_CONTROLS[4:]
+        self._give(self.controller.update(state, setpoint, dt_s=dt_s, landed=landed))
+
+    @property
+    def flies_on(self) -> bool:
+        """Whether the next step follows the trajectory of this one, if nothing comes that changes it."""
+        commander = self._flight.commander
+        return (
+            commander.armed
+            and commander.mode is FlightMode.OFFBOARD
+            and not self._land_detector.landed
+            and self.controller.flies_on(self._offboard.setpoint)
+        )
+
+    def catch_up(self) -> None:
+        """Take what compiled code has had the controller give since `fly`."""
+        self._give(self.controller.controls)
+
+    def _give(self, motors: Array) -> None:
+        """Tell the motors' controls (4,)."""
+        self._flight.motors = motors
+        self.controls = motors.tolist() + _NO_CONTROLS[4:]
 
     def _keep_up(self) -> None:
         """Have navigator and controller in the commander's mode."""

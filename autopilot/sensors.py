@@ -60,6 +60,10 @@ class SensorInput:
                 self.motor_currents_a, self.motor_currents_us = message.current, now_us
         return new_fix
 
+    def catch_up(self, now_us: int) -> None:
+        """Note that inertial samples have gone to the estimator another way, the last one now."""
+        self._seen_us[_IMU] = now_us
+
     def conditions(self, now_us: int) -> int:
         """`Condition` bits of the sensors that are fresh."""
         bits = 0

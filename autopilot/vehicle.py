@@ -23,6 +23,7 @@ from autopilot.commander.failsafe import US_PER_S
 from autopilot.commander.geofence import Geofence
 from autopilot.config import VehicleConfig
 from autopilot.estimation.estimator import Estimator
+from autopilot.inertial_step import Ahead
 from autopilot.mavlink.codec import Message, stamp
 from autopilot.mavlink.hil import HilActuatorControls
 from autopilot.mavlink.modes import FlightMode
@@ -60,6 +61,8 @@ _TRUTH_INTERVAL_US = 5_000.0
 _MODE_DISARMED = common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 _MODE_ARMED = _MODE_DISARMED | common.MAV_MODE_FLAG_SAFETY_ARMED
 _LOCKSTEP_FLAG = 1
+ANSWER_IN_FLIGHT = HilActuatorControls(0, [0.0] * 16, _MODE_ARMED, _LOCKSTEP_FLAG)
+"""All of the answers of an armed vehicle but times and controls."""
 _OF_THE_START = frozenset({"EKF2_GPS_DELAY"})
 """Parameters that cannot change later: the GPS delay is the length of the estimator's memory."""
 _HIL_STATE_QUATERNION = common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
@@ -236,6 +239,26 @@ class Vehicle:
     def next_look_us(self) -> int:
         """From when on a step has to look at more than what its messages bring, if no link asks before."""
         return min(self._decide_us, self._loop_us, self.messaging.next_deadline_us())
+
+    @property
+    def ahead(self) -> Ahead | None:
+        """The steps up to the next look at anything but inertial samples; None if there are none before it."""
+        filtered, now_us = self.estimator.filter, self.flight.now_us
+        if filtered is None or not self.pilot.flies_on:
+            return None
+        until_us, sound_until_us = self.next_look_us, self.estimator.sound_until_us
+        if until_us <= now_us + self.config.step_us:
+            return None
+        return Ahead(
+            now_us, until_us, sound_until_us, filtered.block, filtered.samples, self.pilot.controller.block
+        )
+
+    def catch_up(self, now_us: int) -> None:
+        """Take what compiled steps have left in filter and controller, the last of which was at this time."""
+        self._last_us = self.flight.now_us = now_us
+        self._sensors.catch_up(now_us)
+        self.estimator.catch_up(now_us)
+        self.pilot.catch_up()
 
     @property
     def has_begun(self) -> bool:

@@ -86,7 +86,13 @@ class LocalSeat(Voice):
     def hear(self, data: bytes) -> list[tuple[int, str]]:
         """Have the vehicle do its step on what the simulator sends; returns its warnings with their times."""
         warned: list[tuple[int, str]] = []
-        for messages in self.host.push(data):
+        host, size = self.host, len(data)
+        host.incoming[:size] = data
+        inertial = host.inertial_step(size)
+        if inertial is not None:
+            self.said += inertial
+            return warned
+        for messages in host.push(size):
             answer, links = self.host.step(messages, link_messages=[], link_active=NOBODY_LISTENS)
             self.said += answer
             if links:

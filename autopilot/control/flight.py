@@ -97,6 +97,24 @@ class FlightController:
         return self._inner.torque.copy()
 
     @property
+    def controls(self) -> Array:
+        """(4,) that were given last by an update."""
+        controls: Array = self._moment["controls"].copy()
+        return controls
+
+    def flies_on(self, setpoint: Setpoint | None) -> bool:
+        """Whether `cascade.follow_trajectory` on the block is all that an update with this setpoint would do.
+
+        In flight that is, with nothing changed since the last update but the estimate.
+        """
+        return (
+            isinstance(setpoint, TrajectorySetpoint)
+            and setpoint is self._setpoint
+            and setpoint.yaw_rad is not None  # else the heading goes on turning
+            and self._takeoff.phase is Phase.FLYING
+        )
+
+    @property
     def hover_thrust(self) -> float:
         """Present estimate of the thrust that hovers, 0..1 of full."""
         return self._hover.hover_thrust
@@ -196,9 +214,8 @@ class FlightController:
         else:
             self._yaw_rad = math.remainder(self._yaw_rad + setpoint.yaw_rate_rad_s * dt_s, math.tau)
         self._reset_counter = state.reset_counter
+        self._position.take(state, setpoint)
         moment = self._moment
-        if moment["updates"] % moment["position_divider"] == 0:
-            self._position.take(state, setpoint)
         moment["yaw_rad"], moment["yaw_rate_rad_s"] = self._yaw_rad, setpoint.yaw_rate_rad_s
         moment["climb_max_m_s"] = self._takeoff.climb_max_m_s
         self._setpoint = setpoint
@@ -208,8 +225,7 @@ class FlightController:
             state.acc_ned_m_s2, state.velocity_valid, dt_s, phase is Phase.GROUND, landed,
             phase is Phase.FLYING,
         )  # fmt: skip
-        controls: Array = moment["controls"].copy()
-        return controls
+        return self.controls
 
     def _hand_over_disturbance(self, *, to_observer: bool) -> None:
         """Let the integrals hold what the observer held, or the other way round: the demand stays."""

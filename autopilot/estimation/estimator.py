@@ -151,6 +151,26 @@ class Estimator:
         if self._fusion is not None:
             self._fusion.compass.clear()
 
+    # -- steps of inertial samples alone, which compiled code makes on the filter's memory
+
+    @property
+    def filter(self) -> DelayedHorizon | None:
+        """The filter, once it is aligned."""
+        return self._filter
+
+    @property
+    def sound_until_us(self) -> int:
+        """Up to when a horizon finds nothing to fuse, and velocity, position and height stay known; -1: never."""
+        live = self.live
+        if self._failed or not (live.velocity_valid and live.position_valid and live.height_valid):
+            return -1
+        return min(self._due_us, self._aided_until_us + 1, self._height_until_us + 1)
+
+    def catch_up(self, time_us: int) -> None:
+        """Note that inertial samples up to this one have gone to the filter, within `sound_until_us`."""
+        self._time_us = self.live.time_us = time_us
+        self._state = None
+
     # -- results
 
     @property

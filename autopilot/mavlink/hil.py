@@ -212,6 +212,15 @@ def whole_answer(data: bytes) -> HilActuatorControls | None:
 class HilEncoder(Encoder):
     """`Encoder` for a simulator's link: hot messages by struct, the rest as ever, in one sequence."""
 
+    @property
+    def sequence(self) -> int:
+        """Number of the next frame."""
+        return int(self._mavlink.seq)
+
+    @sequence.setter
+    def sequence(self, number: int) -> None:
+        self._mavlink.seq = number
+
     def encode(self, message: Message | HilMessage) -> bytes:
         """Pack a message; see `Encoder.encode`."""
         if not isinstance(message, HilMessage):
