@@ -1,4 +1,4 @@
-"""A step that brings nothing but an inertial sample, in compiled code from the simulator's bytes to the answer's.
+"""A step that brings an inertial sample and nothing else: compiled, from the simulator's bytes to the answer's.
 
 Three steps of four are like that: nothing else has come, nothing is due, and the vehicle follows the
 trajectory that it followed before. `inertial_step` then does what `autopilot.vehicle.Vehicle.step` does, with
@@ -55,6 +55,8 @@ _CONTROLS = _PAYLOAD + 16
 _ROTORS = 4
 _RECEIVE_BYTES = 4096
 US_PER_S = 1_000_000
+# where these steps are made at all
+_VELOCITY_VALID, _IDLES, _LANDED, _FLIES = True, False, False, True
 
 MOMENT = np.dtype(
     [("now_us", "i8"), ("until_us", "i8"), ("sound_until_us", "i8"), ("sequence", "i8")], align=True
@@ -118,7 +120,7 @@ def inertial_step(
     estimate = filtered["estimate"]
     follow_trajectory(
         cascade, estimate[:VEL], estimate[OMEGA:STD], estimate[POS:GYRO_BIAS], estimate[VEL:POS],
-        estimate[ACC:OMEGA], True, (time_us - m["now_us"]) / US_PER_S, False, False, True,
+        estimate[ACC:OMEGA], _VELOCITY_VALID, (time_us - m["now_us"]) / US_PER_S, _IDLES, _LANDED, _FLIES,
     )  # fmt: skip
     m["now_us"] = time_us
 
@@ -167,7 +169,7 @@ class InertialSteps:
         self._blocks = (ahead.horizon, ahead.samples, ahead.cascade)
 
     def close(self) -> tuple[int, int] | None:
-        """End them; returns the time of the last and the number of the next frame, None if there were none."""
+        """End them; returns time of the last and number of the next frame, None if there were none."""
         if self._blocks is None:
             return None
         self._blocks = None

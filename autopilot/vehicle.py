@@ -242,7 +242,7 @@ class Vehicle:
 
     @property
     def ahead(self) -> Ahead | None:
-        """The steps up to the next look at anything but inertial samples; None if there are none before it."""
+        """The steps up to the next look at anything but inertial samples; None: the next is that look."""
         filtered, now_us = self.estimator.filter, self.flight.now_us
         if filtered is None or not self.pilot.flies_on:
             return None

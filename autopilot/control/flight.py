@@ -110,7 +110,7 @@ class FlightController:
         return (
             isinstance(setpoint, TrajectorySetpoint)
             and setpoint is self._setpoint
-            and setpoint.yaw_rad is not None  # else the heading goes on turning
+            and (setpoint.yaw_rad is not None or setpoint.yaw_rate_rad_s == 0.0)  # else the heading goes on
             and self._takeoff.phase is Phase.FLYING
         )
 

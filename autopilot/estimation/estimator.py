@@ -160,7 +160,7 @@ class Estimator:
 
     @property
     def sound_until_us(self) -> int:
-        """Up to when a horizon finds nothing to fuse, and velocity, position and height stay known; -1: never."""
+        """Up to when a horizon finds nothing to fuse, and all of the state stays known; -1: not even now."""
         live = self.live
         if self._failed or not (live.velocity_valid and live.position_valid and live.height_valid):
             return -1

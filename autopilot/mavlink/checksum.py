@@ -25,4 +25,4 @@ def checksum(octets: Octets, first: int, end: int, extra: int) -> int:
     crc = _START
     for at in range(first, end):
         crc = (crc >> 8) ^ _TABLE[(crc ^ np.int64(octets[at])) & 0xFF]
-    return (crc >> 8) ^ _TABLE[(crc ^ extra) & 0xFF]
+    return int((crc >> 8) ^ _TABLE[(crc ^ extra) & 0xFF])
