@@ -73,6 +73,11 @@ class Host:
         )
         return Encoder(system=self._config.instance + 1, component=AUTOPILOT_COMPONENT).encode(beat)
 
+    def put(self, data: bytes) -> int:
+        """Put bytes into `incoming` that have come in another way than straight into it; returns how many."""
+        self.incoming[: len(data)] = data
+        return len(data)
+
     def inertial_step(self, size: int) -> memoryview | None:
         """Answer ``size`` bytes in `incoming`, if they are a step that brings an inertial sample alone.
 

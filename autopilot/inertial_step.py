@@ -1,4 +1,4 @@
-"""A step that brings an inertial sample and nothing else: compiled from the simulator's bytes to the answer's.
+"""A step that brings an inertial sample and nothing else: compiled, from the bytes that come to the answer's.
 
 Three steps of four are like that: nothing else has come, nothing is due, and the vehicle follows the
 trajectory that it followed before. `inertial_step` then does what `autopilot.vehicle.Vehicle.step` does, with

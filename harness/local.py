@@ -86,8 +86,8 @@ class LocalSeat(Voice):
     def hear(self, data: bytes) -> list[tuple[int, str]]:
         """Have the vehicle do its step on what the simulator sends; returns its warnings with their times."""
         warned: list[tuple[int, str]] = []
-        host, size = self.host, len(data)
-        host.incoming[:size] = data
+        host = self.host
+        size = host.put(data)
         inertial = host.inertial_step(size)
         if inertial is not None:
             self.said += inertial

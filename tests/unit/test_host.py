@@ -62,7 +62,7 @@ def gps(time_us):
 def step(host, data, *link_messages):
     """The answers to each HIL_SENSOR in some bytes, and what goes out on the links."""
     answers, links = [], []
-    for messages in host.push(data):
+    for messages in host.push(host.put(data)):
         answer, out = host.step(messages, link_messages=list(link_messages), link_active=(True, False))
         answers.append([message for message in Parser().push(answer) if "ACTUATOR" in message.get_type()])
         links += out

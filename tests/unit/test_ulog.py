@@ -165,7 +165,7 @@ def sensor(time_us):
 def run(host, begin_us, end_us, *said, active=(True, False)):
     out = []
     for now_us in range(begin_us, end_us, STEP_US):
-        for messages in host.push(sensor(now_us)):
+        for messages in host.push(host.put(sensor(now_us))):
             links = [Addressed(Partner(GROUND_STATION, 0), message) for message in said]
             said = ()
             out += host.step(messages, link_messages=links, link_active=active)[1]
