@@ -9,6 +9,7 @@ PARTS = {
     "autopilot.mavlink.hil": CODEC,
     "autopilot.sensors": "estimator",
     "autopilot.estimation": "estimator",
+    "autopilot.inertial_step": "inertial steps",
     "autopilot.control": "control",
     "autopilot.commander": "commander and modes",
     "autopilot.monitor": "commander and modes",

@@ -37,13 +37,13 @@ class Player:
 
     def hear(self, data):
         host = self.host
-        host.incoming[: len(data)] = data
-        answer = host.inertial_step(len(data))
+        size = host.put(data)
+        answer = host.inertial_step(size)
         if answer is not None:
             self.inertial += 1
             return bytes(answer)
         return b"".join(
-            host.step(messages, link_messages=[], link_active=NOBODY)[0] for messages in host.push(len(data))
+            host.step(messages, link_messages=[], link_active=NOBODY)[0] for messages in host.push(size)
         )
 
 
@@ -136,8 +136,7 @@ def test_whatever_else_comes_is_left_alone(flying, other):
     player, data = flying
     wrong = OTHERS[other](data)
     before = memory(player.host)
-    player.host.incoming[: len(wrong)] = wrong
-    assert player.host.inertial_step(len(wrong)) is None
+    assert player.host.inertial_step(player.host.put(wrong)) is None
     assert memory(player.host) == before
     assert bytes(player.host.incoming[: len(wrong)]) == wrong
 
@@ -146,8 +145,7 @@ def test_what_is_not_left_alone_is_made(flying):
     """The witness of the test above."""
     player, data = flying
     before = memory(player.host)
-    player.host.incoming[: len(data)] = data
-    assert player.host.inertial_step(len(data)) is not None
+    assert player.host.inertial_step(player.host.put(data)) is not None
     assert memory(player.host) != before
 
 
@@ -169,11 +167,6 @@ def test_with_somebody_listening_every_step_is_whole(stream):
     player = Player(compiled=True)
     data = until_inertial(player, stream)
     host = player.host
-    for messages in host.push(_put(host, data)):
+    for messages in host.push(host.put(data)):
         host.step(messages, link_messages=[], link_active=(True, False))
-    assert host.inertial_step(_put(host, sensor_like(data, time_usec=_time_us(data) + STEP_US))) is None
-
-
-def _put(host, data):
-    host.incoming[: len(data)] = data
-    return len(data)
+    assert host.inertial_step(host.put(sensor_like(data, time_usec=_time_us(data) + STEP_US))) is None
