@@ -21,18 +21,10 @@ from harness import kernel_cache, px4_seat
 from harness.interrupts import interrupts_deferred
 from harness.messages import AnyCommand, AnyEvent, Formed, Paused, Progress, SetPid
 from harness.px4_seat import Px4Error
+from harness.resources import HAS_NAMED_SOCKETS, ResourceError, allow_descriptors, bind, bind_local
 from harness.run_folder import RunFolder
 from harness.scenario import Scenario
-from harness.supervisor import (
-    HAS_NAMED_SOCKETS,
-    ChildMessage,
-    Exited,
-    PortError,
-    Supervisor,
-    SupervisorError,
-    bind,
-    bind_local,
-)
+from harness.supervisor import ChildMessage, Exited, Supervisor, SupervisorError
 from netsim.child import Finished, Influenced, Ready, Warned
 
 PHYSICS, RADIO, HANGAR = "physics", "radio", "hangar"
@@ -158,13 +150,14 @@ class Processes:
     def start(self) -> None:
         """Start every process and wait until all are ready. The caller stops them if this fails.
 
-        Raises SetupError for a port or folder that cannot be had, and SwarmError for a process that fails.
+        Raises SetupError for a port, a folder or file descriptors that cannot be had, and SwarmError for a
+        process that fails.
         """
         self._wall_start_s = time.monotonic()
         try:
             self._running = True
             self._start()
-        except (PortError, Px4Error, OSError) as error:
+        except (ResourceError, Px4Error, OSError) as error:
             raise SetupError(str(error)) from None
         except (SupervisorError, kernel_cache.CompileError) as error:
             raise SwarmError(str(error)) from None
@@ -176,6 +169,7 @@ class Processes:
     def _start(self) -> None:
         scenario, host, run_id = self._scenario, self._scenario.ports.host, uuid.uuid4().hex[:16]
         vehicles = range(scenario.agents)
+        allow_descriptors(len((PHYSICS, RADIO, HANGAR)) + len(vehicles) + len(self._px4))
         self._check_ports()
         kernel_cache.prepare(self._note)
         with contextlib.ExitStack() as sockets:

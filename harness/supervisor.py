@@ -13,9 +13,7 @@ import contextlib
 import os
 import queue
 import signal
-import socket
 import subprocess
-import sys
 import threading
 import time
 import uuid
@@ -46,8 +44,6 @@ LAST_WORDS_S = 0.2
 """Wall time for which the stdout of dead children is still read, if what one started holds it open."""
 PIPE_BYTES = 65_536
 """As much as a pipe holds."""
-HAS_NAMED_SOCKETS = sys.platform == "linux"
-"""Whether Unix sockets may have a name that is no file's."""
 TAIL_LINES = 8
 TAIL_BYTES = 64 * 1024
 
@@ -78,10 +74,6 @@ class SupervisorError(Exception):
     """A child could not be started, or not be ended; one line."""
 
 
-class PortError(SupervisorError):
-    """A port cannot be had; the text names it."""
-
-
 def ending(returncode: int | None) -> str:
     """How a process ended, in words."""
     if returncode is None:
@@ -92,38 +84,6 @@ def ending(returncode: int | None) -> str:
         return f"was killed by {signal.Signals(-returncode).name}"
     except ValueError:
         return f"was killed by signal {-returncode}"
-
-
-def bind(kind: socket.SocketKind, host: str, port: int) -> socket.socket:
-    """Socket bound to the address, 0 for a free port; a TCP socket listens.
-
-    Raises PortError with the address.
-    """
-    sock = socket.socket(socket.AF_INET, kind)
-    try:
-        if kind == socket.SOCK_STREAM:
-            # ports of connections that ended a minute ago are free; a listener's is refused all the same
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        sock.bind((host, port))
-        if kind == socket.SOCK_STREAM:
-            sock.listen()
-    except OSError as error:
-        sock.close()
-        protocol = "TCP" if kind == socket.SOCK_STREAM else "UDP"
-        raise PortError(f"{protocol} port {port} on {host}: {os.strerror(error.errno or 0)}") from None
-    return sock
-
-
-def bind_local(name: str, *, backlog: int) -> socket.socket:
-    """Unix socket that listens by a name that is no file's (`HAS_NAMED_SOCKETS`). Raises OSError."""
-    sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    try:
-        sock.bind(f"\0{name}")
-        sock.listen(backlog)
-    except OSError:
-        sock.close()
-        raise
-    return sock
 
 
 class _Child:

@@ -16,13 +16,12 @@ import pytest
 
 from harness.interrupts import interrupts_deferred
 from harness.messages import SetPid
+from harness.resources import PortError, bind
 from harness.supervisor import (
     MARK,
     Exited,
-    PortError,
     Supervisor,
     SupervisorError,
-    bind,
     ending,
 )
 from netsim.child import Finished, Ready

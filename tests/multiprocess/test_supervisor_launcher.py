@@ -106,6 +106,19 @@ def test_failed_process_fails_the_run_with_its_last_words(folder: Path) -> None:
     assert "Traceback" not in launched.stderr
 
 
+def test_too_few_file_descriptors_are_a_line_before_anything_starts(folder: Path) -> None:
+    narrow = f"import resource; resource.setrlimit(resource.RLIMIT_NOFILE, (40, 40)){LAUNCHER}"
+    launched = subprocess.run(
+        [sys.executable, "-c", narrow, "fine.toml", "--duration", "1.5"],
+        cwd=folder, capture_output=True, text=True, timeout=WALL_LIMIT_S, check=False,
+    )  # fmt: skip
+    assert launched.returncode == 2
+    last_line = launched.stderr.splitlines()[-1]
+    assert last_line.startswith("coflight: 5 processes take ")
+    assert last_line.endswith(" file descriptors, and the limit is 40 (ulimit -Hn)")
+    assert not list((folder / "runs").glob("fine-*/logs/*"))
+
+
 def test_one_ctrl_c_stops_everything_and_keeps_the_records(folder: Path) -> None:
     launched = launch(folder, "interrupted.toml", "--json", "--duration", "1e6")
     assert launched.returncode == 130

@@ -95,7 +95,7 @@ def test_process_that_is_left_fails_the_test(tmp_path: Path) -> None:
         tmp_path,
         """
         import socket
-        from harness.supervisor import bind
+        from harness.resources import bind
 
         def test_untidy(swarm, monkeypatch):
             flight = swarm("small.toml")

@@ -15,8 +15,9 @@ from supervisor_stand_ins import FORMED_US, STEP_US
 
 import harness.processes
 from harness.messages import Formed, VehicleLost
+from harness.resources import bind
 from harness.scenario import PortsConfig, RunConfig, Scenario
-from harness.supervisor import Exited, bind
+from harness.supervisor import Exited
 from harness.swarm import SetupError, Swarm, SwarmError, SwarmTimeoutError
 
 pytestmark = pytest.mark.multiprocess

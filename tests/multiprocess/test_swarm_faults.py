@@ -17,8 +17,8 @@ import pytest
 from pymavlink import mavutil  # noqa: TID251  the client that the tests are about
 
 from harness.messages import VehicleLost, VehicleSilent
+from harness.resources import PortError, bind
 from harness.scenario import load
-from harness.supervisor import PortError, bind
 from harness.swarm import SwarmError, SwarmTimeoutError
 
 pytestmark = pytest.mark.multiprocess
