@@ -20,7 +20,7 @@ from autopilot.mavlink.hil import TO_VEHICLE, HilEncoder, HilParser
 from autopilot.protocol.service import AUTOPILOT_COMPONENT, GROUND_STATION, Addressed
 from autopilot.protocol.status import TEXT_BYTES
 from autopilot.recording import VEHICLE_RECORD, record
-from autopilot.vehicle import ANSWER_IN_FLIGHT, Vehicle, is_clock
+from autopilot.vehicle import Vehicle, is_clock
 from netsim.record_log import RecordLog
 from netsim.wire.lockstep import BATCH_DELIVERED, BATCH_HANDED_OVER
 from netsim.wire.messages import RxItem, TxItem
@@ -57,7 +57,7 @@ class Host:
         self._parser = HilParser(*TO_VEHICLE)
         system = config.instance + 1
         self._encoder = HilEncoder(system=system, component=AUTOPILOT_COMPONENT)
-        self._inertial = InertialSteps(ANSWER_IN_FLIGHT, system=system, component=AUTOPILOT_COMPONENT)
+        self._inertial = InertialSteps(system=system, component=AUTOPILOT_COMPONENT)
         self.incoming = self._inertial.incoming
         """Where the simulator's bytes go, for `inertial_step` and then for `push`"""
         self._waiting: list[Message] = []

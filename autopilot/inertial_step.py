@@ -1,7 +1,7 @@
 """A step that brings an inertial sample and nothing else: compiled, from the bytes that come to the answer's.
 
 Three steps of four are like that: nothing else has come, nothing is due, and the vehicle follows the
-trajectory that it followed before. `inertial_step` then does what `autopilot.vehicle.Vehicle.step` does, with
+trajectory that it followed before, or stands disarmed. `inertial_step` then does what `autopilot.vehicle.Vehicle.step` does, with
 the same kernels on the same blocks of memory, so it is the same flight to the bit. It leaves Python's objects
 alone: whoever looks at them next brings them up to date first. That is worth several times the arithmetic,
 since a process that shares its processor with others finds nothing of what it needs in the caches.
@@ -59,16 +59,20 @@ US_PER_S = 1_000_000
 _VELOCITY_VALID, _IDLES, _LANDED, _FLIES = True, False, False, True
 
 MOMENT = np.dtype(
-    [("now_us", "i8"), ("until_us", "i8"), ("sound_until_us", "i8"), ("sequence", "i8")], align=True
+    [("now_us", "i8"), ("until_us", "i8"), ("sound_until_us", "i8"), ("sequence", "i8"), ("flies", "i8")],
+    align=True,
 )
 """The last step's time, that from which steps are no longer these, the horizon's from which there is
-something to fuse or the estimate may no longer be valid, and the number of the next frame."""
+something to fuse or the estimate may no longer be valid, the next frame's number, whether the vehicle flies."""
 
 
 class Ahead(NamedTuple):
     """A vehicle between two steps that look at more than inertial samples."""
 
-    now_us: int
+    last: HilActuatorControls
+    """Its answer to the last sample"""
+    flies: bool
+    """It follows a trajectory; else its controls stay as they are."""
     until_us: int
     """When the next of those is"""
     sound_until_us: int
@@ -90,8 +94,9 @@ def inertial_step(
 ) -> bool:
     """Make the step of ``size`` bytes that have come, if it is one of these: the answer is then written.
 
-    False: nothing has been touched. ``incoming`` and ``answer`` have frames from `_FIRST` on; all but
-    sequence number, time, controls and checksum stands in the answer already. ``moment`` is (1,) of `MOMENT`.
+    False: nothing has been touched. ``incoming`` and ``answer`` have frames from `_FIRST` on; the answer is
+    the last one, of whose frame sequence number, time, controls and checksum change. ``moment`` is (1,) of
+    `MOMENT`.
     """
     m, filtered = moment[0], horizon[0]
     if size != _SENSOR_END - _FIRST + _CHECKSUM_BYTES or incoming[_UPDATED] != IMU_FIELDS:
@@ -117,19 +122,20 @@ def inertial_step(
         return False
 
     advance(horizon, samples, time_us, gyro, accel)
-    estimate = filtered["estimate"]
-    follow_trajectory(
-        cascade, estimate[:VEL], estimate[OMEGA:STD], estimate[POS:GYRO_BIAS], estimate[VEL:POS],
-        estimate[ACC:OMEGA], _VELOCITY_VALID, (time_us - m["now_us"]) / US_PER_S, _IDLES, _LANDED, _FLIES,
-    )  # fmt: skip
+    if m["flies"]:
+        estimate = filtered["estimate"]
+        follow_trajectory(
+            cascade, estimate[:VEL], estimate[OMEGA:STD], estimate[POS:GYRO_BIAS], estimate[VEL:POS],
+            estimate[ACC:OMEGA], _VELOCITY_VALID, (time_us - m["now_us"]) / US_PER_S, _IDLES, _LANDED, _FLIES,
+        )  # fmt: skip
+        controls, given = cascade[0]["controls"], answer[_CONTROLS : _ACTUATORS_END - 1].view(np.float32)
+        for i in range(_ROTORS):
+            given[i] = controls[i]
     m["now_us"] = time_us
 
     answer[_SEQUENCE] = m["sequence"]
     m["sequence"] = (m["sequence"] + 1) % 256
     answer[_PAYLOAD:_FLOATS].view(np.int64)[0] = time_us
-    controls, given = cascade[0]["controls"], answer[_CONTROLS : _ACTUATORS_END - 1].view(np.float32)
-    for i in range(_ROTORS):
-        given[i] = controls[i]
     crc = checksum(answer, _FIRST + 1, _ACTUATORS_END, _ACTUATORS_EXTRA)
     answer[_ACTUATORS_END], answer[_ACTUATORS_END + 1] = crc & 0xFF, crc >> 8
     return True
@@ -143,16 +149,15 @@ class InertialSteps:
 
     """
 
-    def __init__(self, answer: HilActuatorControls, *, system: int, component: int) -> None:
-        """All of the answers but their times, numbers and controls is as in ``answer``."""
+    def __init__(self, *, system: int, component: int) -> None:
+        """Answer as this component of this system."""
+        self._own = (system, component)
         incoming = np.zeros(_FIRST + _RECEIVE_BYTES, np.uint8)
-        answers = np.zeros(_ACTUATORS_END + _CHECKSUM_BYTES, np.uint8)
-        frame = pack(answer, sequence=0, system=system, component=component)
-        answers[_FIRST:] = np.frombuffer(frame, np.uint8)
+        answer = np.zeros(_ACTUATORS_END + _CHECKSUM_BYTES, np.uint8)
         self.incoming = incoming.data[_FIRST:]
-        self._answer = answers.data[_FIRST:]
+        self._answer = answer.data[_FIRST:]
         self._moment: NDArray[np.void] = np.zeros(1, MOMENT)
-        self._octets = (incoming, answers, self._moment)
+        self._octets = (incoming, answer, self._moment)
         self._blocks: tuple[Horizon, Horizon, Cascade] | None = None
         self._opened_us = 0
 
@@ -164,8 +169,10 @@ class InertialSteps:
 
     def open(self, ahead: Ahead, sequence: int) -> None:
         """Let such steps follow; ``sequence`` is the number of the next answer's frame."""
-        self._opened_us = ahead.now_us
-        self._moment[0] = (ahead.now_us, ahead.until_us, ahead.sound_until_us, sequence)
+        system, component = self._own
+        self._answer[:] = pack(ahead.last, sequence=sequence, system=system, component=component)
+        self._opened_us = now_us = ahead.last.time_usec
+        self._moment[0] = (now_us, ahead.until_us, ahead.sound_until_us, sequence, ahead.flies)
         self._blocks = (ahead.horizon, ahead.samples, ahead.cascade)
 
     def close(self) -> tuple[int, int] | None:
@@ -173,7 +180,7 @@ class InertialSteps:
         if self._blocks is None:
             return None
         self._blocks = None
-        now_us, _, _, sequence = self._moment[0].tolist()
+        now_us, _, _, sequence, _ = self._moment[0].tolist()
         return None if now_us == self._opened_us else (now_us, sequence)
 
     @property

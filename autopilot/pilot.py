@@ -280,8 +280,9 @@ class Pilot:
         )
 
     def catch_up(self) -> None:
-        """Take what compiled code has had the controller give since `fly`."""
-        self._give(self.controller.controls)
+        """Take what compiled code has had the controller give since `fly`, if the motors turn."""
+        if self._flight.commander.armed:
+            self._give(self.controller.controls)
 
     def _give(self, motors: Array) -> None:
         """Tell the motors' controls (4,)."""

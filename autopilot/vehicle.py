@@ -61,8 +61,6 @@ _TRUTH_INTERVAL_US = 5_000.0
 _MODE_DISARMED = common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
 _MODE_ARMED = _MODE_DISARMED | common.MAV_MODE_FLAG_SAFETY_ARMED
 _LOCKSTEP_FLAG = 1
-ANSWER_IN_FLIGHT = HilActuatorControls(0, [0.0] * 16, _MODE_ARMED, _LOCKSTEP_FLAG)
-"""All of the answers of an armed vehicle but times and controls."""
 _OF_THE_START = frozenset({"EKF2_GPS_DELAY"})
 """Parameters that cannot change later: the GPS delay is the length of the estimator's memory."""
 _HIL_STATE_QUATERNION = common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
@@ -243,15 +241,16 @@ class Vehicle:
     @property
     def ahead(self) -> Ahead | None:
         """The steps up to the next look at anything but inertial samples; None: the next is that look."""
-        filtered, now_us = self.estimator.filter, self.flight.now_us
-        if filtered is None or not self.pilot.flies_on:
+        filtered, now_us, flies = self.estimator.filter, self.flight.now_us, self.pilot.flies_on
+        if filtered is None or (self.commander.armed and not flies):
             return None
         until_us, sound_until_us = self.next_look_us, self.estimator.sound_until_us
         if until_us <= now_us + self.config.step_us:
             return None
         return Ahead(
-            now_us, until_us, sound_until_us, filtered.block, filtered.samples, self.pilot.controller.block
-        )
+            self._actuators(now_us), flies, until_us, sound_until_us,
+            filtered.block, filtered.samples, self.pilot.controller.block,
+        )  # fmt: skip
 
     def catch_up(self, now_us: int) -> None:
         """Take what compiled steps have left in filter and controller, the last of which was at this time."""
