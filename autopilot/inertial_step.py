@@ -1,10 +1,11 @@
 """A step that brings an inertial sample and nothing else: compiled, from the bytes that come to the answer's.
 
 Three steps of four are like that: nothing else has come, nothing is due, and the vehicle follows the
-trajectory that it followed before, or stands disarmed. `inertial_step` then does what `autopilot.vehicle.Vehicle.step` does, with
-the same kernels on the same blocks of memory, so it is the same flight to the bit. It leaves Python's objects
-alone: whoever looks at them next brings them up to date first. That is worth several times the arithmetic,
-since a process that shares its processor with others finds nothing of what it needs in the caches.
+trajectory that it followed before, or stands disarmed. `inertial_step` then does what
+`autopilot.vehicle.Vehicle.step` does, with the same kernels on the same blocks of memory, so it is the same
+flight to the bit. It leaves Python's objects alone: whoever looks at them next brings them up to date first.
+That is worth several times the arithmetic, since a process that shares its processor with others finds
+nothing of what it needs in the caches.
 """
 
 from typing import NamedTuple
@@ -63,7 +64,7 @@ MOMENT = np.dtype(
     align=True,
 )
 """The last step's time, that from which steps are no longer these, the horizon's from which there is
-something to fuse or the estimate may no longer be valid, the next frame's number, whether the vehicle flies."""
+something to fuse or the estimate may not be valid, the next frame's number, and whether the vehicle flies."""
 
 
 class Ahead(NamedTuple):
