@@ -21,7 +21,8 @@ ROTORS = 4
 MOST_TIME_S = 1e6
 """Eleven days: nothing is scheduled later."""
 LEAST_DURATION_S = 0.004
-"""One step of the physics: what is shorter might fall between two."""
+"""One step of the physics: what is shorter might fall between two. Radios know of it when the air next goes
+on, at the multiples of ``onboard.loop_period_ms``."""
 Vector = tuple[float, float, float]
 Start = Annotated[float, Meta(ge=0.0, le=MOST_TIME_S)]
 Duration = Annotated[float, Meta(ge=LEAST_DURATION_S, le=MOST_TIME_S)]

@@ -316,7 +316,7 @@ class Swarm:
         self._processes.send(SetAttenuation(extra_attenuation_db=None))
 
     def inject(self, fault: AnyFault) -> None:
-        """Have something fail from the next step on, or ``fault.start_s`` after it.
+        """Have something fail from the next step on, or ``fault.start_s`` after it; radios as `cut_channel`.
 
         Raises ValueError for a fault that cannot be.
         """

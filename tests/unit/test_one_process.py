@@ -66,16 +66,21 @@ def test_equal_flights_give_equal_logs_and_other_seeds_others(tmp_path):
 
 
 def test_how_a_flight_is_cut_into_stretches_leaves_no_trace(tmp_path):
-    """Commands come between steps: one stretch of 2 s, or four and a condition, are 500 steps."""
-    whole = fly(scenario(), tmp_path / "whole", until_s=2.0)
+    """Commands come between steps: one stretch of 4 s, or six and a condition, are 1000 steps.
+
+    At 3 s they speak by radio, and some stretches end within an interval of the air.
+    """
+    whole = fly(scenario(), tmp_path / "whole", until_s=4.0)
     with OneProcessSwarm(scenario(), out=tmp_path / "parts") as swarm:
         swarm.run_for(0.004)
         swarm.run(until_s=0.5)
         swarm.run_until(lambda truth: truth.t_s >= 1.2, timeout_s=5.0, every_s=0.1)
         assert swarm.truth.time_us == 1_200_000
-        swarm.run(until_s=2.0)
+        for until_s in (3.004, 3.52, 4.0):
+            swarm.run(until_s=until_s)
         parts = swarm.summary(draw=False)
-    assert whole["simulated_s"] == parts["simulated_s"] == 2.0
+    assert whole["simulated_s"] == parts["simulated_s"] == 4.0
+    assert radio_table(tmp_path / "parts")["start_ns"]
     assert whole["log_sha256"] == parts["log_sha256"]
 
 
@@ -122,10 +127,13 @@ def test_the_manifest_names_one_process_and_the_folder_holds_a_run(tmp_path):
         pass
 
 
-def test_a_cut_channel_delivers_nothing_from_its_step_on_and_a_restored_one_does(tmp_path):
-    """What is on the air at the cut is judged by the power that it started with, so frames count by start."""
+def test_a_cut_channel_delivers_nothing_from_its_interval_on_and_a_restored_one_does(tmp_path):
+    """What is on the air at the cut is judged by the power that it started with, so frames count by start.
+
+    The commands come in the middle of intervals of 20 ms, of which the next begin at 4 and 5 s.
+    """
     with OneProcessSwarm(scenario(), out=tmp_path / "run") as swarm:
-        for cut, until_s in ((False, 4.0), (True, 5.0), (False, 6.0)):
+        for cut, until_s in ((False, 3.992), (True, 4.988), (False, 6.0)):
             swarm.cut_channel() if cut else swarm.restore_channel()
             swarm.run(until_s=until_s)
         swarm.summary(draw=False)
