@@ -67,19 +67,32 @@ def observe(
 
 
 @njit(cache=True)
-def any_two_within(bodies: NDArray[np.void], reach_m: float) -> bool:
-    """Whether any two of n bodies, rows (n,) of `BODY`, are no farther from each other along any axis."""
+def near_something(bodies: NDArray[np.void], reach_m: float, lasting: float, near: NDArray[np.bool_]) -> bool:
+    """Find out who of ``bodies``, rows (n,) of `BODY`, is near the ground or another.
+
+    So is whoever is within ``reach_m`` of another along every axis, or within half of that above the ground;
+    who is near stays so until it is ``lasting`` times as far away. ``near`` (n,) has who was, and then who is
+    so; returns whether that has changed for any.
+    """
+    was_near = near.copy()
+    near[:] = False
     for i in range(len(bodies)):
         here = bodies[i]["pos_ned_m"]
+        ground_m = 0.5 * reach_m * (lasting if was_near[i] else 1.0)
+        near[i] |= -here[2] <= ground_m
         for j in range(i):
             there = bodies[j]["pos_ned_m"]
+            pair_m = reach_m * (lasting if was_near[i] and was_near[j] else 1.0)
             if (
-                abs(here[0] - there[0]) <= reach_m
-                and abs(here[1] - there[1]) <= reach_m
-                and abs(here[2] - there[2]) <= reach_m
+                abs(here[0] - there[0]) <= pair_m
+                and abs(here[1] - there[1]) <= pair_m
+                and abs(here[2] - there[2]) <= pair_m
             ):
-                return True
-    return False
+                near[i] = near[j] = True
+    changed = False
+    for i in range(len(bodies)):
+        changed |= near[i] != was_near[i]
+    return changed
 
 
 @njit(cache=True)

@@ -1,7 +1,7 @@
 """The door between the conventions of PyBullet and Gazebo's tables and those of everybody else.
 
 Bullet knows no up and no north: gravity is an argument, so its world is simply given NED axes and its bodies
-FRD ones. What is left to convert is the order of its quaternions, which `world` does as it reads them, and
+FRD ones. What is left to convert is the order of its quaternions, which `bullet` does as it reads them, and
 body vectors of tables that are written in FLU.
 """
 

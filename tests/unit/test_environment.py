@@ -226,7 +226,7 @@ def lift_off_acceleration(environment, ground_altitude_m=0.0, height_m=50.0):
         model=IRIS, spawn_pos_ned_m=[(0.0, 0.0, -height_m)], spawn_yaw_rad=0.0, step_us=STEP_US,
         environment=environment, ground_altitude_m=ground_altitude_m,
     ) as world:  # fmt: skip
-        world._rotor_speed_rad_s[:] = HOVER_RAD_S
+        world.truth.rows["rotor_speed_rad_s"] = HOVER_RAD_S
         world.step(
             np.full((1, 4), HOVER), np.ones(1, bool), np.zeros((1, 3)), rotors_stopped=np.zeros(1, bool)
         )

@@ -1,0 +1,166 @@
+"""Free flight is Bullet's, and Bullet has whoever may touch something."""
+
+import numpy as np
+import pytest
+
+from autopilot.estimation.rotation import quat_rotate
+from harness.physics.bodies import BODY, near_something
+from harness.physics.bullet import Bullet
+from harness.physics.free_flight import MOST_RATE, coast
+from harness.physics.model import IRIS
+from harness.physics.world import GRAVITY_M_S2, LASTING, World
+
+INERTIA = np.array(IRIS.inertia_diagonal_kg_m2)
+HALF_DIAGONAL_M = 0.5 * float(np.linalg.norm(IRIS.box_m))
+BOTTOM_CORNERS_FRD_M = 0.5 * np.array(IRIS.box_m) * [(x, y, 1.0) for x in (-1.0, 1.0) for y in (-1.0, 1.0)]
+
+
+def thrown(rng, count, *, rate_rad_s):
+    """So many bodies, far from each other and from the ground, of any attitude and motion."""
+    rows = np.zeros(count, BODY)
+    rows["pos_ned_m"] = rng.normal(size=(count, 3)) + np.arange(count)[:, None] * 20.0
+    rows["pos_ned_m"][:, 2] = -500.0
+    attitudes = rng.normal(size=(count, 4))
+    rows["q_ned_frd"] = attitudes / np.linalg.norm(attitudes, axis=1)[:, None]
+    rows["vel_ned_m_s"] = 10.0 * rng.normal(size=(count, 3))
+    rows["omega_ned_rad_s"] = rate_rad_s * rng.normal(size=(count, 3))
+    return rows
+
+
+def differences(rows, others):
+    """The greatest by field; q and -q are the same attitude."""
+    signs = np.sign(np.sum(rows["q_ned_frd"] * others["q_ned_frd"], axis=1))
+    others = others.copy()
+    others["q_ned_frd"] *= signs[:, None]
+    return {name: float(np.abs(rows[name] - others[name]).max()) for name in BODY.names}
+
+
+@pytest.mark.parametrize("step_s", [0.001, 0.004, 0.02])
+@pytest.mark.parametrize("rate_rad_s", [0.0, 1e-5, 1e-2, 1.0, 30.0, 99.0])
+def test_a_step_is_bullets_but_for_rounding(step_s, rate_rad_s):
+    """At any rate of turn: in the series for small ones, and above what Bullet limits, in turns and rates."""
+    rng = np.random.default_rng(3)
+    before = thrown(rng, 16, rate_rad_s=rate_rad_s)
+    bullet = Bullet(IRIS, step_s=step_s, gravity_m_s2=GRAVITY_M_S2)
+    for i, row in enumerate(before):
+        bullet.hold(i, row)
+    applied = rng.normal(size=(16, 2, 3)) * [[[20.0], [2.0]]]
+    free, bullets = np.zeros(16, BODY), np.zeros(16, BODY)
+    coast(IRIS.mass_kg, INERTIA, GRAVITY_M_S2, step_s, before, applied, free)
+    bullet.step(before, applied, bullets)
+    bullet.close()
+    apart = differences(free, bullets)
+    assert apart["pos_ned_m"] <= 2e-13  # of 500 m
+    assert apart["vel_ned_m_s"] <= 2e-14
+    assert apart["q_ned_frd"] <= 2e-14
+    assert apart["omega_ned_rad_s"] <= 1e-12
+
+
+def test_a_flight_of_five_seconds_stays_bullets():
+    """Rounding does not add up to anything: 2e-12 m of some 100 m."""
+    rng = np.random.default_rng(5)
+    free = thrown(rng, 8, rate_rad_s=1.0)
+    bullets = free.copy()
+    bullet = Bullet(IRIS, step_s=0.004, gravity_m_s2=GRAVITY_M_S2)
+    for i, row in enumerate(free):
+        bullet.hold(i, row)
+    for _ in range(1_250):
+        applied = rng.normal(size=(8, 2, 3)) * [[[5.0], [0.02]]]
+        applied[:, 0, 2] -= IRIS.mass_kg * GRAVITY_M_S2
+        was_free, was_bullets = free, bullets
+        free, bullets = np.zeros(8, BODY), np.zeros(8, BODY)
+        coast(IRIS.mass_kg, INERTIA, GRAVITY_M_S2, 0.004, was_free, applied, free)
+        bullet.step(was_bullets, applied, bullets)
+    bullet.close()
+    assert max(differences(free, bullets).values()) < 1e-10
+
+
+def test_bullet_limits_rates_as_free_flight_does():
+    before = thrown(np.random.default_rng(1), 1, rate_rad_s=0.0)
+    before["vel_ned_m_s"] = 0.0, 0.0, 99.9
+    applied, after = np.zeros((1, 2, 3)), np.zeros(1, BODY)
+    applied[0, 0, 2] = 1e3
+    coast(IRIS.mass_kg, INERTIA, GRAVITY_M_S2, 0.004, before, applied, after)
+    assert after["vel_ned_m_s"][0, 2] == MOST_RATE
+
+
+def near(rows, was_near=None):
+    flags = np.zeros(len(rows), dtype=bool) if was_near is None else np.array(was_near)
+    changed = near_something(rows, 4.0 * HALF_DIAGONAL_M, LASTING, flags)
+    return changed, flags.tolist()
+
+
+def test_who_is_within_reach_of_the_ground_or_another_is_near_until_it_is_a_quarter_farther():
+    reach_m = 4.0 * HALF_DIAGONAL_M
+    rows = np.zeros(3, BODY)
+    rows["pos_ned_m"] = [(0, 0, -0.49 * reach_m), (0, 0, -10.0), (0.99 * reach_m, 0.99 * reach_m, -10.0)]
+    assert near(rows) == (True, [True] * 3)
+    assert near(rows, [True] * 3) == (False, [True] * 3)
+    rows["pos_ned_m"] = [(0, 0, -0.6 * reach_m), (0, 0, -10.0), (1.2 * reach_m, 0.0, -10.0)]
+    assert near(rows) == (False, [False] * 3)
+    assert near(rows, [True] * 3) == (False, [True] * 3)
+    assert near(rows, [False, True, False]) == (True, [False] * 3)
+    rows["pos_ned_m"] = [(0, 0, -0.63 * reach_m), (0, 0, -10.0), (1.26 * reach_m, 0.0, -10.0)]
+    assert near(rows, [True] * 3) == (True, [False] * 3)
+
+
+def test_nobody_whom_bullet_has_not_reaches_anything():
+    """The corner of whoever leaves Bullet is a quarter of a metre above the ground, whatever its attitude."""
+    rng = np.random.default_rng(2)
+    for _ in range(200):
+        attitude = rng.normal(size=4)
+        attitude /= np.linalg.norm(attitude)
+        lowest_m = max(quat_rotate(attitude, corner)[2] for corner in BOTTOM_CORNERS_FRD_M)
+        assert 2.0 * HALF_DIAGONAL_M - lowest_m > 0.25
+
+
+def test_vehicles_come_and_go_between_free_flight_and_bullet():
+    """One stays on the ground, one rises, drops and lands again, others fly: each is where it would be alone.
+
+    What Bullet holds besides does not matter to a vehicle that touches none of it.
+    """
+    spawn = [(0.0, 0.0, -0.055), (5.0, 0.0, -0.055), (10.0, 0.0, -30.0), (15.0, 0.0, -30.0)]
+
+    def fly(places):
+        """Heights by step, and whom Bullet had when."""
+        n = len(places)
+        held, truths = [], []
+        with World(model=IRIS, spawn_pos_ned_m=places, spawn_yaw_rad=0.7, step_us=4_000) as world:
+            for step in range(900):
+                controls = np.array([CONTROLS[place](step) for place in places])[:, None].repeat(4, axis=1)
+                world.step(controls, np.ones(n, bool), np.zeros((n, 3)), rotors_stopped=np.zeros(n, bool))
+                held.append(set(world._bullet.holds))
+                truths.append(world.truth.rows.copy())
+        return np.array(truths), held
+
+    CONTROLS = {  # noqa: N806
+        spawn[0]: lambda _: 0.0,
+        spawn[1]: lambda step: 0.9 if step < 200 else 0.6,
+        spawn[2]: lambda _: 0.7,
+        spawn[3]: lambda _: 0.71,
+    }
+    together, held = fly(spawn)
+    assert held[0] == {0, 1}
+    assert {0} in held
+    assert held[-1] == {0, 1}  # it has come down
+    assert -together["pos_ned_m"][:, 1, 2].min() > 3.0
+    for i, place in enumerate(spawn):
+        alone, _ = fly([place])
+        for name in ("pos_ned_m", "vel_ned_m_s", "omega_frd_rad_s"):
+            np.testing.assert_allclose(alone[name][:, 0], together[name][:, i], rtol=0.0, atol=1e-6)
+
+
+def test_two_that_meet_in_the_air_are_bullets_and_collide():
+    places = [(0.0, 0.0, -30.0), (0.0, 0.0, -34.0)]
+    contacts = []
+    with World(model=IRIS, spawn_pos_ned_m=places, spawn_yaw_rad=0.0, step_us=4_000) as world:
+        for _ in range(400):
+            controls = np.array([[0.707] * 4, [0.0] * 4])
+            world.step(controls, np.ones(2, bool), np.zeros((2, 3)), rotors_stopped=np.zeros(2, bool))
+            contacts += [(each.first, each.second) for each in world.vehicle_contacts]
+            heights_m = -world.truth.pos_ned_m[:, 2]
+            assert heights_m[1] - heights_m[0] > 0.05  # the upper one does not pass through
+            if contacts and not world._bullet.holds:
+                break
+    assert contacts
+    assert contacts[0] == (0, 1)
