@@ -1,8 +1,9 @@
 """What one step of one vehicle costs, part by part: a recorded flight's bytes, played to a fresh vehicle.
 
-The sequence is that of the vehicle's process: bytes in, messages, step, bytes out; sockets, the radio and the
-log are left out. The vehicle flies itself to its place, as in a swarm of one, so nobody has to be told
-anything: equal bytes make an equal flight. Wall time is read here and nowhere below.
+The sequence is that of the vehicle's process: bytes in, a compiled step or else messages and a whole step,
+bytes out; sockets, the radio and the log are left out. The vehicle flies itself to its place, as in a swarm
+of one, so nobody has to be told anything: equal bytes make an equal flight. Wall time is read here and
+nowhere below.
 """
 
 import gc
@@ -23,16 +24,16 @@ from msgspec import Struct
 from autopilot.commander.commander import Commander
 from autopilot.config import OnboardConfig, VehicleConfig
 from autopilot.control.flight import FlightController
+from autopilot.host import Host
+from autopilot.inertial_step import InertialSteps
 from autopilot.mavlink.codec import Encoder
 from autopilot.mavlink.hil import TO_VEHICLE, HilActuatorControls, HilEncoder, HilParser
 from autopilot.monitor import Monitor
 from autopilot.onboard.app import OnboardApp
 from autopilot.pilot import Pilot
-from autopilot.protocol.service import Addressed
 from autopilot.protocol.services import Services
 from autopilot.protocol.streams import Streams
 from autopilot.sensors import SensorInput
-from autopilot.vehicle import Vehicle, is_clock
 from harness.validation.solo import STEP_S, Solo
 from harness.wind import WindConfig
 
@@ -41,6 +42,10 @@ LIMIT_US = 60.0
 CHILD_STEPS = 4_000
 """Of the flight without compiler, which is slow: after this many the mean no longer moves."""
 _PARTS: tuple[tuple[str, type, tuple[str, ...]], ...] = (
+    ("steps of an inertial sample", InertialSteps, ("step",)),
+    ("decode", HilParser, ("push",)),
+    ("encode", Encoder, ("encode",)),
+    ("encode", HilEncoder, ("encode",)),
     ("estimator, with its input", SensorInput, ("take",)),
     ("monitor and commander", Monitor, ("update",)),
     ("monitor and commander", Commander, ("update",)),
@@ -51,7 +56,7 @@ _PARTS: tuple[tuple[str, type, tuple[str, ...]], ...] = (
     ("streams", Streams, ("on_timer",)),
 )
 """Part, class and methods; what is called within another part is taken off that one."""
-DECODE, REST, ENCODE = "decode", "the step around them", "encode"
+REST = "the step around them"
 
 
 class Recording(Struct, frozen=True, kw_only=True):
@@ -129,30 +134,19 @@ class _Process:
     """The vehicle's process without its edges: see ``autopilot.__main__``."""
 
     def __init__(self, *, streams: bool) -> None:
-        self.vehicle = Vehicle(_config())
+        self.host = Host(_config(), None)
         self._active = (streams, streams)
-        self._parser = HilParser(*TO_VEHICLE)
-        self._encoder = HilEncoder(system=1, component=1)
         self._link_encoder = Encoder(system=1, component=1)
 
-    def decode(self, data: bytes) -> list[Any]:
-        messages = self._parser.push(data)
-        if not is_clock(messages[-1]):
-            raise RuntimeError("a step's bytes do not end in a HIL_SENSOR")
-        return messages
-
-    def encode(self, links: list[Addressed], simulator: list[Any]) -> bytes:
-        for _, message in links:
-            self._link_encoder.encode(message)
-        return b"".join(self._encoder.encode(message) for message in simulator)
-
-    def step(self, data: bytes) -> bytes:
-        output = self.vehicle.step(sim_messages=self.decode(data), link_active=self._active)
-        return self.encode(output.links, [*output.simulator, output.actuators])
-
-    def step_without_codec(self, messages: list[Any]) -> tuple[list[Addressed], list[Any]]:
-        output = self.vehicle.step(sim_messages=messages, link_active=self._active)
-        return output.links, [*output.simulator, output.actuators]
+    def step(self, data: bytes) -> None:
+        host = self.host
+        size = host.put(data)
+        if host.inertial_step(size) is not None:
+            return
+        for messages in host.push(size):
+            _, links = host.step(messages, link_messages=[], link_active=self._active)
+            for _, message in links:
+                self._link_encoder.encode(message)
 
 
 def _play(recording: Recording, *, streams: bool) -> tuple[float, float]:
@@ -167,20 +161,20 @@ def _play(recording: Recording, *, streams: bool) -> tuple[float, float]:
             process.step(data)
             wall_us.append(1e-3 * (time.perf_counter_ns() - wall_ns))
         spent_ns = time.thread_time_ns() - start_ns
-    if not process.vehicle.commander.armed:
+    if not process.host.vehicle.commander.armed:
         raise RuntimeError("the recorded flight did not come about again")
     return 1e-3 * spent_ns / len(wall_us), float(np.quantile(wall_us, 0.99))
 
 
 def _play_floor(recording: Recording) -> float:
     """Mean of decoding and of encoding an answer, microseconds."""
-    process = _Process(streams=False)
+    parser, encoder = HilParser(*TO_VEHICLE), HilEncoder(system=1, component=1)
     answer = HilActuatorControls(1, [0.7] * 4 + [0.0] * 12, 129, 1)
     flown = recording.stream[recording.armed_from :]
     start_ns = time.thread_time_ns()
     for data in flown:
-        process.decode(data)
-        process.encode([], [answer])
+        parser.push(data)
+        encoder.encode(answer)
     return 1e-3 * (time.thread_time_ns() - start_ns) / len(flown)
 
 
@@ -194,14 +188,12 @@ def _play_by_part(recording: Recording, *, streams: bool) -> dict[str, float]:
                 method = getattr(owner, name)
                 originals.append((owner, name, method))
                 setattr(owner, name, watch.around(part, method))
-        decode = watch.around(DECODE, process.decode)
-        step = watch.around(REST, process.step_without_codec)
-        encode = watch.around(ENCODE, process.encode)
+        step = watch.around(REST, process.step)
         with _no_collection():
             for number, data in enumerate(recording.stream):
                 if number == recording.armed_from:
                     watch.spent_ns = dict.fromkeys(watch.spent_ns, 0)
-                encode(*step(decode(data)))
+                step(data)
     finally:
         for owner, name, method in originals:
             setattr(owner, name, method)
