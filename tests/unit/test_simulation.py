@@ -91,7 +91,7 @@ def test_a_rendezvous_that_fails_leaves_nothing_open(folder):
     with pytest.raises(OSError, match="of the test"):
         simulation_of(folder, meet)
     assert open_files(folder) == []
-    assert met[0]._world._client is None
+    assert met[0]._world._bullet._client is None
 
 
 def test_vehicles_that_do_not_close_keep_neither_logs_nor_world_open(folder):
@@ -100,5 +100,5 @@ def test_vehicles_that_do_not_close_keep_neither_logs_nor_world_open(folder):
     with pytest.raises(OSError, match="no space"):
         simulation.close()
     assert open_files(folder) == []
-    assert simulation._world._client is None
+    assert simulation._world._bullet._client is None
     simulation.close()
