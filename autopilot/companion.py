@@ -26,6 +26,7 @@ from autopilot.companion_log import CompanionLog
 from autopilot.companion_radio import CompanionRadio
 from autopilot.config import VehicleConfig
 from autopilot.mavlink.codec import Encoder, Message, Parser, stamp
+from autopilot.mavlink.within import PositionTarget
 from autopilot.onboard.app import NOTHING
 from autopilot.onboard.messages import heartbeat
 from autopilot.onboard.phases import Phase
@@ -129,7 +130,8 @@ class Companion:
         for item in radio_items:
             self.app.on_radio(item, now_us)
         output = self.app.on_timer(now_us)
-        mavlink, self._replies = [*self._replies, *output.mavlink], []
+        asked = (m.to_wire() if isinstance(m, PositionTarget) else m for m in output.mavlink)
+        mavlink, self._replies = [*self._replies, *asked], []
         if now_us >= self._origin_us:
             self._origin_us = now_us + (ORIGIN_KNOWN_PERIOD_US if self._has_origin else ORIGIN_PERIOD_US)
             mavlink.append(_origin_request(self._system))

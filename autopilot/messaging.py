@@ -117,13 +117,12 @@ class Messaging:
             metadata.COMPONENT_METADATA: metadata.message_builder(lambda: flight.now_us),
         }
         application_hz = APPLICATION_WITH_ATTITUDE_HZ if config.onboard.wind_feed_forward else APPLICATION_HZ
+        outside = self.telemetry.builders
+        within = outside | {common.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self.telemetry.motion.local_position}
         self.streams = {
-            link: Streams(self.telemetry.builders, rates_hz)
-            for link, rates_hz in (
-                (GROUND_STATION, GROUND_STATION_HZ),
-                (COMPANION, COMPANION_HZ),
-                (APPLICATION, application_hz),
-            )
+            GROUND_STATION: Streams(outside, GROUND_STATION_HZ),
+            COMPANION: Streams(outside, COMPANION_HZ),
+            APPLICATION: Streams(within, application_hz),
         }
         """By the links' numbers."""
         self.shapers = Shapers(

@@ -15,6 +15,10 @@ from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.navigation.manual import ManualInput
 from autopilot.navigation.setpoints import Navigator
+from autopilot.onboard.beacon import Fix, GpsError
+from autopilot.onboard.common_frame import CommonFrame
+from autopilot.onboard.localisation import CooperativeLocalisation, LocalisationModel
+from autopilot.onboard.neighbourhood import Neighbourhood
 from autopilot.onboard.phases import Phase
 from autopilot.types import Array, RateSetpoint
 from autopilot.vehicle import Vehicle
@@ -58,6 +62,7 @@ def rehearse() -> None:
         )
         if joining_steps > JOINING_STEPS:
             _rehearse_modes(vehicles[0])
+            _rehearse_common_frame()
             return
     raise RehearsalError("the vehicles of the rehearsal did not get on their way")
 
@@ -81,6 +86,20 @@ def _rehearse_modes(vehicle: Vehicle) -> None:
         vehicle.pilot.controller.update(state, setpoint, dt_s=0.004, landed=False)
     rates = RateSetpoint(rate_frd_rad_s=np.zeros(3), thrust=0.5)
     vehicle.pilot.controller.update(state, rates, dt_s=0.004, landed=False)
+
+
+def _rehearse_common_frame() -> None:
+    """Lay one of two neighbours onto the other, as in a formation that has more than a neighbourhood."""
+    near = Neighbourhood(0, np.array(((0.0, 0.0, -10.0), (0.0, 5.0, -10.0), (0.0, 20.0, -10.0))), 1)
+    localisation = CooperativeLocalisation(
+        own=near.own, places_ned_m=np.zeros((len(near.members), 3)), model=LocalisationModel()
+    )
+    frame = CommonFrame(near, gps_std_m=1.0)
+    for row, station in enumerate(near.members.tolist()):
+        localisation.on_odometry(row, 1_000, (0.0, float(row), 0.0), (0.0, 0.0, 0.0))
+        localisation.located[row] = True
+        frame.hear(station, Fix(1, (0.0, float(row), 0.0)), GpsError((0.0, 0.0, 0.0), 1.0), 1_000)
+    frame.update(2_000, localisation)
 
 
 def _sensors(site: Site, time_us: int, pos_ned_m: Array, climb_m_s: float) -> list[common.MAVLink_message]:

@@ -27,6 +27,7 @@ from autopilot.inertial_step import Ahead
 from autopilot.mavlink.codec import Message, stamp
 from autopilot.mavlink.hil import HilActuatorControls
 from autopilot.mavlink.modes import FlightMode
+from autopilot.mavlink.within import PositionTarget
 from autopilot.messaging import Messaging
 from autopilot.monitor import Monitor
 from autopilot.onboard.app import NOTHING
@@ -397,6 +398,9 @@ class Vehicle:
         if output is NOTHING:
             return ()
         for message in output.mavlink:
+            if isinstance(message, PositionTarget):
+                self.offboard.on_message(message, now_us, APPLICATION_PARTNER)
+                continue
             stamp(message, system=self._system, component=APPLICATION_COMPONENT)
             kind = message.get_msgId()
             if kind in _TO_GROUND_TOO:

@@ -16,8 +16,8 @@ from autopilot.types import Array
 
 US_PER_S = 1_000_000
 AS_PER_MAH = 3.6
-SAMPLE_PERIOD_US = 20_000
-"""The model is evaluated at 50 Hz; the steps between only add up the motors' currents."""
+SAMPLE_PERIOD_US = 100_000
+"""The model is evaluated at 10 Hz; the steps between only add up the motors' currents."""
 IRIS_CAPACITY_MAH = 5_100.0
 """The pack's charge where BAT1_CAPACITY leaves it unknown."""
 

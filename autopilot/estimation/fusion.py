@@ -25,7 +25,7 @@ from autopilot.estimation.horizon import DelayedHorizon
 from autopilot.estimation.params import PX4_FILTER_PERIOD_S, EstimatorParams
 from autopilot.estimation.rotation import quat_from_rotation_vector, quat_multiply
 from autopilot.estimation.yaw_gsf import YawBank
-from autopilot.navigation.geodesy import geodetic_to_ned
+from autopilot.navigation.geodesy import place_ned_m
 from autopilot.types import Array, GpsFix
 
 HORIZONTAL_RESET_US = 7_000_000
@@ -335,12 +335,12 @@ class Fusion:
         return aiding.record(ratio, measured_us)
 
     def _good(self, fix: GpsFix) -> bool:
-        numbers = np.array((fix.lat_deg, fix.lon_deg, fix.alt_m, fix.eph_m, *fix.vel_ned_m_s))
-        return bool(
+        numbers = (fix.lat_deg, fix.lon_deg, fix.alt_m, fix.eph_m, *fix.vel_ned_m_s.tolist())
+        return (
             fix.fix_type >= FIX_3D
             and fix.satellites >= self._params.gps_required_satellites
             and fix.eph_m <= self._params.gps_required_eph_m
-            and kernels.all_finite(numbers)
+            and all(map(math.isfinite, numbers))
         )
 
     def _mean_fix(self) -> Origin:
@@ -359,12 +359,5 @@ class Fusion:
 
     def _horizontal_pos_m(self, fix: GpsFix) -> Array:
         lat_deg, lon_deg, alt_m = self.origin or (0.0, 0.0, 0.0)
-        pos_ned_m = geodetic_to_ned(
-            fix.lat_deg,
-            fix.lon_deg,
-            fix.alt_m,
-            origin_lat_deg=lat_deg,
-            origin_lon_deg=lon_deg,
-            origin_alt_m=alt_m,
-        )
-        return pos_ned_m[:2]
+        north_m, east_m, _ = place_ned_m(fix.lat_deg, fix.lon_deg, fix.alt_m, lat_deg, lon_deg, alt_m)
+        return np.array((north_m, east_m))

@@ -17,6 +17,8 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.config import AnyMotion, Devices, OnboardConfig, Site
 from autopilot.formation_plan import FormationPlan
+from autopilot.mavlink.codec import Message
+from autopilot.mavlink.within import LocalPosition, PositionTarget
 from autopilot.onboard import messages
 from autopilot.onboard.avoidance import FRESH_US
 from autopilot.onboard.beacon import Fix, GpsError
@@ -49,7 +51,7 @@ GATHER_MAX_S = 0.8e-6 * LOCALISE_TIMEOUT_US
 class OnboardOutput(Struct, frozen=True):
     """What the application sends in one step."""
 
-    mavlink: Sequence[common.MAVLink_message]
+    mavlink: Sequence[Message | PositionTarget]
     """To the own autopilot."""
     radio: tuple[TxItem, ...]
 
@@ -152,7 +154,7 @@ class OnboardApp:
 
     # ---- inputs
 
-    def on_mavlink(self, msg: common.MAVLink_message, now_us: int) -> None:
+    def on_mavlink(self, msg: Message, now_us: int) -> None:
         """Take a message of the own autopilot; those of no use here are ignored."""
         match msg.get_type():
             case "LOCAL_POSITION_NED":
@@ -187,7 +189,7 @@ class OnboardApp:
             self._flight.texts.append("released: flying to its place")
         return [messages.acknowledgement(msg, accepted=known)]
 
-    def _on_local_position(self, msg: common.MAVLink_local_position_ned_message, now_us: int) -> None:
+    def _on_local_position(self, msg: Message | LocalPosition, now_us: int) -> None:
         if self._own.time_us < 0:
             self._due_us = 0
         own, wind, before_us = self._own, self._guidance.wind, self._own.time_us
@@ -261,7 +263,7 @@ class OnboardApp:
             step_us = SHORTEST_STEP_US if step_us < SHORTEST_STEP_US else LONGEST_STEP_US
         if now_us + step_us <= self._due_us:
             return NOTHING
-        mavlink: list[common.MAVLink_message] = []
+        mavlink: list[Message | PositionTarget] = []
         if now_us >= self._setpoint_us and self._own.time_us >= 0:
             mavlink += self._fly(now_us)
             self._setpoint_us = now_us - now_us % SETPOINT_PERIOD_US + SETPOINT_PERIOD_US
@@ -276,7 +278,7 @@ class OnboardApp:
             mavlink += map(messages.warning, self._flight.texts)
             self._flight.texts.clear()
         radio: tuple[TxItem, ...] = ()
-        if self._own.time_us >= 0:
+        if self._own.time_us >= 0 and self._traffic.next_deadline_us(ranging=self._ranges) < now_us + step_us:
             radio = self._traffic.due(
                 self._own, now_us, now_us + step_us,
                 ranging=self._ranges, variance_m2=self._distance_variance_m2,
@@ -345,7 +347,7 @@ class OnboardApp:
 
     # ---- flight
 
-    def _fly(self, now_us: int) -> list[common.MAVLink_message]:
+    def _fly(self, now_us: int) -> list[PositionTarget]:
         """Go on with localisation, phase and motion, and give the setpoint that follows."""
         guidance, flight, own = self._guidance, self._flight, self._own
         self._correct(now_us)

@@ -17,15 +17,18 @@ What is wrong counts little: a neighbour that says what the others do not by its
 a receiver with a large error as one whose errors are that large.
 """
 
+from struct import Struct
+
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from autopilot.onboard.beacon import Fix, GpsError
+from autopilot.onboard.kernels import KNOWN, STATES, Array, Times, odometry_at
 from autopilot.onboard.localisation import SILENCE_US, CooperativeLocalisation
 from autopilot.onboard.neighbourhood import Neighbourhood
 from autopilot.onboard.receivers import BIAS_SIGMAS
-
-Array = NDArray[np.float64]
+from autopilot.onboard.tracks import EXTRAPOLATED_S
 
 PERIOD_US = 200_000
 """Of a round: beacons come about as often."""
@@ -35,9 +38,13 @@ MISFIT_M = 0.3
 """A neighbour that says otherwise than the others by more counts for less, several times what is usual."""
 FITS = 3
 """Of the weights."""
-
-_Told = tuple[int, int, float, float, float, float, float]
-"""When it was heard, time of the fix in us; fix and its error, north and east; the variance stated."""
+_TOLD = Struct("2q5d")
+"""Row of `CommonFrame`'s memory of a UAV: when it was heard, -1 before the first time; the time of its fix;
+the fix and its error, north and east; the variance stated."""
+TOLD = np.dtype([("heard_us", "i8"), ("fix_us", "i8"), ("fix_ne_m", "f8", 2), ("error_ne_m", "f8", 2),
+                 ("variance_m2", "f8")])  # fmt: skip
+Level = tuple[float, float]
+Told = NDArray[np.void]
 
 
 class CommonFrame:
@@ -53,10 +60,12 @@ class CommonFrame:
     """
 
     def __init__(self, near: Neighbourhood, *, gps_std_m: float) -> None:
-        self.shift_ne_m = (0.0, 0.0)
-        self._near = near
+        self.shift_ne_m: Level = (0.0, 0.0)
+        self._members = near.members
         self._gps_std_m = gps_std_m
-        self._told: list[_Told | None] = [None] * near.stations
+        self._told: Told = np.zeros(near.stations, TOLD)
+        self._told["heard_us"] = -1
+        self._told_bytes = self._told.view(np.uint8).data
         self._due_us = 0
 
     def hear(self, station: int, fix: Fix, error: GpsError, now_us: int) -> None:
@@ -64,7 +73,8 @@ class CommonFrame:
         std_m = max(fix.std_h_m or 0.0, self._gps_std_m)
         north_m, east_m, _ = fix.pos_ned_m
         error_n_m, error_e_m, _ = error.ned_m
-        self._told[station] = (
+        _TOLD.pack_into(
+            self._told_bytes, station * _TOLD.size,
             now_us, fix.time_ms * 1_000, north_m, east_m, error_n_m, error_e_m, std_m * std_m,
         )  # fmt: skip
 
@@ -76,8 +86,9 @@ class CommonFrame:
         (error_n_m, error_e_m, down_m), std_m = localisation.gps_error(localisation.own)
         odometry_ned_m = localisation.odometry_at(localisation.own, fix.time_ms * 1_000)
         if odometry_ned_m is not None:
-            (odometry_n_m, odometry_e_m, _), (fix_n_m, fix_e_m, _) = odometry_ned_m, fix.pos_ned_m
-            (offset_n_m, offset_e_m), (shift_n_m, shift_e_m) = localisation.offset_ne_m(), self.shift_ne_m
+            odometry_n_m, odometry_e_m, _ = odometry_ned_m.tolist()
+            (fix_n_m, fix_e_m, _), (shift_n_m, shift_e_m) = fix.pos_ned_m, self.shift_ne_m
+            offset_n_m, offset_e_m = localisation.offset_ne_m()
             error_n_m = fix_n_m - (odometry_n_m + offset_n_m + shift_n_m)
             error_e_m = fix_e_m - (odometry_e_m + offset_e_m + shift_e_m)
         return GpsError((error_n_m, error_e_m, down_m), std_m)
@@ -87,69 +98,159 @@ class CommonFrame:
         if now_us < self._due_us:
             return
         self._due_us = now_us + PERIOD_US
-        own = localisation.own
-        there_ne_m = localisation.positions_ned_m(now_us)[:, :2]
-        members, apart_ne_m = self._disagreement(now_us, localisation)
-        if not members:
-            return
-        rows = [*members, own]
-        shift_ne_m = laid_onto(there_ne_m[rows], np.vstack((apart_ne_m, self.shift_ne_m)))
-        shift_ne_m += self._anchoring(now_us, there_ne_m[own] + shift_ne_m)
-        shift_n_m, shift_e_m = shift_ne_m.tolist()
-        self.shift_ne_m = (shift_n_m, shift_e_m)
+        tracks = localisation.tracks
+        self.shift_ne_m = play_round(
+            localisation.own, now_us, self._members, self._told, tracks.newest, tracks.newest_us,
+            tracks.times_us, tracks.samples, tracks.pushed, localisation.state, localisation.located,
+            *self.shift_ne_m,
+        )  # fmt: skip
 
-    def _disagreement(self, now_us: int, localisation: CooperativeLocalisation) -> tuple[list[int], Array]:
-        """Rows of neighbours who say where they are, and (n, 2) how far from where they are here that is."""
-        members: list[int] = []
-        apart_ne_m: list[Array] = []
-        for row, station in enumerate(self._near.members.tolist()):
-            told = self._told[station]
-            if row == localisation.own or told is None or now_us - told[0] > SILENCE_US:
+
+@njit(cache=True)
+def play_round(
+    own: int, now_us: int, members: Times, told: Told, newest: Array, newest_us: Times, times_us: Times,
+    samples: Array, pushed: Times, state: Array, located: NDArray[np.bool_], shift_n_m: float,
+    shift_e_m: float,
+) -> Level:  # fmt: skip
+    """Shift after a round from that before it; unchanged as long as no neighbour says where it is.
+
+    Args:
+        own: row of the own UAV among members (N,), whose rows those of what follows but ``told`` are.
+        now_us: when it is done.
+        members: the stations of the neighbourhood.
+        told: (F,) of `TOLD`, what all stations have said.
+        newest: (N, 6) and ``newest_us`` (N,): newest odometry and velocity.
+        newest_us: see there.
+        times_us: (N, L), ``samples`` (N, L, 6) and ``pushed`` (N,): the odometry before.
+        samples: see there.
+        pushed: see there.
+        state: (5N,) of the filter.
+        located: (N,)
+        shift_n_m: north, and ``shift_e_m`` east.
+        shift_e_m: see there.
+
+    """
+    count = members.size
+    pos_ne_m, apart_ne_m, then_ned_m = np.empty((count, 2)), np.empty((count, 2)), np.empty(3)
+    said = 0
+    for passing in range(2):
+        for row in range(count):
+            if (row == own) is not (passing == 1):  # the own one comes last
                 continue
-            odometry_ned_m = localisation.odometry_at(row, told[1]) if localisation.located[row] else None
-            if odometry_ned_m is None:
-                continue
-            believed_ne_m = np.array((told[2] - told[4], told[3] - told[5]))
-            members.append(row)
-            apart_ne_m.append(believed_ne_m - odometry_ned_m[:2] - localisation.offsets_ned_m[row, :2])
-        return members, np.array(apart_ne_m).reshape(-1, 2)
+            if row == own:
+                apart_ne_m[said, 0], apart_ne_m[said, 1] = shift_n_m, shift_e_m
+            else:
+                heard = told[members[row]]
+                if heard["heard_us"] < 0 or now_us - heard["heard_us"] > SILENCE_US or not located[row]:
+                    continue
+                known = odometry_at(times_us[row], samples[row], pushed[row], heard["fix_us"], then_ned_m)
+                if known != KNOWN:
+                    continue
+                for a in range(2):
+                    believed_m = heard["fix_ne_m"][a] - heard["error_ne_m"][a]
+                    apart_ne_m[said, a] = believed_m - then_ned_m[a] - state[STATES * row + a]
+            age_s = min((now_us - newest_us[row]) * 1e-6, EXTRAPOLATED_S)
+            for a in range(2):
+                pos_ne_m[said, a] = newest[row, a] + newest[row, 3 + a] * age_s + state[STATES * row + a]
+            said += 1
+    if said < 2:
+        return shift_n_m, shift_e_m
+    shift_n_m, shift_e_m = laid_onto(pos_ne_m[:said], apart_ne_m[:said])
+    own_n_m, own_e_m = pos_ne_m[said - 1, 0] + shift_n_m, pos_ne_m[said - 1, 1] + shift_e_m
+    towards_n_m, towards_e_m = to_everybodys_gps(now_us, told, own_n_m, own_e_m)
+    part = PERIOD_US * 1e-6 / ANCHOR_S
+    return shift_n_m + part * towards_n_m, shift_e_m + part * towards_e_m
 
-    def _anchoring(self, now_us: int, own_ne_m: Array) -> Array:
-        """(2,) the way of a round to where the GPS of everybody heard has the common place and heading."""
-        heard = [told for told in self._told if told is not None and now_us - told[0] <= SILENCE_US]
-        if len(heard) < 2:  # one alone has no heading
-            return np.zeros(2)
-        told = np.array(heard)
-        error_ne_m, variance_m2 = told[:, 4:6], told[:, 6]
-        weights = 1.0 / np.maximum(variance_m2, (error_ne_m**2).max(axis=1) / BIAS_SIGMAS**2)
-        return PERIOD_US * 1e-6 / ANCHOR_S * _moved(told[:, 2:4] - error_ne_m, error_ne_m, weights, own_ne_m)
+
+@njit(cache=True)
+def to_everybodys_gps(now_us: int, told: Told, own_n_m: float, own_e_m: float) -> Level:
+    """Way from the own place to where the GPS of everybody heard has it, by the common place and heading."""
+    pos_ne_m, error_ne_m = np.empty((told.size, 2)), np.empty((told.size, 2))
+    weights = np.empty(told.size)
+    count = 0
+    for station in range(told.size):
+        heard = told[station]
+        if heard["heard_us"] < 0 or now_us - heard["heard_us"] > SILENCE_US:
+            continue
+        largest_m2 = 0.0
+        for a in range(2):
+            error_m = heard["error_ne_m"][a]
+            error_ne_m[count, a] = error_m
+            pos_ne_m[count, a] = heard["fix_ne_m"][a] - error_m
+            largest_m2 = max(largest_m2, error_m * error_m)
+        weights[count] = 1.0 / max(heard["variance_m2"], largest_m2 / BIAS_SIGMAS**2)
+        count += 1
+    if count < 2:  # one alone has no heading
+        return 0.0, 0.0
+    return moved(*rigid_motion(pos_ne_m[:count], error_ne_m[:count], weights[:count]), own_n_m, own_e_m)
 
 
-def laid_onto(pos_ne_m: Array, apart_ne_m: Array) -> Array:
-    """(2,) way of the last of some positions (n, 2) when all are laid onto where others have them.
+@njit(cache=True)
+def laid_onto(pos_ne_m: Array, apart_ne_m: Array) -> Level:
+    """Way of the last of some positions (n, 2) when all are laid onto where others have them.
 
     apart_ne_m (n, 2) leads there. Turns are small, so that the way is linear in them. The weight of each but
     the last, which is 1, falls with its misfit.
     """
-    moved_ne_m = np.median(apart_ne_m, axis=0)
-    misfits_m = np.hypot(*(apart_ne_m - moved_ne_m).T)
+    count = pos_ne_m.shape[0]
+    weights = np.empty(count)
+    turn_rad, centre_n_m, centre_e_m = 0.0, 0.0, 0.0
+    shift_n_m, shift_e_m = _median(apart_ne_m[:, 0]), _median(apart_ne_m[:, 1])
     for _ in range(FITS):
-        weights = np.minimum(1.0, MISFIT_M / np.maximum(misfits_m, MISFIT_M))
-        weights[-1] = 1.0
-        moved_ne_m = _moved(pos_ne_m, apart_ne_m, weights, pos_ne_m)
-        misfits_m = np.hypot(*(apart_ne_m - moved_ne_m).T)
-    return np.asarray(moved_ne_m[-1])
+        for k in range(count):
+            north_m, east_m = moved(
+                shift_n_m, shift_e_m, turn_rad, centre_n_m, centre_e_m, pos_ne_m[k, 0], pos_ne_m[k, 1]
+            )
+            misfit_m = np.hypot(apart_ne_m[k, 0] - north_m, apart_ne_m[k, 1] - east_m)
+            weights[k] = MISFIT_M / max(misfit_m, MISFIT_M)
+        weights[count - 1] = 1.0
+        shift_n_m, shift_e_m, turn_rad, centre_n_m, centre_e_m = rigid_motion(pos_ne_m, apart_ne_m, weights)
+    return moved(
+        shift_n_m, shift_e_m, turn_rad, centre_n_m, centre_e_m, pos_ne_m[count - 1, 0], pos_ne_m[count - 1, 1]
+    )
 
 
-def _moved(pos_ne_m: Array, apart_ne_m: Array, weights: Array, at_ne_m: Array) -> Array:
-    """Way (.., 2) of points at_ne_m (.., 2) in the rigid motion that best takes all (n, 2) by apart_ne_m."""
-    share = weights / weights.sum()
-    middle_m = share @ pos_ne_m
-    arms_m = pos_ne_m - middle_m
-    spread_m2 = float(share @ (arms_m**2).sum(axis=1))
-    turn = 0.0
-    if spread_m2 > 0.0:
-        crossed_m2 = arms_m[:, 0] * apart_ne_m[:, 1] - arms_m[:, 1] * apart_ne_m[:, 0]
-        turn = float(share @ crossed_m2) / spread_m2
-    moved_ne_m: Array = share @ apart_ne_m + turn * (at_ne_m - middle_m)[..., ::-1] * (-1.0, 1.0)
-    return moved_ne_m
+@njit(cache=True)
+def rigid_motion(
+    pos_ne_m: Array, apart_ne_m: Array, weights: Array
+) -> tuple[float, float, float, float, float]:
+    """The rigid motion that best takes all (n, 2) by apart_ne_m.
+
+    Gives its shift, its turn and the centre of that: the arguments of `moved`.
+    """
+    count = pos_ne_m.shape[0]
+    total, centre_n_m, centre_e_m, shift_n_m, shift_e_m = 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(count):
+        total += weights[k]
+    for k in range(count):
+        share = weights[k] / total
+        centre_n_m += share * pos_ne_m[k, 0]
+        centre_e_m += share * pos_ne_m[k, 1]
+        shift_n_m += share * apart_ne_m[k, 0]
+        shift_e_m += share * apart_ne_m[k, 1]
+    spread_m2, crossed_m2 = 0.0, 0.0
+    for k in range(count):
+        share = weights[k] / total
+        arm_n_m, arm_e_m = pos_ne_m[k, 0] - centre_n_m, pos_ne_m[k, 1] - centre_e_m
+        spread_m2 += share * (arm_n_m * arm_n_m + arm_e_m * arm_e_m)
+        crossed_m2 += share * (arm_n_m * apart_ne_m[k, 1] - arm_e_m * apart_ne_m[k, 0])
+    turn_rad = crossed_m2 / spread_m2 if spread_m2 > 0.0 else 0.0
+    return shift_n_m, shift_e_m, turn_rad, centre_n_m, centre_e_m
+
+
+@njit(cache=True)
+def moved(
+    shift_n_m: float, shift_e_m: float, turn_rad: float, centre_n_m: float, centre_e_m: float,
+    north_m: float, east_m: float,
+) -> Level:  # fmt: skip
+    """Way of a point in a rigid motion."""
+    return shift_n_m - turn_rad * (east_m - centre_e_m), shift_e_m + turn_rad * (north_m - centre_n_m)
+
+
+@njit(cache=True)
+def _median(values: Array) -> float:
+    ordered = np.sort(values)
+    middle = ordered.size // 2
+    if ordered.size % 2:
+        return float(ordered[middle])
+    return 0.5 * float(ordered[middle - 1] + ordered[middle])

@@ -75,6 +75,7 @@ class CooperativeLocalisation:
     Attributes:
         state: (5N,) and ``cov`` (5N, 5N), laid out as `kernels` says.
         located: (N,) bool, whose distances are fused.
+        tracks: everybody's odometry.
         ranges_used, ranges_downweighted: counters.
         ranges_too_late: distances for which odometry was no longer known, or not yet for too long.
         restarts: times that a UAV was found to be elsewhere than thought.
@@ -108,7 +109,7 @@ class CooperativeLocalisation:
         self._decay_stride_us = int(
             1e6 * DECAY_SHARE * min(model.gps_bias_time_constant_s, model.height_time_constant_s)
         )
-        self._tracks = Tracks(count)
+        self.tracks = Tracks(count)
         self._receivers = Receivers(count, model)
         self._distances = Distances(count)
         self._trust = Trust(count)
@@ -125,12 +126,12 @@ class CooperativeLocalisation:
         self, station: int, time_us: int, odometry_ned_m: Sequence[float], vel_ned_m_s: Sequence[float]
     ) -> None:
         """Take odometry of a UAV (north, east integrated velocity, down the barometer's); old is ignored."""
-        silent_us = time_us - self._tracks.newest_us.item(station)
+        silent_us = time_us - self.tracks.newest_us.item(station)
         if silent_us > SILENCE_US:
             self._returned = True
             if silent_us > LOST_US and self.located[station]:
                 self._lose(station)
-        jump = self._tracks.push(station, time_us, odometry_ned_m, vel_ned_m_s)
+        jump = self.tracks.push(station, time_us, odometry_ned_m, vel_ned_m_s)
         if jump is not None and self.active[station]:
             # The UAV has not jumped: its odometry has begun anew.
             self.odometry_jumps += 1
@@ -157,7 +158,7 @@ class CooperativeLocalisation:
         if time_us <= receivers.newest_us[station]:
             return
         odometry_m = self._scratch_m
-        if self._tracks.at(station, time_us, odometry_m) != KNOWN:
+        if self.tracks.at(station, time_us, odometry_m) != KNOWN:
             return
         receivers.newest_us[station] = time_us
         active = bool(self.active[station])
@@ -239,7 +240,7 @@ class CooperativeLocalisation:
 
     def positions_ned_m(self, now_us: int) -> Array:
         """(N, 3) estimated positions, site NED; neighbours' extrapolated by their velocity, 1 s at most."""
-        return self._tracks.now_ned_m(now_us) + self.state.reshape(-1, STATES)[:, :3]
+        return self.tracks.now_ned_m(now_us) + self.state.reshape(-1, STATES)[:, :3]
 
     def std_ned_m(self) -> Vector:
         """One sigma of the own position, the formation's place as a whole included."""
@@ -254,7 +255,7 @@ class CooperativeLocalisation:
     def odometry_at(self, station: int, time_us: int) -> Array | None:
         """(3,) odometry of a UAV, NED, at a time of the last seconds; None where it is not known."""
         odometry_ned_m = np.empty(3)
-        known = self._tracks.at(station, time_us, odometry_ned_m) == KNOWN
+        known = self.tracks.at(station, time_us, odometry_ned_m) == KNOWN
         return odometry_ned_m if known else None
 
     def gps_error(self, station: int) -> tuple[Vector, float]:
@@ -275,14 +276,14 @@ class CooperativeLocalisation:
         """Variance with which the distance to a UAV is known now; None while either end is not located."""
         if not (self.located[self.own] and self.located[peer]):
             return None
-        tracks = self._tracks
+        tracks = self.tracks
         relative_m2: float = variance_between(self.cov, self.own, peer, tracks.newest, self.state)
         return relative_m2 + self._walked_m2(now_us)
 
     def others(self, now_us: int, *, fresh_us: int) -> Others:
         """Everybody, as avoidance wants them; fresh is who was heard within ``fresh_us``."""
         pos_ned_m, std_m, fresh = np.empty((self.count, 3)), np.empty(self.count), np.empty(self.count, bool)
-        tracks = self._tracks
+        tracks = self.tracks
         seen_from(
             self.own, now_us, tracks.newest, tracks.newest_us, EXTRAPOLATED_S, self.state, self.cov,
             self.located, now_us - fresh_us, self._walked_m2(now_us), pos_ned_m, std_m, fresh,
@@ -301,7 +302,7 @@ class CooperativeLocalisation:
 
     def _present(self, now_us: int) -> Flags:
         """(N,) who has been heard of within `SILENCE_US`."""
-        return np.asarray(self._tracks.newest_us >= max(now_us - SILENCE_US, 0))
+        return np.asarray(self.tracks.newest_us >= max(now_us - SILENCE_US, 0))
 
     def _members(self, now_us: int) -> Flags:
         """(N,) those of them who are located: who has a part in the geometry."""
@@ -340,13 +341,13 @@ class CooperativeLocalisation:
 
     def _lose(self, station: int) -> None:
         """Take a UAV out until there are new odometry, GPS and distances of it."""
-        self._tracks.forget(station)
+        self.tracks.forget(station)
         self._receivers.forget(station)
         self._trust.forget(station)
         self.located[station] = self.active[station] = False
         clear(station, self.state, self.cov)
         self._distances.drop(station)
-        heard = self._members(self._tracks.newest_us.item(self.own))
+        heard = self._members(self.tracks.newest_us.item(self.own))
         if heard[self.own] and heard.sum() == 1:
             # With what the own GPS alone has told it, the filter would differ from those of all others.
             self._trust.forget(self.own)
@@ -362,10 +363,10 @@ class CooperativeLocalisation:
     def _take(self, item: Range, now_us: int) -> bool:
         """Use or hold a distance; False when it must wait for odometry."""
         i, j = item.initiator, item.responder
-        newest_us = self._tracks.newest_us
+        newest_us = self.tracks.newest_us
         if item.time_us > newest_us[i] or item.time_us > newest_us[j]:
             return self._is_too_late(item, now_us)
-        if self._tracks.between(i, j, item.time_us, item.odometry_between_m) != KNOWN:
+        if self.tracks.between(i, j, item.time_us, item.odometry_between_m) != KNOWN:
             self.ranges_too_late += 1
             return True
         if not (self.active[i] and self.active[j]):
@@ -417,7 +418,7 @@ class CooperativeLocalisation:
         """Bring in those whose distances have been held, once enough of them are there."""
         present = self._present(now_us)
         linked = links(self._distances.held.values(), self.count) | np.eye(self.count, dtype=bool)
-        fallen_silent = ~present & (self._tracks.newest_us >= 0)
+        fallen_silent = ~present & (self.tracks.newest_us >= 0)
         complete = (self.active | fallen_silent).all() and linked[present & ~self.located][:, present].all()
         if not complete and now_us - self._distances.held_since_us < self._model.gather_s * 1e6:
             return
@@ -451,7 +452,7 @@ class CooperativeLocalisation:
     def _problem(self, state: Array, cov: Array, active: Flags, located: Flags) -> Problem:
         return Problem(
             state=state, cov=cov, time_us=self._time_us, active=active, located=located,
-            places_ned_m=self._places_ned_m, odometry_ned_m=self._tracks.newest[:, :3],
+            places_ned_m=self._places_ned_m, odometry_ned_m=self.tracks.newest[:, :3],
             drift_m2_s=self._drift_m2_s, bias_var_m2=self._receivers.stated_var_m2,
         )  # fmt: skip
 

@@ -2,6 +2,7 @@
 
 from pymavlink.dialects.v20 import common
 
+from autopilot.mavlink.within import PositionTarget
 from autopilot.onboard.guidance import Setpoint
 from autopilot.onboard.phases import Phase
 
@@ -11,6 +12,7 @@ GAIN_NAME = "MPC_XY_P"
 """Gain of the autopilot's position loop, 1/s."""
 COMMANDS = frozenset({common.MAVLINK_MSG_ID_COMMAND_LONG, common.MAVLINK_MSG_ID_COMMAND_INT})
 _AUTOPILOT_COMPONENT = 1
+_LOCAL_NED = int(common.MAV_FRAME_LOCAL_NED)
 _NO_YAW = common.POSITION_TARGET_TYPEMASK_YAW_IGNORE | common.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
 _NO_ACCELERATION = (
     common.POSITION_TARGET_TYPEMASK_AX_IGNORE
@@ -19,14 +21,13 @@ _NO_ACCELERATION = (
 )
 
 
-def offboard_setpoint(setpoint: Setpoint, target_system: int, now_us: int) -> common.MAVLink_message:
-    """SET_POSITION_TARGET_LOCAL_NED of a position, its velocity and, if there is one, its acceleration."""
+def offboard_setpoint(setpoint: Setpoint, target_system: int, now_us: int) -> PositionTarget:
+    """Setpoint of a position, its velocity and, if there is one, its acceleration."""
     acceleration = setpoint.acc_ned_m_s2
-    mask = _NO_YAW if acceleration is not None else _NO_YAW | _NO_ACCELERATION
-    return common.MAVLink_set_position_target_local_ned_message(
-        now_us // 1_000, target_system, _AUTOPILOT_COMPONENT, common.MAV_FRAME_LOCAL_NED, mask,
-        *setpoint.pos_ned_m, *setpoint.vel_ned_m_s,
-        *((0.0, 0.0, 0.0) if acceleration is None else acceleration), 0.0, 0.0,
+    mask = _NO_YAW | _NO_ACCELERATION if acceleration is None else _NO_YAW
+    return PositionTarget(
+        now_us // 1_000, target_system, _AUTOPILOT_COMPONENT, _LOCAL_NED, mask,
+        *setpoint.pos_ned_m, *setpoint.vel_ned_m_s, *(acceleration or ()),
     )  # fmt: skip
 
 

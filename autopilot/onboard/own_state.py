@@ -8,6 +8,8 @@ it is the autopilot's height above the ground it started on, the barometer's.
 from pymavlink.dialects.v20 import common
 
 from autopilot.config import Site
+from autopilot.mavlink.codec import Message
+from autopilot.mavlink.within import LocalPosition
 from autopilot.navigation.geodesy import place_ned_m
 from autopilot.onboard.beacon import Fix
 from autopilot.types import Vector
@@ -59,7 +61,7 @@ class OwnState:
         north_m, east_m, down_m = self.local_ned_m
         return north_m + self.origin_ned_m[0], east_m + self.origin_ned_m[1], down_m
 
-    def on_local_position(self, msg: common.MAVLink_local_position_ned_message, now_us: int) -> bool:
+    def on_local_position(self, msg: Message | LocalPosition, now_us: int) -> bool:
         """Take a LOCAL_POSITION_NED; False if it is no news."""
         boot_us = msg.time_boot_ms * 1_000
         # Messages can only be late, so the least difference of the clocks that was ever seen is the best one.

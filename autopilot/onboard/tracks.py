@@ -25,16 +25,17 @@ class Tracks:
     Attributes:
         newest: (N, 6) position NED, m, and velocity NED, m/s.
         newest_us: (N,) when that was; -1 before the first.
+        times_us, samples, pushed: (N, L), (N, L, 6) and (N,): rings of the last, and how many came.
 
     """
 
     def __init__(self, count: int) -> None:
         self.newest = np.zeros((count, 6))
         self.newest_us = np.full(count, -1, np.int64)
-        self._times_us = np.zeros((count, SAMPLES), np.int64)
-        self._samples = np.zeros((count, SAMPLES, 6))
-        self._pushed = np.zeros(count, np.int64)
-        self._newest_bytes, self._samples_bytes = self.newest.data.cast("B"), self._samples.data.cast("B")
+        self.times_us = np.zeros((count, SAMPLES), np.int64)
+        self.samples = np.zeros((count, SAMPLES, 6))
+        self.pushed = np.zeros(count, np.int64)
+        self._newest_bytes, self._samples_bytes = self.newest.data.cast("B"), self.samples.data.cast("B")
         self._last: list[tuple[float, ...]] = [()] * count
 
     def push(
@@ -49,7 +50,7 @@ class Tracks:
         if time_us <= before_us:
             return None
         jump = None
-        pushed = self._pushed.item(station)
+        pushed = self.pushed.item(station)
         if pushed:
             then_n, then_e, _, then_vel_n, then_vel_e, _ = self._last[station]
             half_s = 0.5e-6 * (time_us - before_us)
@@ -58,28 +59,28 @@ class Tracks:
             if abs(jump_n) + abs(jump_e) > JUMP_M + JUMP_M_S2 * half_s * half_s:
                 jump, pushed = (jump_n, jump_e), 0
         slot = pushed % SAMPLES
-        self._times_us[station, slot] = self.newest_us[station] = time_us
+        self.times_us[station, slot] = self.newest_us[station] = time_us
         self._last[station] = sample = (*odometry_ned_m, *vel_ned_m_s)
         _SAMPLE.pack_into(self._newest_bytes, station * _SAMPLE.size, *sample)
         _SAMPLE.pack_into(self._samples_bytes, (station * SAMPLES + slot) * _SAMPLE.size, *sample)
-        self._pushed[station] = pushed + 1
+        self.pushed[station] = pushed + 1
         return jump
 
     def forget(self, station: int) -> None:
         """Forget the odometry of a UAV: what comes next has nothing to do with it."""
-        self._pushed[station] = 0
+        self.pushed[station] = 0
 
     def at(self, station: int, time_us: int, out_ned_m: Array) -> int:
         """Odometry (3,) of a UAV at a time; see `odometry_at`."""
         return int(
             odometry_at(
-                self._times_us[station], self._samples[station], self._pushed[station], time_us, out_ned_m
+                self.times_us[station], self.samples[station], self.pushed[station], time_us, out_ned_m
             )
         )
 
     def between(self, i: int, j: int, time_us: int, out_ned_m: Array) -> int:
         """Odometry (3,) of i less that of j; see `odometry_between`."""
-        return int(odometry_between(self._times_us, self._samples, self._pushed, i, j, time_us, out_ned_m))
+        return int(odometry_between(self.times_us, self.samples, self.pushed, i, j, time_us, out_ned_m))
 
     def now_ned_m(self, now_us: int) -> Array:
         """(N, 3) odometry now, by the newest velocities."""

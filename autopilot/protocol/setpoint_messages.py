@@ -6,6 +6,7 @@ that can be flown, or has numbers that are none, is no setpoint.
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from pymavlink.dialects.v20 import common
@@ -76,8 +77,8 @@ def _trajectory(message: Message, pos: _Group, state: EstimatorState) -> Traject
     acc = _group(mask >> 6, (message.afx, message.afy, message.afz))
     yaw_rad = None if mask & _YAW_IGNORED else message.yaw
     yaw_rate_rad_s = 0.0 if mask & _YAW_RATE_IGNORED else message.yaw_rate
-    vectors = [vector for vector, _ in (pos, vel, acc) if vector is not None]
-    turn = np.array((0.0 if yaw_rad is None else yaw_rad, yaw_rate_rad_s))
+    vectors = [vector.tolist() for vector, _ in (pos, vel, acc) if vector is not None]
+    turn = (0.0 if yaw_rad is None else yaw_rad, yaw_rate_rad_s)
     if not vectors or not all(map(_is_sane, (*vectors, turn))) or (mask & _FORCE and acc[0] is not None):
         return None
     if message.get_msgId() == _LOCAL and message.coordinate_frame in _BY_HEADING:
@@ -157,11 +158,13 @@ def _group(ignore_bits: int, values: tuple[float, float, float]) -> _Group:
     axes = (not ignore_bits & 1, not ignore_bits & 2, not ignore_bits & 4)
     if not any(axes):
         return None, _ALL_AXES
+    if all(axes):
+        return np.array(values, float), axes
     return np.array([value if used else 0.0 for value, used in zip(values, axes, strict=True)]), axes
 
 
-def _is_sane(vector: Array) -> bool:
-    return bool((np.abs(vector) <= _GREATEST).all())  # NaN is not
+def _is_sane(numbers: Sequence[float]) -> bool:
+    return all(-_GREATEST <= number <= _GREATEST for number in numbers)  # NaN is not
 
 
 def _turns(group: _Group) -> bool:
@@ -212,6 +215,6 @@ def _attitude(message: Message) -> AttitudeSetpoint | RateSetpoint | None:
             return None
         return AttitudeSetpoint(q_ned_frd=q_ned_frd / norm, yaw_rate_rad_s=yaw_rate_rad_s, thrust=thrust)
     rate_frd_rad_s = np.array((message.body_roll_rate, message.body_pitch_rate, yaw_rate_rad_s))
-    if mask & _ROLL_PITCH_RATE_IGNORED or not _is_sane(rate_frd_rad_s):
+    if mask & _ROLL_PITCH_RATE_IGNORED or not _is_sane(rate_frd_rad_s.tolist()):
         return None
     return RateSetpoint(rate_frd_rad_s=rate_frd_rad_s, thrust=thrust)

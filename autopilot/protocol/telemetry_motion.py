@@ -6,6 +6,7 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.estimation.rotation import quat_rotate_inverse, quat_to_euler
 from autopilot.mavlink.codec import Message
+from autopilot.mavlink.within import LocalPosition
 from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.protocol.fields import I16, I32, U16, Part, place, singles, whole
 from autopilot.protocol.streams import Builder
@@ -51,10 +52,15 @@ class Motion(Part):
 
     def local_position_ned(self) -> Message | None:
         """LOCAL_POSITION_NED."""
+        position = self.local_position()
+        return None if position is None else common.MAVLink_local_position_ned_message(*position)
+
+    def local_position(self) -> LocalPosition | None:
+        """Give the same for an application in this process."""
         state = self._flight.state
         if not (state.position_valid and state.height_valid):
             return None
-        return common.MAVLink_local_position_ned_message(
+        return LocalPosition(
             self.boot_ms(), *singles(state.pos_ned_m.tolist()), *singles(state.vel_ned_m_s.tolist())
         )
 

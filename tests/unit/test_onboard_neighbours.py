@@ -95,7 +95,9 @@ def test_rounds_shrink_all_but_a_rigid_motion_of_the_whole(places, nearest):
     for column, moved_m in enumerate(1e-3 * np.eye(2 * count).reshape(-1, count, 2)):
         for station in range(count):
             rows = [*np.flatnonzero(found[station]), station]
-            step[2 * station : 2 * station + 2, column] = 1e3 * laid_onto(there_m[rows], moved_m[rows])
+            step[2 * station : 2 * station + 2, column] = 1e3 * np.array(
+                laid_onto(there_m[rows], moved_m[rows])
+            )
     sizes = np.sort(np.abs(np.linalg.eigvals(step)))[::-1]
     np.testing.assert_allclose(sizes[:3], 1.0, atol=1e-6)
     assert sizes[3] < 0.999
@@ -106,7 +108,7 @@ def test_a_picture_is_laid_onto_the_others_exactly_but_for_who_misfits():
     turned_m = 0.02 * (pos_m - pos_m[4])[:, ::-1] * (-1.0, 1.0) + (3.0, -2.0)
     np.testing.assert_allclose(laid_onto(pos_m, turned_m), turned_m[-1], atol=1e-9)
     turned_m[2] += (1e4, 0.0)
-    assert np.linalg.norm(laid_onto(pos_m, turned_m) - turned_m[-1]) < MISFIT_M
+    assert np.linalg.norm(np.subtract(laid_onto(pos_m, turned_m), turned_m[-1])) < MISFIT_M
 
 
 def fly(places, **config):

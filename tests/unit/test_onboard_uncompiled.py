@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from autopilot.onboard import avoidance, formation, kernels, uncertainty
+from autopilot.onboard import avoidance, common_frame, formation, kernels, uncertainty
 
 N = 4
 RNG = np.random.default_rng(0)
@@ -26,7 +26,22 @@ def flags():
     return RNG.uniform(size=N) < 0.7
 
 
+def told(count):
+    rows = np.zeros(count, common_frame.TOLD)
+    rows["heard_us"] = RNG.integers(6_000_000, 12_000_000, size=count)
+    rows["fix_us"] = RNG.integers(9_000_000, 10_000_000, size=count)
+    rows["fix_ne_m"], rows["error_ne_m"], rows["variance_m2"] = some(count, 2, size=9.0), some(count, 2), 2.25
+    return rows
+
+
 CASES = {
+    common_frame.laid_onto: lambda: (some(5, 2, size=6.0), some(5, 2, size=0.3)),
+    common_frame.to_everybodys_gps: lambda: (10_000_000, told(7), 1.0, -2.0),
+    common_frame.play_round: lambda: (
+        2, 10_000_000, np.array((0, 2, 3, 5)), told(7), some(N, 6),
+        RNG.integers(9_900_000, 10_000_000, size=N),
+        np.tile(np.arange(9_000_000, 10_000_000, 125_000), (N, 1)),
+        some(N, 8, 6), np.full(N, 8), some(5 * N), flags(), 0.2, -0.1),
     kernels.odometry_at: lambda: (
         np.arange(8) * 33_000, some(8, 6), 8, int(RNG.integers(7 * 33_000)), np.zeros(3)),
     kernels.predict: lambda: (

@@ -1,0 +1,64 @@
+"""The messages that an autopilot and an application in one process exchange all the time, as plain values.
+
+Nobody packs them, and pymavlink's objects take longer to make than all that is done with them. Fields have
+pymavlink's names, so the values stand wherever a message of that kind would.
+"""
+
+from typing import NamedTuple
+
+from pymavlink.dialects.v20 import common
+
+from autopilot.mavlink.codec import Message
+
+
+class LocalPosition(NamedTuple):
+    """LOCAL_POSITION_NED: m and m/s from the estimator's origin."""
+
+    time_boot_ms: int
+    x: float
+    y: float
+    z: float
+    vx: float
+    vy: float
+    vz: float
+
+    def get_msgId(self) -> int:  # noqa: N802  as pymavlink's messages have it
+        """Give the kind of message."""
+        return int(common.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
+
+    def get_type(self) -> str:
+        """Give its name."""
+        return "LOCAL_POSITION_NED"
+
+
+class PositionTarget(NamedTuple):
+    """SET_POSITION_TARGET_LOCAL_NED: position, velocity and acceleration; the mask says what counts."""
+
+    time_boot_ms: int
+    target_system: int
+    target_component: int
+    coordinate_frame: int
+    type_mask: int
+    x: float
+    y: float
+    z: float
+    vx: float
+    vy: float
+    vz: float
+    afx: float = 0.0
+    afy: float = 0.0
+    afz: float = 0.0
+    yaw: float = 0.0
+    yaw_rate: float = 0.0
+
+    def get_msgId(self) -> int:  # noqa: N802  as pymavlink's messages have it
+        """Give the kind of message."""
+        return int(common.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED)
+
+    def get_type(self) -> str:
+        """Give its name."""
+        return "SET_POSITION_TARGET_LOCAL_NED"
+
+    def to_wire(self) -> Message:
+        """Give the same for an autopilot elsewhere."""
+        return common.MAVLink_set_position_target_local_ned_message(*self)
