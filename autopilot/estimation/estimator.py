@@ -304,6 +304,11 @@ class Estimator:
         mags, baros, fixes = self._mags, self._baros, self._fixes
         delay_us = self._params.gps_delay_us
         corrected = False
+        sound: bool | None = None
+        if self._is_pair_alone(fusion, horizon_us):
+            time_us, field_frd_gauss = mags.popleft()
+            done = fusion.fuse_mag_and_baro(time_us, field_frd_gauss, baros.popleft()[1])
+            sound, tilt_var_rad2 = done.sound, done.tilt_var_rad2
         while mags and mags[0][0] <= horizon_us:
             corrected |= fusion.fuse_mag(*mags.popleft())
         while baros and baros[0][0] <= horizon_us:
@@ -314,11 +319,14 @@ class Estimator:
             corrected |= fusion.hold_position()
         if fusion.jumps:
             self._carry_jump(delayed, fusion)
+            sound = None
         elif corrected:
             delayed.corrected()
-        if kernels.is_sound(delayed.x, delayed.cov):
-            variances = delayed.cov.diagonal()
-            self.live.attitude_valid = bool(max(variances[0], variances[1]) <= TILT_STD_MAX_RAD**2)
+        if sound is None:
+            sound = kernels.is_sound(delayed.x, delayed.cov)
+            tilt_var_rad2 = max(delayed.cov.item(0, 0), delayed.cov.item(1, 1))
+        if sound:
+            self.live.attitude_valid = tilt_var_rad2 <= TILT_STD_MAX_RAD**2
             self._note_validity(fusion)
         else:
             self._fail(delayed)
@@ -328,6 +336,19 @@ class Estimator:
             baros[0][0] if baros else NEVER_US,
             fixes[0].time_us - delay_us if fixes else NEVER_US,
         )
+
+    def _is_pair_alone(self, fusion: Fusion, horizon_us: int) -> bool:
+        """Whether a field and a pressure of one moment, and nothing else, are to be fused."""
+        mags, baros, fixes = self._mags, self._baros, self._fixes
+        if not (mags and baros and mags[0][0] == baros[0][0] <= horizon_us):
+            return False
+        after_us = min(
+            mags[1][0] if len(mags) > 1 else NEVER_US,
+            baros[1][0] if len(baros) > 1 else NEVER_US,
+            fixes[0].time_us - self._params.gps_delay_us if fixes else NEVER_US,
+            fusion.held_us + HOLD_PERIOD_US,
+        )
+        return after_us > horizon_us and fusion.takes_together(*baros[0])
 
     def _carry_jump(self, delayed: DelayedHorizon, fusion: Fusion) -> None:
         """Carry a reset to the estimate of now, and tell what it did there."""

@@ -11,6 +11,7 @@ from enum import IntFlag
 import numpy as np
 
 from autopilot.estimation import kernels
+from autopilot.estimation.correction import LIMITS, Corrected, correct
 from autopilot.estimation.diagnostics import Aiding
 from autopilot.estimation.health import (
     COMPASS_ERROR_RAD,
@@ -94,6 +95,7 @@ class Fusion:
         self._placed = False
         """Whether the horizontal position has come from a fix."""
         self._origin_fixes: list[GpsFix] = []
+        self._limits = np.zeros(1, LIMITS)
         self.set_params(params)
 
     def set_params(self, params: EstimatorParams) -> None:
@@ -102,6 +104,10 @@ class Fusion:
         self._field_ned = np.array(params.magnetic_field_ned_gauss)
         self._field_checks = field_checks(params)
         self._bias_limits = np.array([params.gyro_bias_limit_rad_s, params.accel_bias_limit_m_s2])
+        self._limits[0] = (
+            params.magnetic_field_ned_gauss, self._field_checks, params.heading_noise_rad**2,
+            params.heading_gate, params.baro_noise_m**2, params.baro_gate, self._bias_limits,
+        )  # fmt: skip
         vel_var = params.gps_vel_noise_m_s**2
         self._vel_var = np.array([vel_var, vel_var, VERTICAL_VELOCITY_NOISE_RATIO**2 * vel_var])
         self._baro_var = np.array([params.baro_noise_m**2])
@@ -122,6 +128,14 @@ class Fusion:
             x, cov, field_frd_gauss, self._field_ned, self._field_checks, variance,
             self._params.heading_gate, self._bias_limits, not compass.faulty,
         )  # fmt: skip
+        return self._judge_heading(time_us, innovation_rad, innovation_var, ratio)
+
+    def _judge_heading(
+        self, time_us: int, innovation_rad: float, innovation_var: float, ratio: float
+    ) -> bool:
+        """Note what became of a field, and what follows where it was refused for long."""
+        x, cov, compass = self._delayed.x, self._delayed.cov, self.compass
+        variance = self._params.heading_noise_rad**2
         usable = not (compass.disturbed or compass.faulty)
         self.heading.innovation[0] = innovation_rad
         self.heading.innovation_var[0] = innovation_var
@@ -152,12 +166,45 @@ class Fusion:
             self.height.refuse(math.inf, time_us)
             return False
         down_m = np.array([self._ground_altitude_m - altitude_m])
-        params = self._params
-        taken = self._fuse(self.height, kernels.POS + 2, down_m, self._baro_var, params.baro_gate, time_us)
+        ratio = self._take_in(self.height, kernels.POS + 2, down_m, self._baro_var, self._params.baro_gate)
+        return self._judge_height(time_us, down_m, ratio)
+
+    def _judge_height(self, time_us: int, down_m: Array, ratio: float) -> bool:
+        """Note what became of a pressure, and reset to it where they were refused for long."""
+        taken = self.height.record(ratio, time_us)
         if not taken and self.height.absent(time_us, HEIGHT_RESET_US):
             self._reset(self.height, kernels.POS + 2, down_m, self._baro_var, Jump.HEIGHT, time_us)
             return True
         return taken
+
+    def takes_together(self, time_us: int, altitude_m: float) -> bool:
+        """Whether field and pressure of one moment may be fused at once.
+
+        Not where the field could turn the filter before the pressure comes, nor a pressure that is the one
+        before again, which the filter's velocity judges.
+        """
+        may_turn = self.heading.absent(time_us, HORIZONTAL_RESET_US)
+        return not (may_turn or self.barometer.repeats(altitude_m))
+
+    def fuse_mag_and_baro(self, time_us: int, field_frd_gauss: Array, altitude_m: float) -> Corrected:
+        """Field and pressure of one moment, as `fuse_mag` and `fuse_baro`, and carry them to now.
+
+        For those that `takes_together` only.
+        """
+        delayed, compass = self._delayed, self.compass
+        self.barometer.note(altitude_m, 0.0, time_us)
+        down_m = self._ground_altitude_m - altitude_m
+        done = Corrected(
+            *correct(
+                delayed.block, delayed.samples, self._limits, field_frd_gauss, down_m, not compass.faulty
+            )
+        )
+        compass.disturbed = done.disturbed
+        self._judge_heading(time_us, done.heading_innovation_rad, done.heading_var_rad2, done.heading_ratio)
+        self.height.innovation[0] = done.height_innovation_m
+        self.height.innovation_var[0] = done.height_var_m2
+        self._judge_height(time_us, np.array((down_m,)), done.height_ratio)
+        return done
 
     def fuse_fix(self, fix: GpsFix) -> bool:
         """Fix: its velocity and horizontal position."""
@@ -321,7 +368,11 @@ class Fusion:
         self, aiding: Aiding, first: int, measured: Array, variance: Array, gate: float, measured_us: int
     ) -> bool:
         """Fuse a measurement of the states from ``first``; tell whether it was taken."""
-        ratio = kernels.fuse_direct(
+        return aiding.record(self._take_in(aiding, first, measured, variance, gate), measured_us)
+
+    def _take_in(self, aiding: Aiding, first: int, measured: Array, variance: Array, gate: float) -> float:
+        """Fuse a measurement of the states from ``first``; its test ratio says whether it was taken."""
+        ratio: float = kernels.fuse_direct(
             self._delayed.x,
             self._delayed.cov,
             first,
@@ -332,7 +383,7 @@ class Fusion:
             aiding.innovation,
             aiding.innovation_var,
         )
-        return aiding.record(ratio, measured_us)
+        return ratio
 
     def _good(self, fix: GpsFix) -> bool:
         numbers = (fix.lat_deg, fix.lon_deg, fix.alt_m, fix.eph_m, *fix.vel_ned_m_s.tolist())

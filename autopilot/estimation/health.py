@@ -102,6 +102,10 @@ class StuckBarometer:
         self._since_us = self._last_us = 0
         self._moved_m = 0.0
 
+    def repeats(self, altitude_m: float) -> bool:
+        """Whether a reading is the last one again."""
+        return altitude_m == self._altitude_m
+
     def note(self, altitude_m: float, vel_down_m_s: float, time_us: int) -> bool:
         """Take a reading and the filter's velocity; tell whether the barometer is stuck."""
         if altitude_m != self._altitude_m:

@@ -1,0 +1,95 @@
+"""Field and pressure in one call: to the bit what they do one after the other, refused or taken."""
+
+import numpy as np
+import pytest
+
+from autopilot.estimation import kernels
+from autopilot.estimation.correction import correct
+from autopilot.estimation.fusion import Fusion, Jump
+from autopilot.estimation.horizon import DelayedHorizon
+from autopilot.estimation.params import EstimatorParams
+from autopilot.estimation.rotation import quat_rotate_inverse
+
+PARAMS = EstimatorParams()
+FIELD_NED_GAUSS = np.array(PARAMS.magnetic_field_ned_gauss)
+PERIOD_US = 20_000
+LEVEL = (np.zeros(3), np.array((0.0, 0.0, -9.80665)))
+
+
+def aligned():
+    x = np.zeros(kernels.STATES)
+    x[0] = 1.0
+    delayed = DelayedHorizon(
+        x, 0.01 * np.eye(kernels.ERRORS), time_us=0, delay_us=120_000,
+        noise_psd=np.array(PARAMS.process_noise_psd),
+    )  # fmt: skip
+    return delayed, Fusion(PARAMS, delayed, ground_altitude_m=488.0, origin=None)
+
+
+def one_after_the_other(delayed, fusion, time_us, field, altitude_m):
+    mag_taken, baro_taken = fusion.fuse_mag(time_us, field), fusion.fuse_baro(time_us, altitude_m)
+    if mag_taken or baro_taken:
+        delayed.corrected()
+
+
+def at_once(delayed, fusion, time_us, field, altitude_m):
+    if not fusion.takes_together(time_us, altitude_m):
+        return one_after_the_other(delayed, fusion, time_us, field, altitude_m)
+    done = fusion.fuse_mag_and_baro(time_us, field, altitude_m)
+    if fusion.jumps:
+        delayed.corrected()
+    else:
+        assert done.sound == kernels.is_sound(delayed.x, delayed.cov)
+        assert done.tilt_var_rad2 == max(delayed.cov[0, 0], delayed.cov[1, 1])
+    return None
+
+
+def known(delayed, fusion):
+    records = [
+        (aiding.innovation.tobytes(), aiding.innovation_var.tobytes(), aiding.test_ratio, aiding.refused,
+         aiding.measured_us, aiding.accepted_us)
+        for aiding in (fusion.heading, fusion.height)
+    ]  # fmt: skip
+    return delayed.block.tobytes(), records, fusion.jumps, fusion.compass.disturbed, fusion.compass.faulty
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_at_once_is_one_after_the_other(seed):
+    """Through fields that are not the site's, headings and heights that are refused, and resets to them."""
+    rng = np.random.default_rng(seed)
+    apart, together = aligned(), aligned()
+    jumps = Jump.NONE
+    for k in range(1, 1_500):
+        time_us = k * PERIOD_US
+        turned_rad = 2.0 if 300 < k < 800 else 0.0
+        q = np.array((np.cos(0.5 * turned_rad), 0.0, 0.0, np.sin(0.5 * turned_rad)))
+        field = quat_rotate_inverse(q, FIELD_NED_GAUSS) + 0.005 * rng.standard_normal(3)
+        if 100 < k < 130:
+            field *= 3.0
+        altitude_m = 488.0 + 0.3 * rng.standard_normal() + (80.0 if k > 900 else 0.0)
+        for (delayed, fusion), fuse in ((apart, one_after_the_other), (together, at_once)):
+            fusion.jumps = Jump.NONE
+            for back in range(4, -1, -1):
+                delayed.add(time_us - 4_000 * back, *LEVEL)
+            fuse(delayed, fusion, time_us, field, altitude_m)
+        assert known(*apart) == known(*together), k
+        jumps |= together[1].jumps
+    assert jumps == Jump.YAW | Jump.HEIGHT
+    assert together[1].heading.refused > 300
+    assert together[1].height.refused > 100
+
+
+def test_the_interpreter_gives_the_bits_of_the_compiler():
+    rng = np.random.default_rng(3)
+    for believed in (True, False):
+        delayed, fusion = aligned()
+        for k in range(40):
+            delayed.add(4_000 * (k + 1), rng.normal(0.0, 0.3, 3), rng.normal(0.0, 1.0, 3) - (0.0, 0.0, 9.8))
+        field = FIELD_NED_GAUSS + 0.02 * rng.standard_normal(3)
+        blocks = [delayed.block.copy(), delayed.block.copy()]
+        compiled, interpreted = (
+            kernel(block, delayed.samples, fusion._limits, field, -0.2, believed)
+            for kernel, block in zip((correct, getattr(correct, "py_func", correct)), blocks, strict=True)
+        )
+        assert compiled == interpreted
+        assert blocks[0].tobytes() == blocks[1].tobytes()
