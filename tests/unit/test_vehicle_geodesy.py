@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from autopilot.navigation.geodesy import geodetic_to_ned, ned_to_geodetic, place_ned_m
@@ -49,6 +49,7 @@ def test_arrays_give_what_scalars_give():
     assert np.allclose(ned, points, atol=1e-6, rtol=0.0)
 
 
+@settings(deadline=None)  # the first one loads the kernel
 @given(
     st.floats(-90.0, 90.0), st.floats(-180.0, 180.0), st.floats(-500.0, 9000.0),
     st.tuples(*[st.floats(-3000.0, 3000.0)] * 3),
