@@ -13,8 +13,8 @@ import msgspec
 from autopilot.config import VehicleConfig
 from autopilot.host import Host, warnings
 from autopilot.mavlink.codec import Message
-from autopilot.mavlink.hil import HilActuatorControls
 from autopilot.recording import VEHICLE_RECORD
+from harness.answers import ANSWER_BYTES, Answers
 from harness.lockstep import CLOSED, Voice
 from netsim.child import Warned
 from netsim.hosted import HostedEmulator
@@ -126,6 +126,7 @@ class LocalVehicles:
     ) -> None:
         self._on_message, self._on_lost, self._emit = on_message, on_lost, emit
         self.seats: list[LocalSeat] = []
+        self._answers = Answers(len(radios))
         try:
             for config, radio in zip(configs, radios, strict=True):
                 self.seats.append(LocalSeat(config, radio))
@@ -144,21 +145,29 @@ class LocalVehicles:
     def send(self, frames: Iterable[bytes | None]) -> None:
         """Give every living vehicle its sensors, upon which it does its step."""
         for seat, frame in zip(self.seats, frames, strict=True):
-            seat.answer = None
             if seat.alive and not seat.killed and frame is not None:
                 for time_us, text in seat.hear(frame):
                     self._emit(seat.host.name, Warned(name=seat.host.name, time_us=time_us, text=text))
 
-    def answers(self, time_us: int) -> list[HilActuatorControls | None]:
-        """What every vehicle has answered to the sensors of ``time_us``; None: it is gone."""
+    def answers(self, time_us: int) -> Answers:
+        """What every vehicle has answered to the sensors of ``time_us``."""
+        answers, others = self._answers, []
         for seat in reversed(self.seats):
+            said, seat.said = seat.said, b""
             if seat.killed and seat.alive:
                 self._lose(seat)
-            elif seat.said:
-                said, seat.said = seat.said, b""
-                for message in seat.take(said, time_us):
-                    self._on_message(seat.instance, message)
-        return [seat.answer for seat in self.seats]
+            elif len(said) == ANSWER_BYTES and seat.parser.is_between_frames:
+                answers.hear(seat.instance, said)
+            elif said:
+                others.append((seat, said))
+        answers.take(time_us)
+        for seat, said in others:
+            seat.await_answer()
+            for message in seat.take(said, time_us):
+                self._on_message(seat.instance, message)
+            if seat.answer is not None:
+                answers.put(seat.instance, seat.answer)
+        return answers
 
     def judge(self, instances: Iterable[int]) -> None:
         """Nobody is ever waited for."""

@@ -15,7 +15,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from autopilot.mavlink.codec import Message
-from autopilot.mavlink.hil import HilActuatorControls, HilParser, whole_answer
+from autopilot.mavlink.hil import HilActuatorControls, HilParser
+from harness.answers import Answers
 from harness.patience import STARTING_LIMIT_S, Patience
 from harness.reception import Arrival, Door, Reception
 
@@ -51,7 +52,7 @@ one that was lost there are others only if sensors go on."""
 
 
 class Voice:
-    """What one vehicle says to the simulator."""
+    """What one vehicle says to the simulator, as far as `harness.answers` does not take it at once."""
 
     def __init__(self, instance: int, manners: Manners = OWN) -> None:
         self.instance = instance
@@ -65,12 +66,12 @@ class Voice:
         self.silent_since_s: float | None = None
         """Wall time since which a vehicle that may be late has not answered, if steps went on without it."""
 
+    def await_answer(self) -> None:
+        """Begin a step, to which it has not answered yet."""
+        self.answer = None
+
     def take(self, data: bytes, time_us: int) -> list[Message]:
         """Take in the next bytes: keep the answer to the sensors of ``time_us``, return all but answers."""
-        answer = whole_answer(data) if self.parser.is_between_frames else None
-        if answer is not None and answer.time_usec == time_us:
-            self._heed(answer)
-            return []
         others: list[Message] = []
         for message in self.parser.push(data):
             if not isinstance(message, HilActuatorControls):
@@ -146,6 +147,7 @@ class Lockstep:
         self._reception = Reception(doors)
         self._patience = patience
         self._on_message, self._on_silent, self._on_lost = on_message, on_silent, on_lost
+        self._answers = Answers(len(listeners))
         self._pending: list[Seat] = []
         """Seats that were sent this step's sensors and are waited for."""
         self._free: list[Seat] = []
@@ -185,6 +187,7 @@ class Lockstep:
             # steps go on without it, so it may leave megabytes unread, and must not hold up the others then
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _POLL_TIMEVAL)
         seat.connection, seat.parser = connection, arrival.parser
+        self._leave_to_kernel(seat)
         self.living += 1
         for message in arrival.said[1:]:  # the first was its introduction, which is no news of a flight
             self._on_message(seat.instance, message)
@@ -203,7 +206,6 @@ class Lockstep:
             self._free.clear()
         self._pending.clear()
         for seat, frame in zip(self.seats, frames, strict=True):
-            seat.answer = None
             if seat.connection is None or frame is None:
                 continue
             try:
@@ -235,21 +237,52 @@ class Lockstep:
         }
         self._patience.begin(self._wall_sent_s, silent_since_s=since_s)
 
-    def answers(self, time_us: int) -> list[HilActuatorControls | None]:
-        """Wait until every vehicle has answered the sensors of ``time_us`` that were sent; None: it is gone.
+    def answers(self, time_us: int) -> Answers:
+        """Wait until every vehicle has answered the sensors of ``time_us`` that were sent, or is gone.
 
         They are waited for one by one, the last first: as they are served in turn, the others' answers are
         there by then, and this process is woken once instead of for each. Who is late answers as before.
         """
-        for seat in reversed(self._pending):
-            while seat.connection is not None and seat.answer is None:
-                if not self._receive(seat, time_us):
-                    self._look_around(time_us)
+        answers, pending = self._answers, self._pending
+        heard_bytes = answers.voices["heard_bytes"]
+        for seat in reversed(pending):
+            try:
+                size = seat.connection.recv_into(answers.rooms[seat.instance]) if seat.connection else 0
+            except BlockingIOError:
+                break  # somebody is silent: it is looked around below
+            except OSError:
+                size = 0
+            if size == 0:
+                self.lose(seat.instance, CLOSED)
+            heard_bytes[seat.instance] = size
+        if answers.take(time_us) < len(pending):
+            self._hear_out(time_us)
         if self._free:
             self._hear_the_free(time_us)
         while self._overheard:
             self._on_message(*self._overheard.popleft())
-        return [seat.answer for seat in self.seats]
+        return answers
+
+    def _hear_out(self, time_us: int) -> None:
+        """Have the answers of the step that could not be taken at once."""
+        answers = self._answers
+        seats = [seat for seat in self._pending if not answers.answered_us[seat.instance]]
+        for seat in seats:
+            seat.await_answer()
+            self._take(seat, answers.said(seat.instance), time_us)
+        for seat in reversed(seats):
+            while seat.connection is not None and seat.answer is None:
+                if not self._receive(seat, time_us):
+                    self._look_around(seats, time_us)
+        for seat in seats:
+            if seat.answer is not None:
+                answers.put(seat.instance, seat.answer)
+            self._leave_to_kernel(seat)
+
+    def _leave_to_kernel(self, seat: Seat) -> None:
+        """Have a vehicle's answers taken at once if it is never late, and nothing is left in its parser."""
+        at_once = seat.manners == OWN and seat.parser.is_between_frames
+        self._answers.voices["by_hand"][seat.instance] = not at_once
 
     def judge(self, instances: Iterable[int]) -> None:
         """Decide on vehicles whose radio batches have not come, though they have answered."""
@@ -291,13 +324,16 @@ class Lockstep:
         if not data:
             self.lose(seat.instance, CLOSED)
             return True
-        for message in seat.take(data, time_us):
-            self._on_message(seat.instance, message)
+        self._take(seat, data, time_us)
         return True
 
-    def _look_around(self, time_us: int) -> None:
+    def _take(self, seat: Seat, data: bytes, time_us: int) -> None:
+        for message in seat.take(data, time_us):
+            self._on_message(seat.instance, message)
+
+    def _look_around(self, seats: Iterable[Seat], time_us: int) -> None:
         """Somebody is silent: take what the others have said, and judge whoever has not answered."""
-        for seat in self._pending:
+        for seat in seats:
             while seat.connection is not None and seat.answer is None:
                 if not self._receive(seat, time_us, socket.MSG_DONTWAIT):
                     self._judge(seat)
@@ -308,15 +344,20 @@ class Lockstep:
         for seat in self._free:
             while self._receive(seat, time_us, socket.MSG_DONTWAIT):
                 pass
-            seat.answer = seat.newest
+            if seat.newest is not None:
+                self._answers.put(seat.instance, seat.newest)
             if seat.is_free:
                 seat.silent_since_s = seat.silent_since_s or self._wall_sent_s
                 if self._wall_sent_s - seat.silent_since_s > STARTING_LIMIT_S:
                     self.lose(seat.instance, f"it gave no answer in its first {STARTING_LIMIT_S:g} s")
 
+    def _has_answered(self, seat: Seat) -> bool:
+        """Whether it has ever."""
+        return seat.answered_ever or bool(self._answers.voices["ever"][seat.instance])
+
     def _judge(self, seat: Seat) -> None:
         wall_s = time.monotonic()
-        verdict = self._patience.judge(seat.instance, wall_s, starting=not seat.answered_ever)
+        verdict = self._patience.judge(seat.instance, wall_s, starting=not self._has_answered(seat))
         if verdict.newly_silent:
             self._on_silent(seat.instance, verdict.wall_silence_s)
         if verdict.give_up is not None:

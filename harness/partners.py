@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Protocol
 
-from autopilot.mavlink.hil import HilActuatorControls
+from harness.answers import Answers
 from harness.physics.truth import Truth
 
 
@@ -36,8 +36,8 @@ class Vehicles(Protocol):
     def send(self, frames: Iterable[bytes | None]) -> None:
         """Give every living vehicle its sensors."""
 
-    def answers(self, time_us: int) -> list[HilActuatorControls | None]:
-        """What every vehicle answers to the sensors of ``time_us``; None: it is gone."""
+    def answers(self, time_us: int) -> Answers:
+        """What every vehicle answers to the sensors of ``time_us``; the same object in every step."""
 
     def judge(self, instances: Iterable[int]) -> None:
         """Decide on vehicles that have not done their part of the step."""

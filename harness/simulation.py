@@ -6,7 +6,7 @@ or in this process (`harness.one_process`). Knows no wall clock.
 """
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
@@ -14,13 +14,13 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot.mavlink.codec import Message
-from autopilot.mavlink.hil import HilActuatorControls
 from autopilot.mavlink.modes import mode_from_custom
 from autopilot.onboard.motion import STAYS_AWAY
 from autopilot.onboard.phases import Phase
 from harness import esc
+from harness.answers import ROTORS, Answers
 from harness.faults import MOST_ATTENUATION_DB, AnyFault, Faults, kind
-from harness.hil import TRUTH_PERIOD_US, SensorEncoder, is_armed
+from harness.hil import TRUTH_PERIOD_US, SensorEncoder
 from harness.messages import (
     AnyEvent,
     Collision,
@@ -43,11 +43,9 @@ from harness.run_folder import PhysicsConfig
 from harness.sensors.suite import SensorSuite
 from harness.wind import Wind, WindNow
 from netsim.record_log import RecordLog
-from netsim.wire.lockstep import BATCH_HANDED_OVER
 
 STREAM = 250
 """Sets the physics' random streams apart from those of the run's other processes."""
-ROTORS = 4
 _RECORDED_OF_TRUTH = ("pos_ned_m", "vel_ned_m_s", "q_ned_frd", "omega_frd_rad_s", "rotor_speed_rad_s")
 COMPONENT_AUTOPILOT = 1
 COMPONENT_ONBOARD = 191
@@ -102,8 +100,7 @@ class Simulation:
         self._tells_truth = scenario.onboard.enabled and scenario.onboard.localisation == "truth"
         self.time_us = self._step_us  # PX4 takes 0 for a clock that is not set
         self.formed = False
-        self._controls: list[Sequence[float]] = [[0.0] * ROTORS for _ in range(n)]
-        self._armed = [False] * n
+        self._answers = Answers(n)
         self._stopped = np.zeros((n, ROTORS), dtype=bool)
         self._wind_now = WindNow(np.zeros((n, 3)), np.zeros((n, 3)))
         self._gone: tuple[int, ...] = ()
@@ -173,21 +170,23 @@ class Simulation:
             self._step_us * 1e-6, time_us=self.time_us, height_m=-truth.pos_ned_m[:, 2]
         )
         self._sensors.look_ahead()
-        answers = self.lockstep.answers(self.time_us)
+        answers = self._answers = self.lockstep.answers(self.time_us)
         air_begins = air is not None and air.begins_at(self.time_us)
         if air_begins:
             self.settle()
-        senders = self._obey(answers)
+        if self._gone:
+            gone = list(self._gone)
+            self._stopped[gone], answers.armed[gone] = True, False
         if air is not None and air_begins:
             if self.time_us >= self._air_record_us:
                 period_us = self._record_period_us
                 self._air_record_us = self.time_us - self.time_us % period_us + period_us
                 self._air_log.append([(self.time_us, air.busy_ns)])
-            air.begin(self.time_us, self._step_us, truth, senders=senders, silent=self._gone)
+            air.begin(self.time_us, self._step_us, truth, senders=answers.senders, silent=self._gone)
         stopped = self._faults.rotor_stopped
         self._world.step(
-            np.array(self._controls),
-            np.array(self._armed),
+            answers.controls,
+            answers.armed,
             self._wind_now.force_ned_n,
             rotors_stopped=self._stopped if stopped is None else stopped | self._stopped,
             air_vel_ned_m_s=self._wind_now.air_vel_ned_m_s,
@@ -252,22 +251,6 @@ class Simulation:
                 self.lockstep.judge(waited_for)
                 waited_for = self._air.wait_on(self._gone)
 
-    def _obey(self, answers: list[HilActuatorControls | None]) -> tuple[int, ...]:
-        """Set motors as the vehicles say; the world limits what is out of range.
-
-        Returns who has handed a batch over to the radio.
-        """
-        senders = []
-        for i, answer in enumerate(answers):
-            if answer is None:
-                if not self.lockstep.seats[i].alive:
-                    self._stopped[i], self._armed[i] = True, False
-                continue
-            self._controls[i], self._armed[i] = answer.controls[:ROTORS], is_armed(answer)
-            if answer.flags & BATCH_HANDED_OVER:
-                senders.append(i)
-        return tuple(senders)
-
     def vehicles(self) -> tuple[VehicleTruth, ...]:
         """Everyone as they are now."""
         truth = self._world.truth
@@ -277,7 +260,7 @@ class Simulation:
         return tuple(
             VehicleTruth(
                 alive=seat.alive,
-                armed=self._armed[i],
+                armed=bool(self._answers.armed[i]),
                 mode=self._modes[i],
                 phase=_name(self._phases[i]),
                 pos_ned_m=tuple(truth.pos_ned_m[i].tolist()),
@@ -302,7 +285,7 @@ class Simulation:
         rows["time_us"] = self.time_us
         rows["uav"] = self._instances
         rows["alive"] = alive
-        rows["armed"] = self._armed
+        rows["armed"] = self._answers.armed
         for name in _RECORDED_OF_TRUTH:
             rows[name] = truth.rows[name]
         rows["wind_force_ned_n"] = self._wind_now.force_ned_n

@@ -187,28 +187,6 @@ def pack(message: HilMessage, *, sequence: int, system: int, component: int) -> 
     return _MAGIC_BYTE + checked + checksum.to_bytes(2, "little")
 
 
-_ANSWER = Struct("<BBBBBBBHBQQ16fBH")
-"""A frame of HIL_ACTUATOR_CONTROLS of which nothing is cut off, for its last byte, the mode, is not zero."""
-
-
-def whole_answer(data: bytes) -> HilActuatorControls | None:
-    """Give the answer that ``data`` is, if it is one right, unsigned frame of full length and nothing else.
-
-    That is what nearly every answer is. None: a `HilParser` knows what to make of it.
-    """
-    if len(data) != _ANSWER.size:
-        return None
-    (
-        magic, length, incompatible, _, _, _, _, kind, kind_high, time_usec, flags, *controls, mode, checksum
-    ) = _ANSWER.unpack(data)  # fmt: skip
-    form = _ACTUATORS
-    if magic != _MAGIC or length != form.fields.size or incompatible or kind != form.kind or kind_high:
-        return None
-    if crc16.mcrf4xx(data[_FIRST_CHECKED:-_CHECKSUM_BYTES] + form.crc_extra) != checksum:
-        return None
-    return HilActuatorControls(time_usec, controls, mode, flags)
-
-
 class HilEncoder(Encoder):
     """`Encoder` for a simulator's link: hot messages by struct, the rest as ever, in one sequence."""
 

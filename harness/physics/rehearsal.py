@@ -3,6 +3,7 @@
 import numpy as np
 
 from autopilot.config import Site
+from harness.answers import Answers
 from harness.hil import SensorEncoder
 from harness.physics.model import IRIS
 from harness.physics.world import World
@@ -15,7 +16,8 @@ _STEP_US = 4_000
 
 
 def rehearse() -> None:
-    """Two vehicles lift off and are measured, for a fraction of a second."""
+    """Two vehicles lift off, are measured and heard, for a fraction of a second."""
+    Answers(2).take(0)
     spawn_ned_m = np.array([[0.0, 0.0, -IRIS.standing_height_m], [0.0, 5.0, -IRIS.standing_height_m]])
     vehicles, encoder = len(spawn_ned_m), SensorEncoder()
     sensors = SensorSuite(

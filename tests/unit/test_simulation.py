@@ -8,6 +8,7 @@ import psutil
 import pytest
 
 from autopilot.mavlink.hil import HilActuatorControls
+from harness.answers import Answers
 from harness.recording import TRUTH_RECORD
 from harness.run_folder import PhysicsConfig, RunFolder
 from harness.scenario import load
@@ -31,6 +32,7 @@ class _Armed:
     def __init__(self, error=None):
         self.seats = [_Seat(i) for i in range(2)]
         self.error = error
+        self._answers = Answers(2)
 
     @property
     def living(self):
@@ -40,8 +42,10 @@ class _Armed:
         assert len(list(frames)) == 2
 
     def answers(self, time_us):
-        answer = HilActuatorControls(time_us, (0.0,) * 16, ARMED, 1)
-        return [answer if seat.alive else None for seat in self.seats]
+        for seat in self.seats:
+            if seat.alive:
+                self._answers.put(seat.instance, HilActuatorControls(time_us, (0.0,) * 16, ARMED, 1))
+        return self._answers
 
     def close(self):
         if self.error is not None:
@@ -71,6 +75,7 @@ def test_the_lost_are_disarmed_from_their_last_step_on(folder):
     simulation.step()
     assert [vehicle.armed for vehicle in simulation.vehicles()] == [True, True]
     vehicles.seats[1].alive = False
+    simulation.on_lost(1, "of the test")
     for _ in range(6):  # a record is made each 20 ms, of 5 steps
         simulation.step()
     assert [vehicle.armed for vehicle in simulation.vehicles()] == [True, False]

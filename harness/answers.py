@@ -1,0 +1,128 @@
+"""What the vehicles answer to their sensors, taken for all of them at once.
+
+Nearly every answer is one right frame of HIL_ACTUATOR_CONTROLS and nothing else. The bytes of all lie in rows
+of one array, and one kernel checks and unpacks them; what is anything else is left to a parser.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from pymavlink.dialects.v20 import common
+
+from autopilot.mavlink.checksum import Octets, checksum
+from autopilot.mavlink.hil import HilActuatorControls
+from autopilot.types import Array
+from netsim.wire.lockstep import BATCH_HANDED_OVER
+
+ROTORS = 4
+ROOM_BYTES = 250
+"""For what one vehicle says at once; a longer speech is heard in parts."""
+_FIRST = 6
+"""Where a row's bytes begin, so that a frame's payload is aligned for the numbers in it."""
+_MAGIC = 0xFD
+_LENGTH, _INCOMPATIBLE, _KIND, _PAYLOAD = _FIRST + 1, _FIRST + 2, _FIRST + 7, _FIRST + 10
+# the payload: time and flags in eight bytes each, sixteen floats, the mode
+_TIME, _FLAGS, _CONTROLS, _MODE = _PAYLOAD, _PAYLOAD + 8, _PAYLOAD + 16, _PAYLOAD + 80
+_PAYLOAD_BYTES = 81
+"""Nothing is cut off it, for its last byte, the mode, is not zero."""
+_END = _PAYLOAD + _PAYLOAD_BYTES
+ANSWER_BYTES = _END + 2 - _FIRST
+"""Length of a whole frame."""
+_ANSWER_KIND = common.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS
+_ANSWER_EXTRA = common.mavlink_map[_ANSWER_KIND].crc_extra
+_ARMED = common.MAV_MODE_FLAG_SAFETY_ARMED
+
+VOICE = np.dtype(
+    [("heard_bytes", "i8"), ("answered_us", "i8"), ("handed_over", "?"), ("by_hand", "?"), ("ever", "?")],
+    align=True,
+)
+"""Of one vehicle: how much it has said that is not taken yet, the time of the answer that stands in this
+step, 0 for none, whether that says that the radio was given something, whether a parser has to hear it, and
+whether it has ever answered."""
+
+
+class Answers:
+    """What n vehicles have answered in a step, and the motors' controls from all steps up to it."""
+
+    def __init__(self, vehicles: int) -> None:
+        self.controls: Array = np.zeros((vehicles, ROTORS))
+        """(n, 4) of the last answer, 0..1 in PX4's order"""
+        self.armed: NDArray[np.bool_] = np.zeros(vehicles, dtype=np.bool_)
+        """(n,) as the last answer says"""
+        self.voices = np.zeros(vehicles, VOICE)
+        self._octets = np.zeros((vehicles, _FIRST + ROOM_BYTES), dtype=np.uint8)
+        self.rooms = [memoryview(row)[_FIRST:] for row in self._octets]  # type: ignore[arg-type]
+        """Where to put what each vehicle says; ``voices["heard_bytes"]`` tells how much it was."""
+
+    @property
+    def answered_us(self) -> NDArray[np.int64]:
+        """(n,) time of the sensors to which the answer in this step is; 0: there is none."""
+        times_us: NDArray[np.int64] = self.voices["answered_us"]
+        return times_us
+
+    @property
+    def senders(self) -> tuple[int, ...]:
+        """Vehicles that have handed something over to the radio in this step."""
+        return tuple(np.flatnonzero(self.voices["handed_over"]).tolist())
+
+    def hear(self, instance: int, said: bytes) -> None:
+        """Put down what a vehicle says, `ROOM_BYTES` at most."""
+        self.rooms[instance][: len(said)] = said
+        self.voices["heard_bytes"][instance] = len(said)
+
+    def take(self, time_us: int) -> int:
+        """Begin a step's answers with those that can be taken at once; returns how many.
+
+        What the others have said is left where it is.
+        """
+        return take(self._octets, self.voices, time_us, self.controls, self.armed)
+
+    def said(self, instance: int) -> bytes:
+        """What a vehicle has said that could not be taken; it is regarded as taken from now on."""
+        heard_bytes = int(self.voices["heard_bytes"][instance])
+        self.voices["heard_bytes"][instance] = 0
+        return bytes(self.rooms[instance][:heard_bytes])
+
+    def put(self, instance: int, answer: HilActuatorControls) -> None:
+        """Take an answer that was unpacked elsewhere."""
+        self.controls[instance] = answer.controls[:ROTORS]
+        self.armed[instance] = answer.mode & _ARMED != 0
+        voice = self.voices[instance]
+        voice["answered_us"], voice["ever"] = answer.time_usec, True
+        voice["handed_over"] = answer.flags & BATCH_HANDED_OVER != 0
+
+
+@njit(cache=True)
+def take(
+    octets: Octets, voices: NDArray[np.void], time_us: int, controls: Array, armed: NDArray[np.bool_]
+) -> int:
+    """Unpack the rows of ``octets`` (n, ...) that are an answer to the sensors of ``time_us`` and no more.
+
+    Into ``controls`` (n, 4) and ``armed`` (n,), with notes in ``voices`` (n,) of `VOICE`; returns how many.
+    """
+    taken = 0
+    for i in range(len(voices)):
+        voice, row = voices[i], octets[i]
+        voice["answered_us"] = 0
+        voice["handed_over"] = False
+        if voice["heard_bytes"] != ANSWER_BYTES or voice["by_hand"]:
+            continue
+        if row[_FIRST] != _MAGIC or row[_LENGTH] != _PAYLOAD_BYTES or row[_INCOMPATIBLE] != 0:
+            continue
+        if row[_KIND] != _ANSWER_KIND or row[_KIND + 1] != 0 or row[_KIND + 2] != 0:
+            continue
+        found = np.int64(row[_END]) | np.int64(row[_END + 1]) << 8
+        if found != checksum(row, _FIRST + 1, _END, _ANSWER_EXTRA):
+            continue
+        if row[_TIME:_FLAGS].view(np.int64)[0] != time_us:
+            continue
+        wanted = row[_CONTROLS:_MODE].view(np.float32)
+        for rotor in range(ROTORS):
+            controls[i, rotor] = wanted[rotor]
+        armed[i] = row[_MODE] & _ARMED != 0
+        voice["answered_us"] = time_us
+        voice["handed_over"] = row[_FLAGS:_CONTROLS].view(np.int64)[0] & BATCH_HANDED_OVER != 0
+        voice["heard_bytes"] = 0
+        voice["ever"] = True
+        taken += 1
+    return taken
