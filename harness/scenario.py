@@ -17,7 +17,6 @@ import msgspec
 import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
-from scipy.spatial.distance import pdist
 
 from antenna.config import AntennaConfig
 from autopilot import formation_plan
@@ -176,7 +175,8 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
                 f"at most {LONGEST_SESSION_S:g} s"
             )
         places_ned_m = self.places_ned_m()
-        nearest_m = min(pdist(places_ned_m), default=math.inf)
+        i, j = np.triu_indices(len(places_ned_m), 1)
+        nearest_m = min(np.linalg.norm(places_ned_m[i] - places_ned_m[j], axis=1), default=math.inf)
         if not nearest_m >= MIN_SPACING_M:
             raise ValueError(
                 f"formation: places {nearest_m:.2f} m apart; vehicles this size need {MIN_SPACING_M} m"

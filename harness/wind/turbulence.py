@@ -24,7 +24,6 @@ from typing import Literal
 
 import numpy as np
 from numba import njit
-from scipy.linalg import expm, solve_continuous_lyapunov
 
 from autopilot.types import Array
 from harness.gauss_markov import STEPS_AHEAD
@@ -178,6 +177,8 @@ class _StateSpace:
         self.output = np.zeros(ORDER)
         """(ORDER,) what of the states is velocity, m/s"""
         self.output[: len(numerator)] = gain * np.array(numerator)
+        from scipy.linalg import solve_continuous_lyapunov  # noqa: PLC0415  takes 0.2 s, and few have turbulence
+
         stationary = solve_continuous_lyapunov(self._dynamics, -self._input @ self._input.T)
         self.start = _padded(np.linalg.cholesky(stationary))
         """(ORDER, ORDER) factor of the states' stationary covariance"""
@@ -188,6 +189,8 @@ class _StateSpace:
         The latter, the integral of e^As B B' e^A's, is factored as the quadrature's sum that it is: formed
         first, its small parts, in the fifth power of the interval, would drown in rounding.
         """
+        from scipy.linalg import expm  # noqa: PLC0415  as above
+
         span = dt_s / self._time_s
         pieces = math.ceil(span / _LONGEST_PIECE)
         edges = span * np.arange(pieces) / pieces
