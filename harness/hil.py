@@ -20,7 +20,14 @@ from autopilot.mavlink.hil import HilActuatorControls
 from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.types import Array
 from harness.esc import EscReadings, statuses
-from harness.hil_frames import ESC_STATUS, HIL_GPS, HIL_SENSOR, HIL_STATE_QUATERNION, RC_CHANNELS
+from harness.hil_frames import (
+    ESC_STATUS,
+    HIL_GPS,
+    HIL_SENSOR,
+    HIL_STATE_QUATERNION,
+    RC_CHANNELS,
+    InertialFrames,
+)
 from harness.physics.truth import Truth
 from harness.sensors.suite import GpsFixes, SensorFrame
 from netsim.wire.lockstep import BATCH_DELIVERED
@@ -60,6 +67,7 @@ class SensorEncoder:
         self._epoch_us = epoch_us
         self._px4_rc = px4_rc
         self._sequence = 0
+        self._inertial = InertialFrames(0, _IMU)
 
     def encode(
         self,
@@ -86,8 +94,17 @@ class SensorEncoder:
             others.append(HIL_GPS.frames(self._fixes(time_us, frame.gps), self._next()))
         if truth is not None:
             others.append(HIL_STATE_QUATERNION.frames(_states(time_us, truth, self._site), self._next()))
-        sensors = HIL_SENSOR.frames(_sensors(time_us, frame, delivered), self._next())
+        sensors = self._sensors(time_us, frame, delivered)
         return [b"".join(parts) for parts in zip(*others, sensors, strict=True)] if others else sensors
+
+    def _sensors(self, time_us: int, frame: SensorFrame, delivered: Collection[int]) -> list[bytes]:
+        """Frames of HIL_SENSOR."""
+        if frame.mag_frd_gauss is not None or frame.baro is not None or delivered:
+            return HIL_SENSOR.frames(_sensors(time_us, frame, delivered), self._next())
+        accel_frd_m_s2, gyro_frd_rad_s = frame.accel_frd_m_s2, frame.gyro_frd_rad_s
+        if self._inertial.vehicles != len(accel_frd_m_s2):
+            self._inertial = InertialFrames(len(accel_frd_m_s2), _IMU)
+        return self._inertial.at(time_us, accel_frd_m_s2, gyro_frd_rad_s, self._next())
 
     def _next(self) -> int:
         """Sequence number of the next kind of frame."""

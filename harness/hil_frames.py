@@ -13,24 +13,14 @@ from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink import dialect
+from autopilot.mavlink.checksum import checksum
+from autopilot.types import Array
 
 SIMULATOR_SYSTEM_ID = 0
 SIMULATOR_COMPONENT_ID = 1
 _MAGIC = 0xFD
 _HEADER_BYTES = 10
 _CHECKSUM_BYTES = 2
-_CRC_START = 0xFFFF
-
-
-def _crc_table() -> NDArray[np.int64]:
-    """CRC-16/MCRF4XX of each byte: x^16 + x^12 + x^5 + 1, bits reversed."""
-    crc = np.arange(256, dtype=np.int64)
-    for _ in range(8):
-        crc = np.where(crc & 1, (crc >> 1) ^ 0x8408, crc >> 1)
-    return crc
-
-
-_CRC_TABLE = _crc_table()
 
 
 class Kind:
@@ -81,10 +71,7 @@ def make_frames(
         frame[1] = length
         frame[4] = sequence
         frame[_HEADER_BYTES:end] = payloads[row, :length]
-        crc = _CRC_START
-        for at in range(1, end):  # all but the magic byte
-            crc = (crc >> 8) ^ _CRC_TABLE[(crc ^ np.int64(frame[at])) & 0xFF]
-        crc = (crc >> 8) ^ _CRC_TABLE[(crc ^ crc_extra) & 0xFF]
+        crc = checksum(frame, 1, end, crc_extra)  # all but the magic byte
         frame[end] = crc & 0xFF
         frame[end + 1] = crc >> 8
         lengths[row] = end + _CHECKSUM_BYTES
@@ -157,3 +144,61 @@ RC_CHANNELS = Kind(
         ("rssi", "u1"),
     ],
 )
+
+_FIRST = 6
+"""Where frames begin in their rows, so that payloads are aligned for the numbers in them."""
+_PAYLOAD = _FIRST + _HEADER_BYTES
+_SAMPLES, _REST, _UPDATED = _PAYLOAD + 8, _PAYLOAD + 32, _PAYLOAD + 60
+_END = _UPDATED + 1
+"""Of HIL_SENSOR's payload where ``fields_updated`` is below 256, for what follows are zeros."""
+_ROW_BYTES = 80
+_SENSOR = common.MAVLINK_MSG_ID_HIL_SENSOR
+_SENSOR_EXTRA = int(common.mavlink_map[_SENSOR].crc_extra)
+
+
+class InertialFrames:
+    """HIL_SENSOR that brings n vehicles accelerations and rates and nothing else, as in most steps."""
+
+    def __init__(self, vehicles: int, fields_updated: int) -> None:
+        self.vehicles: Final = vehicles
+        self._rows = np.zeros((vehicles, _ROW_BYTES), dtype=np.uint8)
+        header = (
+            _MAGIC,
+            _END - _PAYLOAD,
+            0,
+            0,
+            0,
+            SIMULATOR_SYSTEM_ID,
+            SIMULATOR_COMPONENT_ID,
+            _SENSOR,
+            0,
+            0,
+        )
+        self._rows[:, _FIRST:_PAYLOAD] = header
+        self._rows[:, _UPDATED] = fields_updated
+        starts = range(_FIRST, vehicles * _ROW_BYTES, _ROW_BYTES)
+        self._places = [slice(start, start + _END + _CHECKSUM_BYTES - _FIRST) for start in starts]
+
+    def at(self, time_us: int, accel_frd_m_s2: Array, gyro_frd_rad_s: Array, sequence: int) -> list[bytes]:
+        """Whole frames of samples (n, 3) and (n, 3), all with the same time and sequence number."""
+        write_inertial(self._rows, time_us, sequence, accel_frd_m_s2, gyro_frd_rad_s)
+        data = self._rows.tobytes()
+        return [data[place] for place in self._places]
+
+
+@njit(cache=True)
+def write_inertial(
+    rows: NDArray[np.uint8], time_us: int, sequence: int, accel_frd_m_s2: Array, gyro_frd_rad_s: Array
+) -> None:
+    """Write into frames of HIL_SENSOR, which begin at `_FIRST`, what changes from one to the next."""
+    for i in range(len(rows)):
+        row = rows[i]
+        row[_FIRST + 4] = sequence
+        row[_PAYLOAD:_SAMPLES].view(np.int64)[0] = time_us
+        samples = row[_SAMPLES:_REST].view(np.float32)
+        for axis in range(3):
+            samples[axis] = accel_frd_m_s2[i, axis]
+            samples[3 + axis] = gyro_frd_rad_s[i, axis]
+        crc = checksum(row, _FIRST + 1, _END, _SENSOR_EXTRA)
+        row[_END] = crc & 0xFF
+        row[_END + 1] = crc >> 8

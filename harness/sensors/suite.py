@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from msgspec import Struct
+from numba import njit
 from numpy.typing import NDArray
 
 from autopilot.config import Site
@@ -149,10 +150,11 @@ class SensorSuite:
         """
         self._recent.append(truth)
         faults = faults if faults is not None else self._no_faults
-        accel_frd_m_s2 = truth.specific_force_frd_m_s2 + self._accel_error.next()
+        accel_frd_m_s2, gyro_frd_rad_s = inertial_samples(
+            truth.rows, self._accel_error.next(), self._gyro_error.next()
+        )
         if faults.accel_offset_frd_m_s2 is not None:
             accel_frd_m_s2 += faults.accel_offset_frd_m_s2
-        gyro_frd_rad_s = truth.mean_omega_frd_rad_s + self._gyro_error.next()
         if faults.gyro_offset_frd_rad_s is not None:
             gyro_frd_rad_s += faults.gyro_offset_frd_rad_s
         mag_due, baro_due, gps_due = (
@@ -232,6 +234,17 @@ class SensorSuite:
             epv_m=self._epv_m,
             lost=faults.gps_lost,
         )
+
+
+@njit(cache=True)
+def inertial_samples(truth: NDArray[np.void], accel_error: Array, gyro_error: Array) -> tuple[Array, Array]:
+    """Accelerometers' and gyroscopes' samples, (n, 3) each, of `TRUTH` (n,) and their errors (n, 3)."""
+    accel_frd_m_s2, gyro_frd_rad_s = np.empty((len(truth), 3)), np.empty((len(truth), 3))
+    for i in range(len(truth)):
+        for axis in range(3):
+            accel_frd_m_s2[i, axis] = truth[i]["specific_force_frd_m_s2"][axis] + accel_error[i, axis]
+            gyro_frd_rad_s[i, axis] = truth[i]["mean_omega_frd_rad_s"][axis] + gyro_error[i, axis]
+    return accel_frd_m_s2, gyro_frd_rad_s
 
 
 def _turned(vector_ned: Array, angle_rad: float) -> Array:

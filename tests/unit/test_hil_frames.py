@@ -6,8 +6,9 @@ from fastcrc import crc16
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink import dialect
+from autopilot.mavlink.checksum import checksum
 from harness import hil_frames
-from harness.hil_frames import Kind
+from harness.hil_frames import InertialFrames, Kind
 
 KINDS = {
     common.MAVLINK_MSG_ID_HIL_SENSOR: hil_frames.HIL_SENSOR,
@@ -69,10 +70,8 @@ def test_frames_are_those_that_pymavlink_makes_of_the_same_payload(message_id):
 
 def test_the_sum_is_the_standards():
     """CRC-16/MCRF4XX of "123456789" is 0x6F91: https://reveng.sourceforge.io/crc-catalogue/16.htm."""
-    crc = 0xFFFF
-    for byte in b"123456789":
-        crc = (crc >> 8) ^ int(hil_frames._CRC_TABLE[(crc ^ byte) & 0xFF])
-    assert crc == crc16.mcrf4xx(b"123456789") == 0x6F91
+    octets = np.frombuffer(b"*123456789*", dtype=np.uint8)
+    assert checksum(octets, 1, 9, ord("9")) == crc16.mcrf4xx(b"123456789") == 0x6F91
 
 
 def test_an_interpreted_kernel_makes_the_same_frames():
@@ -87,6 +86,20 @@ def test_an_interpreted_kernel_makes_the_same_frames():
         made.append([frame[:length].tobytes() for frame, length in zip(frames, lengths, strict=True)])
     assert made[0] == made[1]
     assert [len(frame) for frame in made[0]] == [77, 52, 13]
+
+
+def test_inertial_samples_are_framed_as_any_others_are():
+    """With the rows of `Kind` for a witness, whose frames are pymavlink's; numbers of every size, 0 too."""
+    rng = np.random.default_rng(3)
+    inertial = InertialFrames(5, 0x3F)
+    for step in range(300):
+        accel, gyro = rng.normal(size=(2, 5, 3)) * 10.0 ** rng.integers(-30, 30, (2, 5, 3))
+        accel[rng.random((5, 3)) < 0.1] = 0.0
+        rows = np.zeros(5, hil_frames.HIL_SENSOR.dtype)
+        rows["time_usec"], rows["fields_updated"] = step * 4_000_000_000, 0x3F
+        rows["acc"], rows["gyro"] = accel, gyro
+        expected = hil_frames.HIL_SENSOR.frames(rows, step % 256)
+        assert inertial.at(step * 4_000_000_000, accel, gyro, step % 256) == expected
 
 
 def test_nobody_gets_nothing():
