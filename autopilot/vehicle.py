@@ -31,6 +31,7 @@ from autopilot.mavlink.within import PositionTarget
 from autopilot.messaging import Messaging
 from autopilot.monitor import Monitor
 from autopilot.onboard.app import NOTHING
+from autopilot.onboard.messages import COMMANDS
 from autopilot.params import ROWS, ParameterError, ParameterSet, Problem, Settings
 from autopilot.pilot import Pilot
 from autopilot.protocol.flight_data import FlightData
@@ -410,8 +411,8 @@ class Vehicle:
                 self.messaging.post(reply(_GROUND, message))
             else:
                 self.messaging.on_message(message, now_us, APPLICATION_PARTNER)
-                if kind not in self._before_conditions:
-                    self._decide_us = now_us  # a command: what that has changed is seen with the next sample
+                if kind in COMMANDS:
+                    self._decide_us = now_us  # what it has changed is seen with the next sample
         return output.radio
 
     def _pass_truth_on(self, sim_messages: Sequence[Message], now_us: int) -> None:

@@ -84,6 +84,24 @@ def test_how_a_flight_is_cut_into_stretches_leaves_no_trace(tmp_path):
     assert whole["log_sha256"] == parts["log_sha256"]
 
 
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "onboard.loop_period_ms=4",
+        "onboard.loop_period_ms=40",
+        'radio.guests=[{name="ground", pos_ned_m=[0.0, -20.0, -1.5]}]',
+    ],
+)
+def test_however_often_applications_and_air_meet_everything_gets_through(setting, tmp_path):
+    """With guests the air goes on in every step, whatever the applications' loop."""
+    summary = fly(scenario(setting), tmp_path / "run", until_s=4.5)
+    assert summary["ftm"]["completed"] == summary["ftm"]["requested"] > 0
+    frames = radio_table(tmp_path / "run")
+    delivered = [n for n, kind in zip(frames["delivered"], frames["kind"], strict=True) if kind == "data"]
+    assert len(delivered) > 40
+    assert all(delivered)
+
+
 def test_two_flights_in_one_process_do_not_disturb_each_other(tmp_path):
     alone = fly(scenario(), tmp_path / "alone", until_s=2.0)
     results = {}
