@@ -3,33 +3,22 @@
 import os
 import signal
 import socket
-import subprocess
-import sys
-import textwrap
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
 import pytest
+from supervising import WALL_LIMIT_S, hear, launcher_and_children, python, wait_for
 
 from harness.interrupts import interrupts_deferred
 from harness.messages import SetPid
 from harness.resources import PortError, bind
-from harness.supervisor import (
-    MARK,
-    Exited,
-    Supervisor,
-    SupervisorError,
-    ending,
-)
+from harness.supervisor import MARK, Exited, Supervisor, SupervisorError, ending
 from netsim.child import Finished, Ready
 
 pytestmark = pytest.mark.multiprocess
-
-WALL_LIMIT_S = 20.0
-"""Far beyond what any of these waits takes on a busy machine."""
 
 POLITE = """
     import os, queue
@@ -62,27 +51,6 @@ PARENT = """
     sys.stdin.read()
     os._exit(0)
 """
-
-
-def python(code: str) -> list[str]:
-    return [sys.executable, "-c", textwrap.dedent(code)]
-
-
-def wait_for(fact: Callable[[], bool], what: str) -> None:
-    deadline = time.monotonic() + WALL_LIMIT_S
-    while not fact():
-        assert time.monotonic() < deadline, f"not in time: {what}"
-        time.sleep(0.005)
-
-
-def hear(supervisor: Supervisor, kind: type, name: str) -> object:
-    """Next message of that kind from that child."""
-    deadline = time.monotonic() + WALL_LIMIT_S
-    while time.monotonic() < deadline:
-        heard = supervisor.hear(deadline - time.monotonic())
-        if heard is not None and heard[0] == name and isinstance(heard[1], kind):
-            return heard[1]
-    raise AssertionError(f"no {kind.__name__} from {name}")
 
 
 @pytest.fixture
@@ -270,37 +238,12 @@ def test_stop_is_not_cut_short_by_ctrl_c(supervisor: Supervisor) -> None:
 
 
 LAUNCHER = """
-    import os, sys
-    from pathlib import Path
-    from harness.supervisor import Supervisor
-    from netsim.child import Ready
-    supervisor = Supervisor(Path(sys.argv[1]))
     for i in range(3):
         supervisor.start(f"uav {i}", [sys.executable, "-c", sys.argv[2]])
-    ready = 0
-    while ready < 3:
-        heard = supervisor.hear(10.0)
-        ready += heard is not None and isinstance(heard[1], Ready)
-    print(*supervisor.pids.values(), flush=True)
-    while True:
-        supervisor.hear(10.0)
 """
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
 def test_no_child_outlives_its_launcher(tmp_path: Path, number: signal.Signals) -> None:
-    command = [*python(LAUNCHER), str(tmp_path), textwrap.dedent(POLITE)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as launcher:
-        assert launcher.stdout is not None
-        pids = [int(pid) for pid in launcher.stdout.readline().split()]
-        assert len(pids) == 3
-        launcher.send_signal(number)
-        launcher.communicate(timeout=WALL_LIMIT_S)
-    wait_for(lambda: not any(alive(pid) for pid in pids), f"children's end after {number.name}")
-
-
-def alive(pid: int) -> bool:
-    try:
-        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return False
+    pids = launcher_and_children(LAUNCHER, POLITE, tmp_path, ends_by=number)
+    assert len(pids) == 3

@@ -3,15 +3,13 @@
 import os
 import resource
 import signal
-import subprocess
-import textwrap
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
 import pytest
-from test_supervisor_children import WALL_LIMIT_S, alive, hear, python, wait_for
+from supervising import WALL_LIMIT_S, alive, hear, launcher_and_children, python, wait_for
 
 from harness.messages import SetPid
 from harness.supervisor import Exited, Supervisor, SupervisorError
@@ -267,31 +265,13 @@ def hear_any(supervisor: Supervisor) -> str:
 
 
 LAUNCHER = """
-    import sys
-    from pathlib import Path
-    from harness.supervisor import Supervisor
-    from netsim.child import Ready
-    supervisor = Supervisor(Path(sys.argv[1]))
     supervisor.start_forker("forker", [sys.executable, "-c", sys.argv[2]])
     for i in range(3):
         supervisor.fork(f"uav {i}", ["polite", f"uav {i}"], forker="forker")
-    ready = 0
-    while ready < 4:
-        heard = supervisor.hear(10.0)
-        ready += heard is not None and isinstance(heard[1], Ready)
-    print(*supervisor.pids.values(), flush=True)
-    while True:
-        supervisor.hear(10.0)
 """
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
 def test_none_outlives_the_launcher(tmp_path: Path, number: signal.Signals) -> None:
-    command = [*python(LAUNCHER), str(tmp_path), textwrap.dedent(FORKER)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as launcher:
-        assert launcher.stdout is not None
-        pids = [int(pid) for pid in launcher.stdout.readline().split()]
-        assert len(pids) == 4
-        launcher.send_signal(number)
-        launcher.communicate(timeout=WALL_LIMIT_S)
-    wait_for(lambda: not any(alive(pid) for pid in pids), f"children's end after {number.name}")
+    pids = launcher_and_children(LAUNCHER, FORKER, tmp_path, ends_by=number)
+    assert len(pids) == 4

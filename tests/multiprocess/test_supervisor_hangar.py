@@ -5,7 +5,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from test_supervisor_children import hear, python
+from supervising import hear, python
 
 from harness import kernel_cache
 from harness.processes import HANGAR, python_module

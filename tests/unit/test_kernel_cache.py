@@ -1,7 +1,5 @@
 """The cache of compiled kernels is another one whenever anything that they are compiled from is."""
 
-import ast
-import json
 import os
 import shutil
 import subprocess
@@ -10,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numba.core.dispatcher import Dispatcher
+from kernel_coverage import called_by_rehearsal, kernels, signatures
 
 import autopilot.rehearsal
 from antenna import kernel_folder
@@ -162,33 +160,15 @@ def test_who_asks_where_the_kernels_are_marks_them_as_used(monkeypatch, tmp_path
 
 
 def test_the_rehearsal_of_the_antenna_calls_every_kernel():
-    """Uncompiled, so that Python sees kernels which others call."""
-    folder = Path(kernel_folder.__file__).parent
-    kernels = {
-        (str(path), node.name)
-        for path in folder.rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_bytes()))
-        if isinstance(node, ast.FunctionDef) and any("njit" in ast.dump(each) for each in node.decorator_list)
-    }
-    assert len(kernels) >= 10
-    program = (
-        "import json, sys\n"
-        "from antenna.rehearsal import rehearse\n"
-        "called = set()\n"
-        "sys.setprofile(lambda frame, *_: called.add((frame.f_code.co_filename, frame.f_code.co_name)))\n"
-        "rehearse()\n"
-        "sys.setprofile(None)\n"
-        "print(json.dumps(sorted(called)))\n"
-    )
-    environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
-    said = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, check=True)
-    assert kernels - {tuple(each) for each in json.loads(said.stdout)} == set()
+    needed = kernels(Path(kernel_folder.__file__).parent)
+    assert len(needed) >= 10
+    assert needed - called_by_rehearsal("antenna") == set()
 
 
 def test_after_the_rehearsal_of_the_antenna_nothing_is_left_to_be_compiled():
     """Other elements, grounds, feeds, grids and counts ask for no other types."""
     rehearse()
-    compiled = _signatures("antenna")
+    compiled = signatures("antenna")
     assert any(compiled.values())
     dipole = {"element_length_m": 5.0, "element_radius_m": 0.001, "segments": 11}
     places_m = grid(8, 4, 8.5, 2.5) + np.array([0.0, 0.0, 12.0])
@@ -199,25 +179,14 @@ def test_after_the_rehearsal_of_the_antenna_nothing_is_left_to_be_compiled():
         for pattern in make_backend(config, threads=2).patterns(arrays * 40):
             assert isinstance(pattern, Pattern)
         check_apart(arrays[0], config.element(), grounded=False)
-    assert _signatures("antenna") == compiled
+    assert signatures("antenna") == compiled
 
 
 def test_after_the_rehearsal_of_the_vehicles_nothing_is_left_to_be_loaded():
     """Or every vehicle that is forked would load it for itself, in flight."""
     autopilot.rehearsal.rehearse()
-    loaded = _signatures("autopilot")
+    loaded = signatures("autopilot")
     assert any(loaded.values())
     with OneProcessSwarm(ARTICLE, agents=3) as swarm:
         swarm.run_until_formed(timeout_s=60.0)
-    assert _signatures("autopilot") == loaded
-
-
-def _signatures(package):
-    """Types for which each of a package's kernels is compiled."""
-    return {
-        f"{kernel.__module__}.{kernel.__name__}": list(kernel.signatures)
-        for name, module in list(sys.modules.items())
-        if name.partition(".")[0] == package
-        for kernel in vars(module).values()
-        if isinstance(kernel, Dispatcher)
-    }
+    assert signatures("autopilot") == loaded

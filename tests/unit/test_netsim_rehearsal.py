@@ -1,65 +1,29 @@
 """The emulator's rehearsal calls every kernel of the air, and leaves none to be compiled. 20 s."""
 
-import ast
-import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
+from kernel_coverage import called_by_rehearsal, kernels, signatures
 from netsim_swarm import Swarm
-from numba.core.dispatcher import Dispatcher
 
 import netsim
 from netsim.config import InterfererConfig
 from netsim.rehearsal import rehearse
 
-FOLDER = Path(netsim.__file__).parent
-
-
-def kernels():
-    """(file, name) of all but the link simulation's, which no run uses."""
-    return {
-        (str(path), node.name)
-        for path in FOLDER.rglob("*.py")
-        if path.parent.name != "lab"
-        for node in ast.walk(ast.parse(path.read_bytes()))
-        if isinstance(node, ast.FunctionDef) and any("njit" in ast.dump(each) for each in node.decorator_list)
-    }
+LAB = "lab"
+"""The link simulation's, which no run uses."""
 
 
 def test_it_calls_every_kernel():
-    """Uncompiled, so that Python sees kernels which others call."""
-    program = (
-        "import json, sys\n"
-        "from netsim.rehearsal import rehearse\n"
-        "called = set()\n"
-        "sys.setprofile(lambda frame, *_: called.add((frame.f_code.co_filename, frame.f_code.co_name)))\n"
-        "rehearse()\n"
-        "sys.setprofile(None)\n"
-        "print(json.dumps(sorted(called)))\n"
-    )
-    environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
-    said = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, check=True)
-    assert len(kernels()) >= 10
-    assert kernels() - {tuple(each) for each in json.loads(said.stdout)} == set()
-
-
-def signatures():
-    return {
-        (name, attribute): len(value.signatures)
-        for name, module in list(sys.modules.items())
-        if name.startswith("netsim.") and not name.startswith("netsim.lab")
-        for attribute, value in vars(module).items()
-        if isinstance(value, Dispatcher)
-    }
+    needed = kernels(Path(netsim.__file__).parent, without=LAB)
+    assert len(needed) >= 10
+    assert needed - called_by_rehearsal("netsim") == set()
 
 
 def test_after_it_nothing_is_left_to_be_compiled():
     """Other channels, and as many stations as compute links one by one, ask for no other types."""
     rehearse()
-    compiled = signatures()
+    compiled = signatures("netsim", without=LAB)
     assert any(compiled.values())
     everything = {
         "antenna": "dipole", "path_loss": "two_ray", "shadowing_std_db": 4.0, "nlos_fraction": 0.2,
@@ -77,4 +41,4 @@ def test_after_it_nothing_is_left_to_be_compiled():
                 swarm.unicast(k, (k + 1) % count, 1_500)
                 swarm.request(k, (k + 1) % count, 2_000)
             swarm.run(20_000)
-    assert signatures() == compiled
+    assert signatures("netsim", without=LAB) == compiled
