@@ -1,20 +1,16 @@
 """File transfer: folders, reads, bursts, sessions; over links that lose, with stations' retries. In 7 s."""
 
-import json
-import lzma
 import struct
 import zlib
 
 import pytest
+from ftp_client import MS, Downloader, Reply, request
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lossy import play
 from pymavlink.dialects.v20 import common
 
-from autopilot.crc import crc32
 from autopilot.mavlink.codec import Encoder, Parser
-from autopilot.params import ROWS, ParameterSet, Settings
-from autopilot.protocol import metadata
 from autopilot.protocol.files import Contents, FileStore, Log
 from autopilot.protocol.ftp import (
     BURST_PACKETS,
@@ -30,8 +26,6 @@ from autopilot.protocol.service import NEVER_US, Partner
 
 ASKER, OTHER = Partner(0, 3), Partner(1, 0)
 CONTENT = bytes(range(256)) * 80  # 20 kB: more than a burst, and no whole number of packets
-HEADER = struct.Struct("<HBBBBBxI")
-MS = 1_000
 
 
 def make_files():
@@ -41,23 +35,6 @@ def make_files():
     files.add("/etc/extras/query", lambda query: Contents(query.encode()))
     files.add_log(Log("/fs/microsd/log/uav-0.ulg", Contents(b"ULog"), 0))
     return files
-
-
-def request(opcode, *, seq=1, session=0, size=None, offset=0, data=b""):
-    header = HEADER.pack(seq, session, opcode, len(data) if size is None else size, 0, 0, offset)
-    return common.MAVLink_file_transfer_protocol_message(0, 1, 1, (header + data).ljust(251, b"\0"))
-
-
-class Reply:
-    def __init__(self, message):
-        payload = bytes(message.payload)
-        self.seq, self.session, self.opcode, size, self.asked, self.complete, self.offset = (
-            HEADER.unpack_from(payload)
-        )
-        self.data = payload[HEADER.size : HEADER.size + size]
-        assert payload[HEADER.size + size :].strip(b"\0") == b""
-        self.to = message.target_system, message.target_component
-        self.failure = Failure(self.data[0]) if self.opcode == Opcode.NAK else None
 
 
 class Served:
@@ -284,78 +261,6 @@ def test_whatever_comes_has_one_answer_at_most_and_leaves_few_sessions(payloads)
 # ---- over a link
 
 
-class Downloader:
-    """Reads a file as QGroundControl and MAVProxy do: in bursts, then the gaps one by one."""
-
-    def __init__(self, path, *, session, retry_us=500 * MS):
-        self.path, self.session, self.retry_us = path, session, retry_us
-        self.size = None
-        self.parts = {}
-        self.done = False
-        self.bursting = True
-        self.at = 0
-        self.seq = 0
-        self.last = None
-        self.due_us = 0
-
-    @property
-    def content(self):
-        return b"".join(self.parts[offset] for offset in sorted(self.parts))
-
-    def send(self, now_us, opcode, **named):
-        self.last = opcode, named
-        self.seq = (self.seq + 1) % 65_536
-        self.due_us = now_us + self.retry_us
-        return [request(opcode, seq=self.seq, session=self.session, **named)]
-
-    def on_timer(self, now_us):
-        if self.last is None:
-            return self.send(now_us, Opcode.OPEN_READ, data=self.path)
-        opcode, named = self.last
-        if opcode == Opcode.BURST:
-            return self.next_burst(now_us)
-        if opcode == Opcode.READ:
-            return self.next_gap(now_us)
-        self.due_us = now_us + self.retry_us  # the same request again
-        return [request(opcode, seq=self.seq, session=self.session, **named)]
-
-    def next_deadline_us(self):
-        return NEVER_US if self.done else self.due_us
-
-    def next_burst(self, now_us):
-        if self.at >= self.size:
-            return self.next_gap(now_us)
-        return self.send(now_us, Opcode.BURST, size=DATA_BYTES, offset=self.at)
-
-    def next_gap(self, now_us):
-        at = 0
-        for offset in sorted(self.parts):
-            if offset > at:
-                break
-            at = offset + len(self.parts[offset])
-        if at >= self.size:
-            return self.send(now_us, Opcode.TERMINATE)
-        return self.send(now_us, Opcode.READ, size=DATA_BYTES, offset=at)
-
-    def on_message(self, message, now_us):
-        answer = Reply(message)
-        if answer.session != self.session or answer.asked != self.last[0] or self.done:
-            return ()
-        if answer.asked == Opcode.OPEN_READ:
-            (self.size,) = struct.unpack("<I", answer.data)
-            return self.next_burst(now_us)
-        if answer.asked == Opcode.TERMINATE:
-            self.done = answer.seq == (self.seq + 1) % 65_536
-            return ()
-        if answer.opcode == Opcode.ACK:
-            self.parts[answer.offset] = answer.data
-            self.at = max(self.at, answer.offset + len(answer.data))
-            self.due_us = now_us + self.retry_us
-        if answer.asked == Opcode.READ or answer.opcode == Opcode.NAK:
-            return self.next_gap(now_us)
-        return self.next_burst(now_us) if answer.complete else ()
-
-
 def test_files_arrive_whole_over_a_lossy_link():
     lost = 0
     for seed in range(200):
@@ -373,82 +278,6 @@ def test_files_arrive_whole_over_a_lossy_link():
             assert station.content == CONTENT, seed
         lost += outcome.lost
     assert lost > 200
-
-
-# ---- what the files hold
-
-
-def vehicle_files():
-    files, parameters = FileStore(), ParameterSet(Settings())
-    metadata.add_files(files, parameters)
-    return files, parameters
-
-
-def read_whole(files, path):
-    station = Downloader(path.encode(), session=3)
-    play(FtpService(files), station, packed=True)
-    assert station.done
-    return station.content
-
-
-def test_the_metadata_lead_from_the_message_to_every_parameter():
-    files, parameters = vehicle_files()
-    message = metadata.message_builder(lambda: 1_234_567)()
-    (received,) = Parser().push(Encoder(system=1, component=1).encode(message))
-    assert received.time_boot_ms == 1_234
-    general_text = lzma.decompress(read_whole(files, received.uri.removeprefix("mftp://")))
-    assert crc32(general_text) == received.file_crc
-    general = json.loads(general_text)
-    assert general["version"] == 1
-    (entry,) = general["metadataTypes"]
-    text = lzma.decompress(read_whole(files, entry["uri"].removeprefix("mftp://")))
-    assert (entry["type"], entry["fileCrc"]) == (1, crc32(text))
-    described = json.loads(text)
-    assert described["version"] == 1
-    assert [row["name"] for row in described["parameters"]] == [row.name for row in ROWS]
-    for row, about in zip(ROWS, described["parameters"], strict=True):
-        assert about["type"] == ("Int32" if row.is_integer else "Float")
-        assert about["min"] <= about["default"] <= about["max"]
-        assert about["default"] == pytest.approx(parameters.get(row.name), rel=1e-6)
-        assert about["shortDesc"]
-        assert about["group"]
-
-
-def unpacked(data):
-    """Decode the packed parameters: (name, value, default or None) of each, by the format's description."""
-    magic, count, total = struct.unpack_from("<HHH", data)
-    assert magic in {0x671B, 0x671C}
-    values, at, name = [], 6, ""
-    while at < len(data):
-        kind, lengths = data[at], data[at + 1]
-        suffix = (lengths >> 4) + 1
-        name = name[: lengths & 15] + data[at + 2 : at + 2 + suffix].decode()
-        at += 2 + suffix
-        code = {3: "<i", 4: "<f"}[kind & 15]
-        numbers = [struct.unpack_from(code, data, at)[0]]
-        at += 4
-        if kind >> 4:
-            assert magic == 0x671C
-            numbers.append(struct.unpack_from(code, data, at)[0])
-            at += 4
-        values.append((name, *numbers))
-    assert len(values) == count
-    return total, values
-
-
-def test_the_packed_parameters_are_all_as_they_are_when_opened():
-    files, parameters = vehicle_files()
-    parameters.set("MPC_XY_P", 1.25)
-    total, values = unpacked(read_whole(files, "@PARAM/param.pck?withdefaults=1"))
-    assert total == len(ROWS)
-    assert [value[0] for value in values] == [row.name for row in ROWS]
-    for name, value, *_ in values:
-        assert value == pytest.approx(parameters.get(name), rel=1e-6)
-    assert [value for value in values if len(value) > 2] == [("MPC_XY_P", 1.25, pytest.approx(0.95))]
-    _, part = unpacked(read_whole(files, "@PARAM/param.pck?start=10&count=5"))
-    assert [value[0] for value in part] == [row.name for row in ROWS[10:15]]
-    for query in ("start=99999999", "count=-1", "start=x&=&", "%", "withdefaults"):
-        unpacked(files.open(f"@PARAM/param.pck?{query}").data)
 
 
 def test_a_burst_waits_for_its_link_and_its_session_with_it():

@@ -1,4 +1,4 @@
-"""The parameter services: over links that lose, with stations' retries, and what they refuse. About 15 s."""
+"""The parameter services message by message, and what they refuse."""
 
 import math
 import struct
@@ -6,177 +6,19 @@ import struct
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lossy import STEP_US, play
+from lossy import STEP_US
+from parameter_dialogue import INT32, REAL32, UINT32, bits, expected, over_the_wire, set_message
 from pymavlink.dialects.v20 import common
 
-from autopilot.mavlink.codec import Encoder, Parser, stamp
-from autopilot.params import ROW_INDEX_OF, ROWS, ParameterSet, Settings
-from autopilot.protocol.parameter import ParameterService, value_bytes
+from autopilot.mavlink.codec import Encoder, stamp
+from autopilot.params import ROWS, ParameterSet, Settings
+from autopilot.protocol.parameter import ParameterService
 from autopilot.protocol.parameter_ext import ParameterExtService
 from autopilot.protocol.parameter_lists import LIST_BATCH, LIST_PERIOD_US
 from autopilot.protocol.service import ALL, NEVER_US, Partner
 
 ASKER, OTHER = Partner(0, 3), Partner(1, 0)
-SEEDS = 200
-LINK = {"loss": 0.05, "duplication": 0.05, "delays_us": (0, 100_000)}
-UINT32, INT32, REAL32 = 5, 6, 9
 MS = 1_000
-
-
-def bits(message):
-    """Value of a PARAM_VALUE as the four bytes on the wire."""
-    if message.param_type == UINT32:
-        return struct.pack("<I", message.param_value)
-    return struct.pack("<f", message.param_value)
-
-
-class Reader:
-    """Reads all parameters as a station does: a list, then by index what is missing once it has ended."""
-
-    def __init__(self, *, batch, silence_us):
-        self.values = {}
-        self.count = 0
-        self.done = False
-        self.requests = 0
-        self._batch, self._silence_us = batch, silence_us
-        self._due_us = 0
-        self._waiting_for = None
-
-    def on_message(self, message, now_us):
-        if message.get_msgId() != common.MAVLINK_MSG_ID_PARAM_VALUE or message.param_index == 65_535:
-            return ()
-        self.count = message.param_count
-        self.values[message.param_index] = message.param_id, bits(message)
-        self.done = len(self.values) == self.count
-        self._due_us = NEVER_US if self.done else now_us + self._silence_us
-        if not self.done and message.param_index == self._waiting_for:
-            return self._ask_for_missing()
-        return ()
-
-    def on_timer(self, now_us):
-        self._due_us = now_us + self._silence_us
-        if not self.count:
-            self.requests += 1
-            return [common.MAVLink_param_request_list_message(1, 1)]
-        return self._ask_for_missing()
-
-    def next_deadline_us(self):
-        return self._due_us
-
-    def _ask_for_missing(self):
-        missing = [index for index in range(self.count) if index not in self.values][: self._batch]
-        self._waiting_for = missing[-1]
-        self.requests += len(missing)
-        return [common.MAVLink_param_request_read_message(1, 1, b"", index) for index in missing]
-
-
-def mavsdk():
-    """Ten at a time, half a second after the last value or when the tenth has come."""
-    return Reader(batch=10, silence_us=500 * MS)
-
-
-def qgroundcontrol():
-    """Ten at a time, three seconds after the last value."""
-    return Reader(batch=10, silence_us=3_000 * MS)
-
-
-def mavproxy():
-    """One at a time, a second after the last value."""
-    return Reader(batch=1, silence_us=1_000 * MS)
-
-
-def expected(parameters):
-    return {
-        index: (row.name, value_bytes(row.is_integer, parameters.get(row.name)))
-        for index, row in enumerate(ROWS)
-    }
-
-
-STATIONS = [mavsdk, qgroundcontrol, mavproxy]
-
-
-@pytest.mark.parametrize("make", STATIONS)
-def test_all_parameters_arrive_and_are_equal_over_a_lossy_link(make):
-    parameters = ParameterSet(
-        Settings(), {"MPC_XY_P": 1.0 / 3.0, "SENS_BOARD_Z_OFF": -0.1, "COM_FLTMODE1": 8}
-    )
-    wanted = expected(parameters)
-    lost = 0
-    for seed in range(SEEDS):
-        station = make()
-        service = ParameterService(parameters, parameters.set)
-        outcome = play(service, station, seed=seed, **LINK)
-        assert station.done, seed
-        assert station.values == wanted, seed
-        lost += outcome.lost
-    assert lost > SEEDS  # the link was one
-
-
-def test_three_stations_are_served_side_by_side():
-    parameters = ParameterSet(Settings())
-    stations = [make() for make in STATIONS]
-    play(ParameterService(parameters, parameters.set), *stations, seed=1, packed=True, **LINK)
-    for station in stations:
-        assert {index: name for index, (name, _) in station.values.items()} == {
-            index: row.name for index, row in enumerate(ROWS)
-        }
-
-
-class Writer:
-    """Sets parameters one after the other as MAVSDK does: again after half a second, until the echo comes."""
-
-    def __init__(self, values):
-        self._left = list(values.items())
-        self._due_us = 0
-
-    @property
-    def done(self):
-        return not self._left
-
-    def on_message(self, message, now_us):
-        name, value = self._left[0] if self._left else ("", 0.0)
-        row = ROWS[ROW_INDEX_OF[name]] if name else None
-        if row and message.get_type() == "PARAM_VALUE" and message.param_id == name:
-            if bits(message) == value_bytes(row.is_integer, value):
-                self._left.pop(0)
-            return self.on_timer(now_us) if self._left else ()
-        return ()
-
-    def on_timer(self, now_us):
-        self._due_us = now_us + 500 * MS
-        name, value = self._left[0]
-        return [set_message(name, value)]
-
-    def next_deadline_us(self):
-        return self._due_us if self._left else NEVER_US
-
-
-def test_values_that_are_written_over_a_lossy_link_hold():
-    values = {row.name: row.minimum for row in ROWS if row.name.startswith(("MC_ROLL", "RC_MAP", "COM_FLT"))}
-    values = {name: round(value * 64) / 64 for name, value in values.items()}  # what a float32 holds
-    for seed in range(SEEDS):
-        parameters = ParameterSet(Settings())
-        station = Writer(values)
-        play(ParameterService(parameters, parameters.set), station, seed=seed, **LINK)
-        assert station.done
-        assert {name: parameters.get(name) for name in values} == pytest.approx(values)
-
-
-# ---- single messages
-
-
-def over_the_wire(message, system=255):
-    (decoded,) = Parser().push(Encoder(system=system, component=190).encode(message))
-    return decoded
-
-
-def set_message(name, value, kind=None):
-    row = ROWS[ROW_INDEX_OF[name]] if name in ROW_INDEX_OF else None
-    if kind is None:
-        kind = INT32 if row is not None and row.is_integer else REAL32
-    if kind == INT32:
-        (value,) = struct.unpack("<f", struct.pack("<i", round(value)))
-    return common.MAVLink_param_set_message(1, 1, name.encode(), value, kind)
 
 
 class Served:
