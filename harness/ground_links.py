@@ -1,7 +1,7 @@
 """A swarm's links to ground stations, for whoever looks for them or is one."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from ipaddress import IPv4Address
 from pathlib import Path
 from typing import Any
@@ -9,9 +9,18 @@ from typing import Any
 from autopilot.config import LinksConfig, VehiclePorts
 from autopilot.mavlink import dialect  # noqa: F401  # a connection knows all that a vehicle says
 from autopilot.mavlink.signing import key_of
+from harness.scenario import Scenario
 
 
-def link_line(instance: int, local: Mapping[str, Any], ports: VehiclePorts) -> str:
+def link_lines(scenario: Scenario, local: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    """Where each vehicle of a swarm speaks MAVLink, a line each; ``local`` are the details of its `Ready`."""
+    vehicles = [
+        scenario.vehicle(i, run_id="", radio_endpoint=None, log_path=None) for i in range(scenario.agents)
+    ]
+    return tuple(_link_line(i, local[i], vehicle.ports) for i, vehicle in enumerate(vehicles))
+
+
+def _link_line(instance: int, local: Mapping[str, Any], ports: VehiclePorts) -> str:
     """Where a vehicle speaks MAVLink: its own ports as its process said them, and whom it calls."""
     calls = {
         "ground station": ("gcs_local_udp", ports.gcs_remote_udp),

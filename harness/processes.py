@@ -9,7 +9,7 @@ import socket
 import sys
 import time
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from msgspec import Struct
 
 from harness import kernel_cache, px4_seat
 from harness.interrupts import interrupts_deferred
-from harness.messages import AnyCommand, AnyEvent, Formed, Paused, Progress, SetPid
+from harness.messages import AnyCommand, AnyEvent, Formed, Paused, Progress, SetPid, VehicleLost
 from harness.px4_seat import Px4Error
 from harness.resources import HAS_NAMED_SOCKETS, ResourceError, allow_descriptors, bind, bind_local
 from harness.run_folder import RunFolder
@@ -137,10 +137,19 @@ class Processes:
         """Process ids by name."""
         return self._supervisor.pids
 
-    @property
-    def nondeterminism(self) -> list[str]:
-        """What makes this run depend on more than scenario and seed by what it is made of."""
-        return [f"{uav(i)} is flown by a PX4, and its application keeps its time" for i in self._px4]
+    def nondeterminism(self, killed: Container[int] = ()) -> list[str]:
+        """What made this run depend on more than scenario and seed, a line each; ``killed`` were by plan."""
+        lost = [
+            f"{uav(event.instance)} was lost for no simulated reason: {event.reason}"
+            for event in self.happenings
+            if isinstance(event, VehicleLost) and event.instance not in killed
+        ]
+        spoken_to = [f"{event.name} was spoken to by {event.by}" for event in self.influences]
+        return [
+            *lost,
+            *spoken_to,
+            *(f"{uav(i)} is flown by a PX4, and its application keeps its time" for i in self._px4),
+        ]
 
     @property
     def running(self) -> bool:

@@ -109,6 +109,20 @@ class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         """Ports and bases by their fields' names, without what else is in the table."""
         return {name: value for name, value in msgspec.structs.asdict(self).items() if isinstance(value, int)}
 
+    def free(self) -> "PortsConfig":
+        """The same with any free ones, and nobody called: 0."""
+        return msgspec.structs.replace(self, **dict.fromkeys(self.numbers(), 0))
+
+    def raised(self, offset: int, agents: int) -> "PortsConfig":
+        """The same, each raised by so much; what is 0 stays 0. Raises ValueError for a port that is none."""
+        changed = {name: base + offset if base else 0 for name, base in self.numbers().items()}
+        for name, port in changed.items():
+            if not 0 <= port + agents - 1 <= 65_535:
+                raise ValueError(
+                    f"ports.{name} {getattr(self, name)} with an offset of {offset} is out of range"
+                )
+        return msgspec.structs.replace(self, **changed)
+
     def check(self, agents: int) -> None:
         """Raise ValueError with the field's path for ports that are none, or that two cannot have at once."""
         for field in ("simulator_tcp", "gcs_local_udp", "companion_local_udp", "companion_remote_udp"):

@@ -349,14 +349,8 @@ class Swarm:
     @property
     def addresses(self) -> tuple[str, ...]:
         """A line for each vehicle: where it speaks MAVLink, once the swarm is started."""
-        return tuple(
-            ground_links.link_line(
-                i,
-                self._processes.ready[uav(i)].details,
-                self.scenario.vehicle(i, run_id="", radio_endpoint=None, log_path=None).ports,
-            )
-            for i in range(self.scenario.agents)
-        )
+        said = [self._processes.ready[uav(i)].details for i in range(self.scenario.agents)]
+        return ground_links.link_lines(self.scenario, said)
 
     @property
     def events(self) -> tuple[Happening, ...]:
@@ -403,17 +397,11 @@ class Swarm:
         else:
             status = "completed" if self._not_formed is None else "not_formed"
         ground_messages = sum(said.get("ground_messages", 0) for said in processes.finished.values())
-        nondeterminism = [
-            f"uav {event.instance} was lost for no simulated reason: {event.reason}"
-            for event in processes.happenings
-            if isinstance(event, VehicleLost) and event.instance not in self._killed
-        ]
+        nondeterminism = processes.nondeterminism(self._killed)
         if interrupted:
             nondeterminism.append("its user broke it off")
         elif self._broken_off is not None:
             nondeterminism.append(self._broken_off)
-        nondeterminism += [f"{event.name} was spoken to by {event.by}" for event in processes.influences]
-        nondeterminism += processes.nondeterminism
         outcome = report.Outcome(
             status=status,
             reason=processes.failure or self._not_formed,
@@ -450,10 +438,10 @@ def _factor(speed: Speed) -> float:
 
 
 def _with_ports(scenario: Scenario, ports: Ports, offset: int) -> Scenario:
-    """Put the scenario on free ports (0), or on its own plus the offset; 0 stays 0."""
-    bases = scenario.ports.numbers()
-    changed = {name: base + offset if base and ports == "scenario" else 0 for name, base in bases.items()}
-    for name, port in changed.items():
-        if not 0 <= port + scenario.agents - 1 <= 65_535:
-            raise SetupError(f"ports.{name} {bases[name]} with an offset of {offset} is out of range")
-    return msgspec.structs.replace(scenario, ports=msgspec.structs.replace(scenario.ports, **changed))
+    """Put the scenario on free ports, or on its own raised by the offset. Raises SetupError."""
+    try:
+        own = scenario.ports
+        changed = own.raised(offset, scenario.agents) if ports == "scenario" else own.free()
+    except ValueError as error:
+        raise SetupError(str(error)) from None
+    return msgspec.structs.replace(scenario, ports=changed)

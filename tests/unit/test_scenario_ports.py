@@ -1,0 +1,20 @@
+"""A scenario's ports: raised for a second swarm on the machine, or any free ones."""
+
+import pytest
+
+from harness.scenario import PortsConfig
+
+
+def test_ports_are_raised_together_and_those_that_are_not_given_stay_so():
+    ports = PortsConfig(gcs_remote_udp=0)
+    raised = ports.raised(100, agents=3)
+    assert raised.numbers() == {name: base + 100 if base else 0 for name, base in ports.numbers().items()}
+    assert raised.simulator_link == ports.simulator_link
+    assert set(ports.free().numbers().values()) == {0}
+    assert ports.free().host == ports.host
+    # the last of three vehicles is two above the base
+    assert ports.raised(65_533 - 18_570, agents=3).gcs_local_udp == 65_533
+    with pytest.raises(ValueError, match=r"^ports\.gcs_local_udp 18570 with an offset of 46964 is out of"):
+        ports.raised(65_534 - 18_570, agents=3)
+    with pytest.raises(ValueError, match="out of range"):
+        ports.raised(-5_000, agents=3)
