@@ -77,9 +77,10 @@ def _trajectory(message: Message, pos: _Group, state: EstimatorState) -> Traject
     acc = _group(mask >> 6, (message.afx, message.afy, message.afz))
     yaw_rad = None if mask & _YAW_IGNORED else message.yaw
     yaw_rate_rad_s = 0.0 if mask & _YAW_RATE_IGNORED else message.yaw_rate
-    vectors = [vector.tolist() for vector, _ in (pos, vel, acc) if vector is not None]
-    turn = (0.0 if yaw_rad is None else yaw_rad, yaw_rate_rad_s)
-    if not vectors or not all(map(_is_sane, (*vectors, turn))) or (mask & _FORCE and acc[0] is not None):
+    numbers = [number for vector, _ in (pos, vel, acc) if vector is not None for number in vector.tolist()]
+    if not numbers or (mask & _FORCE and acc[0] is not None):
+        return None
+    if not _are_sane((*numbers, 0.0 if yaw_rad is None else yaw_rad, yaw_rate_rad_s)):
         return None
     if message.get_msgId() == _LOCAL and message.coordinate_frame in _BY_HEADING:
         if not (_turns(vel) and _turns(acc)):
@@ -163,8 +164,11 @@ def _group(ignore_bits: int, values: tuple[float, float, float]) -> _Group:
     return np.array([value if used else 0.0 for value, used in zip(values, axes, strict=True)]), axes
 
 
-def _is_sane(numbers: Sequence[float]) -> bool:
-    return all(-_GREATEST <= number <= _GREATEST for number in numbers)  # NaN is not
+def _are_sane(numbers: Sequence[float]) -> bool:
+    for number in numbers:  # noqa: SIM110 - a generator takes as long as all the rest
+        if not -_GREATEST <= number <= _GREATEST:  # NaN is not
+            return False
+    return True
 
 
 def _turns(group: _Group) -> bool:
@@ -215,6 +219,6 @@ def _attitude(message: Message) -> AttitudeSetpoint | RateSetpoint | None:
             return None
         return AttitudeSetpoint(q_ned_frd=q_ned_frd / norm, yaw_rate_rad_s=yaw_rate_rad_s, thrust=thrust)
     rate_frd_rad_s = np.array((message.body_roll_rate, message.body_pitch_rate, yaw_rate_rad_s))
-    if mask & _ROLL_PITCH_RATE_IGNORED or not _is_sane(rate_frd_rad_s.tolist()):
+    if mask & _ROLL_PITCH_RATE_IGNORED or not _are_sane(rate_frd_rad_s.tolist()):
         return None
     return RateSetpoint(rate_frd_rad_s=rate_frd_rad_s, thrust=thrust)
