@@ -78,7 +78,7 @@ class SensorInput:
         # aiding first: the inertial sample ends the estimator's step
         if fields & MAG_FIELDS == MAG_FIELDS:
             self._seen_us[_MAG] = now_us
-            self._estimator.on_mag(now_us, np.array((message.xmag, message.ymag, message.zmag)))
+            self._estimator.on_mag(now_us, (message.xmag, message.ymag, message.zmag))
         if fields & BARO_FIELDS == BARO_FIELDS:
             self.baro = message
             self._seen_us[_BARO] = now_us

@@ -8,6 +8,7 @@ arithmetic is in ``kernels``, the delay in ``horizon``, the first second in ``al
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -101,14 +102,15 @@ class Estimator:
             self._baros.append((time_us, altitude_m))
             self._due_us = 0
 
-    def on_mag(self, time_us: int, field_frd_gauss: Array) -> None:
+    def on_mag(self, time_us: int, field_frd_gauss: Sequence[float]) -> None:
         """Take a magnetic field, (3,) FRD."""
-        if not math.isfinite(sum(field_frd_gauss.tolist())):
+        if not math.isfinite(sum(field_frd_gauss)):
             return
+        field = np.array(field_frd_gauss, float)
         if self._filter is None:
-            self._alignment.add_mag(field_frd_gauss)
+            self._alignment.add_mag(field)
         else:
-            self._mags.append((time_us, field_frd_gauss.copy()))
+            self._mags.append((time_us, field))
             self._due_us = 0
 
     # -- commands

@@ -165,15 +165,18 @@ class Fusion:
         if self.barometer.note(altitude_m, vel_down_m_s, time_us):
             self.height.refuse(math.inf, time_us)
             return False
-        down_m = np.array([self._ground_altitude_m - altitude_m])
-        ratio = self._take_in(self.height, kernels.POS + 2, down_m, self._baro_var, self._params.baro_gate)
+        down_m = self._ground_altitude_m - altitude_m
+        ratio = self._take_in(
+            self.height, kernels.POS + 2, np.array((down_m,)), self._baro_var, self._params.baro_gate
+        )
         return self._judge_height(time_us, down_m, ratio)
 
-    def _judge_height(self, time_us: int, down_m: Array, ratio: float) -> bool:
+    def _judge_height(self, time_us: int, down_m: float, ratio: float) -> bool:
         """Note what became of a pressure, and reset to it where they were refused for long."""
         taken = self.height.record(ratio, time_us)
         if not taken and self.height.absent(time_us, HEIGHT_RESET_US):
-            self._reset(self.height, kernels.POS + 2, down_m, self._baro_var, Jump.HEIGHT, time_us)
+            at_m = np.array((down_m,))
+            self._reset(self.height, kernels.POS + 2, at_m, self._baro_var, Jump.HEIGHT, time_us)
             return True
         return taken
 
@@ -203,7 +206,7 @@ class Fusion:
         self._judge_heading(time_us, done.heading_innovation_rad, done.heading_var_rad2, done.heading_ratio)
         self.height.innovation[0] = done.height_innovation_m
         self.height.innovation_var[0] = done.height_var_m2
-        self._judge_height(time_us, np.array((down_m,)), done.height_ratio)
+        self._judge_height(time_us, down_m, done.height_ratio)
         return done
 
     def fuse_fix(self, fix: GpsFix) -> bool:
