@@ -6,6 +6,7 @@ from onboard_world import MODE_LAND, MODE_LOITER, MODE_OFFBOARD, SITE, STEP_US, 
 from pymavlink.dialects.v20 import common
 
 from autopilot.config import Devices, OnboardConfig
+from autopilot.mavlink.within import PositionTarget
 from autopilot.onboard import OnboardApp, Phase, messages
 from autopilot.onboard import beacon as wire
 from autopilot.onboard.app import NOTHING, SETPOINT_PERIOD_US
@@ -152,7 +153,8 @@ def test_a_step_before_the_deadline_has_nothing_to_send():
                 app._due_us = 0
             out = on_timer(now_us)
             if out is not NOTHING:
-                outputs.append((now_us, [m.to_dict() for m in out.mavlink], out.radio))
+                asked = [m if isinstance(m, PositionTarget) else m.to_dict() for m in out.mavlink]
+                outputs.append((now_us, asked, out.radio))
             return out
 
         app.on_timer = spy
