@@ -11,6 +11,7 @@ from collections.abc import Collection
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common as mavlink
 
@@ -144,24 +145,51 @@ class SensorEncoder:
 
 def _sensors(time_us: int, frame: SensorFrame, delivered: Collection[int]) -> NDArray[np.void]:
     """HIL_SENSOR of each vehicle."""
-    rows = np.zeros(len(frame.accel_frd_m_s2), HIL_SENSOR.dtype)
-    rows["time_usec"] = time_us
-    rows["acc"] = frame.accel_frd_m_s2
-    rows["gyro"] = frame.gyro_frd_rad_s
-    fields = _IMU
-    if frame.mag_frd_gauss is not None:
+    vehicles = len(frame.accel_frd_m_s2)
+    rows = np.zeros(vehicles, HIL_SENSOR.dtype)
+    fields, mag_frd_gauss = _IMU, frame.mag_frd_gauss
+    if mag_frd_gauss is None:
+        mag_frd_gauss = np.zeros((vehicles, 3))
+    else:
         fields |= _MAG
-        rows["mag"] = frame.mag_frd_gauss
-    if frame.baro is not None:
+    if frame.baro is None:
+        pressure_hpa = temperature_degc = np.zeros(vehicles)
+    else:
         fields |= _BARO
-        pressures_hpa: list[float] = frame.baro.pressure_hpa.tolist()
-        rows["abs_pressure"] = pressures_hpa
-        rows["pressure_alt"] = [altitude_m(pressure_hpa * 100.0) for pressure_hpa in pressures_hpa]
-        rows["temperature"] = frame.baro.temperature_degc
-    rows["fields_updated"] = fields
+        pressure_hpa, temperature_degc = frame.baro
+    fill_sensors(
+        rows, time_us, fields, frame.accel_frd_m_s2, frame.gyro_frd_rad_s, mag_frd_gauss, pressure_hpa,
+        temperature_degc,
+    )  # fmt: skip
     for vehicle in delivered:
         rows["fields_updated"][vehicle] |= BATCH_DELIVERED
     return rows
+
+
+@njit(cache=True)
+def fill_sensors(
+    rows: NDArray[np.void],
+    time_us: int,
+    fields_updated: int,
+    accel_frd_m_s2: Array,
+    gyro_frd_rad_s: Array,
+    mag_frd_gauss: Array,
+    pressure_hpa: Array,
+    temperature_degc: Array,
+) -> None:
+    """Fill rows (n,) of HIL_SENSOR that are zero with what is new by ``fields_updated``."""
+    for i in range(len(rows)):
+        row = rows[i]
+        row["time_usec"] = time_us
+        row["fields_updated"] = fields_updated
+        for axis in range(3):
+            row["acc"][axis] = accel_frd_m_s2[i, axis]
+            row["gyro"][axis] = gyro_frd_rad_s[i, axis]
+            row["mag"][axis] = mag_frd_gauss[i, axis]
+        if fields_updated & _BARO:
+            row["abs_pressure"] = pressure_hpa[i]
+            row["pressure_alt"] = altitude_m(pressure_hpa[i] * 100.0)
+            row["temperature"] = temperature_degc[i]
 
 
 def _no_fix() -> NDArray[np.void]:

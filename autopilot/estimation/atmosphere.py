@@ -1,9 +1,12 @@
 """The standard atmosphere below 11 km (ISO 2533): barometers are simulated with it and read with it.
 
-All functions are pure and take floats or float64 arrays. Altitudes are geopotential, above mean sea level.
+All functions are pure and take floats or float64 arrays; compiled code may call them, with floats. Altitudes
+are geopotential, above mean sea level.
 """
 
 from typing import TypeVar
+
+from numba.extending import register_jitable
 
 from autopilot.types import Array
 
@@ -17,11 +20,13 @@ AIR_GAS_CONSTANT_J_KG_K = 287.05287
 _PRESSURE_EXPONENT = GRAVITY_M_S2 / (AIR_GAS_CONSTANT_J_KG_K * LAPSE_RATE_K_M)
 
 
+@register_jitable
 def temperature_k(altitude_m: FloatOrArray) -> FloatOrArray:
     """Give the air temperature."""
     return SEA_LEVEL_TEMPERATURE_K - LAPSE_RATE_K_M * altitude_m
 
 
+@register_jitable
 def pressure_pa(altitude_m: FloatOrArray) -> FloatOrArray:
     """Give the static pressure, p0 (T / T0)^(g / (R L))."""
     pressure: FloatOrArray = (
@@ -35,6 +40,7 @@ def density_kg_m3(altitude_m: FloatOrArray) -> FloatOrArray:
     return pressure_pa(altitude_m) / (AIR_GAS_CONSTANT_J_KG_K * temperature_k(altitude_m))
 
 
+@register_jitable
 def altitude_m(pressure_pa: FloatOrArray) -> FloatOrArray:
     """Give the pressure altitude, the inverse of ``pressure_pa``; pressures must be positive."""
     ratio = pressure_pa / SEA_LEVEL_PRESSURE_PA

@@ -2,6 +2,7 @@
 
 from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -43,8 +44,7 @@ class GpsFixes:
     """(n,) whose receivers have no fix: the rest says nothing of them; None where all have"""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BaroSamples:
+class BaroSamples(NamedTuple):
     """One sample of each of n barometers."""
 
     pressure_hpa: Array
@@ -141,6 +141,7 @@ class SensorSuite:
         delay_steps = round(self._gps_model.delay_s * 1e6 / step_us)
         self._recent: deque[Truth] = deque(maxlen=delay_steps + 1)
         self._last_baro: BaroSamples | None = None
+        self._no_offset_m = np.zeros(vehicles)
         self._no_faults = Faults((), vehicles, np.random.default_rng(0))
 
     def sample(self, time_us: int, truth: Truth, faults: Faults | None = None) -> SensorFrame:
@@ -192,19 +193,20 @@ class SensorSuite:
         return field_frd_gauss
 
     def _barometers(self, truth: Truth, faults: Faults) -> BaroSamples:
-        altitude_m = self._site.altitude_m - truth.pos_ned_m[:, 2]
-        felt_m = altitude_m if faults.baro_offset_m is None else altitude_m + faults.baro_offset_m
-        felt_m = np.clip(felt_m, LEAST_FELT_M, MOST_FELT_M)
-        pressure_pa = atmosphere.pressure_pa(felt_m) + self._baro_error_pa.next()
         samples = BaroSamples(
-            pressure_hpa=HPA_PER_PA * pressure_pa,
-            temperature_degc=atmosphere.temperature_k(altitude_m) - self._zero_degc_k,
+            *barometer_samples(
+                truth.rows,
+                self._site.altitude_m,
+                self._no_offset_m if faults.baro_offset_m is None else faults.baro_offset_m,
+                self._baro_error_pa.next(),
+                self._zero_degc_k,
+            )
         )
         if faults.baro_frozen is not None and self._last_baro is not None:
             frozen, last = faults.baro_frozen, self._last_baro
             samples = BaroSamples(
-                pressure_hpa=np.where(frozen, last.pressure_hpa, samples.pressure_hpa),
-                temperature_degc=np.where(frozen, last.temperature_degc, samples.temperature_degc),
+                np.where(frozen, last.pressure_hpa, samples.pressure_hpa),
+                np.where(frozen, last.temperature_degc, samples.temperature_degc),
             )
         self._last_baro = samples
         return samples
@@ -245,6 +247,23 @@ def inertial_samples(truth: NDArray[np.void], accel_error: Array, gyro_error: Ar
             accel_frd_m_s2[i, axis] = truth[i]["specific_force_frd_m_s2"][axis] + accel_error[i, axis]
             gyro_frd_rad_s[i, axis] = truth[i]["mean_omega_frd_rad_s"][axis] + gyro_error[i, axis]
     return accel_frd_m_s2, gyro_frd_rad_s
+
+
+@njit(cache=True)
+def barometer_samples(
+    truth: NDArray[np.void], ground_altitude_m: float, offset_m: Array, error_pa: Array, zero_degc_k: float
+) -> tuple[Array, Array]:
+    """Pressures (n,) in hPa and temperatures (n,) in degC at `TRUTH` (n,), above ground of that altitude.
+
+    The pressure is that of ``offset_m`` (n,) higher, with ``error_pa`` (n,).
+    """
+    pressure_hpa, temperature_degc = np.empty(len(truth)), np.empty(len(truth))
+    for i in range(len(truth)):
+        altitude_m = ground_altitude_m - truth[i]["pos_ned_m"][2]
+        felt_m = min(max(altitude_m + offset_m[i], LEAST_FELT_M), MOST_FELT_M)
+        pressure_hpa[i] = HPA_PER_PA * (atmosphere.pressure_pa(felt_m) + error_pa[i])
+        temperature_degc[i] = atmosphere.temperature_k(altitude_m) - zero_degc_k
+    return pressure_hpa, temperature_degc
 
 
 def _turned(vector_ned: Array, angle_rad: float) -> Array:
