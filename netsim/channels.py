@@ -6,13 +6,13 @@ from typing import Protocol
 from netsim.config import RadioConfig
 from netsim.ideal import IdealChannel
 from netsim.kernel import EventQueue
-from netsim.mac.access import DCF, EDCA, AccessParameters
-from netsim.mac.jobs import Sender
-from netsim.mac.station import Station, Upper
-from netsim.phy.medium import Medium, Transmission
-from netsim.phy.modes import phy_mode
+from netsim.mac.access import DCF, EDCA
+from netsim.mac.jobs import Sender, Upper
+from netsim.mac.radios import Radios
 from netsim.phy.propagation import Links
-from netsim.streams import Model, Streams, Uniforms
+from netsim.phy.signals import Transmission
+from netsim.streams import Streams
+from netsim.tables import Integers
 
 
 class Channel(Protocol):
@@ -27,51 +27,14 @@ class Channel(Protocol):
     def surveyed_ns(self, station: int, /) -> int:
         """Time since the start for which a station sensed the medium busy or was itself sending."""
 
+    def frames_sent(self) -> list[int]:
+        """Frames that have ended, in the order of `netsim.frames.FrameKind`."""
 
-class EmulatedChannel:
-    """Stations that contend for one medium."""
+    def broadcasts(self) -> Integers:
+        """Datagrams to all, (stations, 3): how many each has received, lost to collisions, and to noise."""
 
-    def __init__(
-        self,
-        *,
-        config: RadioConfig,
-        queue: EventQueue,
-        links: Links,
-        stations: int,
-        streams: Streams,
-        on_ended: Callable[[Transmission], None],
-    ) -> None:
-        self._config = config
-        self._queue = queue
-        self._streams = streams
-        self._access: dict[str, AccessParameters] = (
-            EDCA if config.access == "edca" else dict.fromkeys(EDCA, DCF)
-        )
-        self._medium = Medium(
-            config=config, queue=queue, links=links, stations=stations, streams=streams, on_ended=on_ended
-        )
-
-    def join(self, station: int, upper: Upper) -> Station:
-        """See `Channel`."""
-        config = self._config
-        return Station(
-            index=station,
-            queue=self._queue,
-            medium=self._medium,
-            access=self._access,
-            control_mode=phy_mode(config.control_mode, config.bandwidth_mhz),
-            queue_frames=config.queue_frames,
-            backoff=Uniforms(self._streams.generator(Model.BACKOFF, station)),
-            upper=upper,
-        )
-
-    def busy_ns(self) -> int:
-        """See `Channel`."""
-        return self._medium.busy_ns()
-
-    def surveyed_ns(self, station: int) -> int:
-        """See `Channel`."""
-        return self._medium.receivers[station].surveyed_ns(self._queue.now_ns)
+    def take_frames(self) -> Integers:
+        """Frames that ended since the last call, in order of their end: see `netsim.records.FrameBook`."""
 
 
 def channel_of(
@@ -81,11 +44,17 @@ def channel_of(
     links: Links,
     stations: int,
     streams: Streams,
-    on_ended: Callable[[Transmission], None],
+    on_ended: Callable[[Transmission], None] | None,
 ) -> Channel:
-    """Return the channel that the settings ask for."""
+    """Return the channel that the settings ask for; ``on_ended`` is told of every frame that has ended."""
     if config.channel == "ideal":
-        return IdealChannel(config=config, queue=queue, links=links, on_ended=on_ended)
-    return EmulatedChannel(
-        config=config, queue=queue, links=links, stations=stations, streams=streams, on_ended=on_ended
+        return IdealChannel(config=config, queue=queue, links=links, stations=stations, on_ended=on_ended)
+    return Radios(
+        config=config,
+        access=EDCA if config.access == "edca" else dict.fromkeys(EDCA, DCF),
+        queue=queue,
+        links=links,
+        stations=stations,
+        streams=streams,
+        on_ended=on_ended,
     )

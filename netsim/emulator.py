@@ -20,13 +20,14 @@ from netsim.ftm.session import FtmRadio, Ranging, lost
 from netsim.ftm.stamps import Clock
 from netsim.ideal import undisturbed
 from netsim.kernel import EventQueue
-from netsim.mac.jobs import Job, Outcome, Sender
+from netsim.mac.jobs import Job, Outcome, Reception, Sender
 from netsim.mac.rates import datagram_modes
-from netsim.phy.medium import Transmission
 from netsim.phy.propagation import Links, Trajectories
-from netsim.records import Counters, FrameRecord, SessionRecord, Tally
+from netsim.phy.signals import Transmission
+from netsim.records import Counters, FrameRecord, SessionRecord, Tally, frame_records
 from netsim.settings import check
 from netsim.streams import Model, Streams, Uniforms
+from netsim.tables import Integers
 from netsim.wire.messages import (
     Broadcast,
     Delivery,
@@ -52,13 +53,12 @@ class _Host:
         self._index = index
         self._ftm = ftm
 
-    def on_frame(self, transmission: Transmission, power_mw: float, end_ns: int, *, duplicate: bool) -> None:
-        """See `netsim.mac.station.Upper`."""
-        payload = transmission.frame.body
-        if not isinstance(payload, bytes):
-            self._ftm.on_frame(transmission, power_mw, end_ns, duplicate=duplicate)
-        elif not duplicate:
-            self._emulator.deliver(self._index, transmission, payload, power_mw, end_ns)
+    def on_frame(self, reception: Reception) -> None:
+        """See `netsim.mac.jobs.Upper`."""
+        if not isinstance(reception.body, bytes):
+            self._ftm.on_frame(reception)
+        elif not reception.duplicate:
+            self._emulator.deliver(self._index, reception, reception.body)
 
 
 class Emulator:
@@ -84,8 +84,7 @@ class Emulator:
         self._config = config
         self._stations = stations
         self._streams = Streams(seed)
-        self._tally = Tally(stations)
-        self._on_transmission = on_transmission
+        self._tally = Tally()
         self.queue = EventQueue()
         self.trajectories = Trajectories(stations)
         self._links = Links(config, self.trajectories, stations, self._streams)
@@ -95,7 +94,7 @@ class Emulator:
             links=self._links,
             stations=stations,
             streams=self._streams,
-            on_ended=self._on_ended,
+            on_ended=on_transmission,
         )
         self._host_jitter = [Uniforms(self._streams.generator(Model.HOST, i)) for i in range(stations)]
         self._host_losses: list[Uniforms] = []
@@ -274,7 +273,7 @@ class Emulator:
 
     def _on_unicast_done(self, station: int, job: Job, outcome: Outcome) -> None:
         ack = job.ack
-        ended_ns = self.queue.now_ns if ack is None else ack.end_ns + ack.delay_ns(station)
+        ended_ns = self.queue.now_ns if ack is None else ack.end_ns
         self._report_sent(station, job.destination, job.seq, outcome.value, job.attempts, ended_ns)
 
     def _report_sent(
@@ -285,19 +284,15 @@ class Emulator:
             sent = Sent(destination=destination, seq=seq, ended_ns=ended_ns, status=status, attempts=attempts)
             self._received.append((ended_ns, destination, seq, station, sent))
 
-    def deliver(
-        self, station: int, transmission: Transmission, payload: bytes, power_mw: float, end_ns: int
-    ) -> None:
+    def deliver(self, station: int, reception: Reception, payload: bytes) -> None:
         """Put a datagram that has reached a station among its deliveries, unless its host loses it."""
         if self._host_loses(station):
             self._tally.lost_by_hosts += 1
             return
-        frame = transmission.frame
-        rssi_dbm = 10.0 * log10(power_mw)
-        item = Delivery(
-            source=frame.source, seq=frame.seq, received_ns=end_ns, rssi_dbm=rssi_dbm, payload=payload
-        )
-        self._received.append((end_ns, frame.source, frame.seq, station, item))
+        source, seq, end_ns = reception.source, reception.seq, reception.end_ns
+        rssi_dbm = 10.0 * log10(reception.power_mw)
+        item = Delivery(source=source, seq=seq, received_ns=end_ns, rssi_dbm=rssi_dbm, payload=payload)
+        self._received.append((end_ns, source, seq, station, item))
 
     def _host_loses(self, station: int) -> bool:
         return bool(self._host_losses) and self._host_losses[station].draw() < self._config.drop_fraction
@@ -360,11 +355,15 @@ class Emulator:
     @property
     def counters(self) -> Counters:
         """Counts since the start."""
-        return self._tally.counters
+        return self._tally.counters(self._channel.frames_sent(), self._channel.broadcasts())
 
     def take_frames(self) -> list[FrameRecord]:
         """Transmissions that ended since the last call, in order of their end."""
-        return self._tally.take_frames()
+        return frame_records(self.take_frame_rows())
+
+    def take_frame_rows(self) -> Integers:
+        """Give the same in rows, for `netsim.records.frame_log_rows`."""
+        return self._channel.take_frames()
 
     def take_sessions(self) -> list[SessionRecord]:
         """Ranging sessions that ended since the last call, in order of their end."""
@@ -387,8 +386,3 @@ class Emulator:
     def blocked(self, a: int, b: int, at_ns: int) -> bool:
         """Whether something stands in the line of sight between two stations."""
         return self._links.blocked(a, b, at_ns)
-
-    def _on_ended(self, transmission: Transmission) -> None:
-        self._tally.count_frame(transmission)
-        if self._on_transmission is not None:
-            self._on_transmission(transmission)

@@ -15,8 +15,9 @@ from netsim.capture.writer import Capture
 from netsim.config import ServerConfig
 from netsim.emulator import Emulator
 from netsim.logs import FRAME_LOG, SESSION_LOG
-from netsim.phy.medium import Transmission
+from netsim.phy.signals import Transmission
 from netsim.record_log import RecordLog
+from netsim.records import frame_log_rows
 from netsim.wire.lockstep import LEAD_US, Advance, Advanced, unpack_rows
 from netsim.wire.messages import RxBatch, RxItem, Station, TxBatch
 
@@ -208,9 +209,9 @@ class HostedEmulator:
         }
 
     def _write_logs(self) -> None:
-        frames, sessions = self._emulator.take_frames(), self._emulator.take_sessions()
-        if self._frame_log is not None:
-            self._frame_log.append(frames)
+        frames, sessions = self._emulator.take_frame_rows(), self._emulator.take_sessions()
+        if self._frame_log is not None and len(frames):
+            self._frame_log.append_array(frame_log_rows(frames))
         if self._session_log is not None:
             self._session_log.append(sessions)
 

@@ -19,11 +19,13 @@ from netsim.config import RadioConfig
 from netsim.frames import ACK_BYTES, GROUP, Frame, FrameKind
 from netsim.kernel import EventQueue
 from netsim.mac.access import SIFS_NS
-from netsim.mac.jobs import Job, Outcome
-from netsim.mac.station import RESPONSE_TIMEOUT_NS, Upper, answer_ns
-from netsim.phy.medium import Transmission
-from netsim.phy.modes import response_mode
+from netsim.mac.jobs import Job, Outcome, Reception, Upper
+from netsim.mac.station import RESPONSE_TIMEOUT_NS
+from netsim.phy.modes import response_mode, response_ns
 from netsim.phy.propagation import Links
+from netsim.phy.signals import Transmission
+from netsim.records import FrameBook
+from netsim.tables import Integers
 
 
 def undisturbed(config: RadioConfig) -> RadioConfig:
@@ -42,10 +44,12 @@ class IdealChannel:
         config: RadioConfig,
         queue: EventQueue,
         links: Links,
-        on_ended: Callable[[Transmission], None],
+        stations: int,
+        on_ended: Callable[[Transmission], None] | None,
     ) -> None:
         self.queue = queue
-        self.on_ended = on_ended
+        self._on_ended = on_ended
+        self._book = FrameBook(stations)
         self._links = links
         self._least_mw = 10.0 ** (config.cca_preamble_dbm / 10.0)
         self._radios: list[IdealRadio] = []
@@ -55,6 +59,24 @@ class IdealChannel:
         radio = IdealRadio(station, self, upper)
         self._radios.append(radio)
         return radio
+
+    def note_end(self, transmission: Transmission) -> None:
+        """Put down a frame that has ended."""
+        self._book.add(transmission)
+        if self._on_ended is not None:
+            self._on_ended(transmission)
+
+    def frames_sent(self) -> list[int]:
+        """See `netsim.channels.Channel`."""
+        return self._book.sent
+
+    def broadcasts(self) -> Integers:
+        """See `netsim.channels.Channel`."""
+        return self._book.counts
+
+    def take_frames(self) -> Integers:
+        """See `netsim.channels.Channel`."""
+        return self._book.take()
 
     def busy_ns(self) -> int:
         """Nothing ever keeps anybody waiting."""
@@ -134,6 +156,14 @@ class IdealRadio:
             self._exchanges.append(exchange)
             self._attempt(exchange)
 
+    def cancel(self, job: Job, /) -> None:
+        """See `netsim.mac.jobs.Sender`."""
+        job.cancelled = True
+
+    def has_begun(self, job: Job, /) -> bool:
+        """See `netsim.mac.jobs.Sender`: what is handed over is sent."""
+        return job.attempts > 0
+
     def silence(self) -> None:
         """See `netsim.mac.jobs.Sender`: what is on the air is completed."""
         self.silent = True
@@ -147,26 +177,37 @@ class IdealRadio:
             destination=job.destination,
             mode=job.mode,
             frame_bytes=job.frame_bytes,
-            nav_ns=answer_ns(job),
+            nav_ns=0 if job.destination == GROUP else SIFS_NS + response_ns(job.mode, ACK_BYTES),
             seq=job.seq,
             sequence=job.sequence,
             body=job.body,
         )
         job.attempts += 1
-        job.transmission = self._channel.start(frame)
-        return job.transmission
+        job.sent_ns = self._queue.now_ns
+        return self._channel.start(frame)
 
     def _on_group_ended(self, ended: tuple[Job, Transmission]) -> None:
         job, transmission = ended
         for radio in self._channel.reach_all(transmission):
             radio.take(transmission, duplicate=False)
         job.done(job, Outcome.SENT)
-        self._channel.on_ended(transmission)
+        self._channel.note_end(transmission)
 
     def take(self, transmission: Transmission, *, duplicate: bool) -> None:
         """Receive a frame."""
+        self.upper.on_frame(self._reception(transmission, duplicate=duplicate))
+
+    def _reception(self, transmission: Transmission, *, duplicate: bool) -> Reception:
         end_ns = transmission.end_ns + transmission.delay_ns(self.index)
-        self.upper.on_frame(transmission, transmission.power_mw(self.index), end_ns, duplicate=duplicate)
+        return Reception(
+            source=transmission.source,
+            start_ns=transmission.start_ns,
+            end_ns=end_ns,
+            power_mw=transmission.power_mw(self.index),
+            seq=transmission.frame.seq,
+            body=transmission.frame.body,
+            duplicate=duplicate,
+        )
 
     # --- frames to one station
 
@@ -193,7 +234,7 @@ class IdealRadio:
             duplicate, exchange.arrived = exchange.arrived, True
             self._queue.at(self._queue.now_ns + SIFS_NS, self._on_answered, (exchange, sent))
             radio.take(sent, duplicate=duplicate)
-        self._channel.on_ended(sent)
+        self._channel.note_end(sent)
 
     def _on_answered(self, attempt: tuple[_Exchange, Transmission]) -> None:
         """Put the ACK on the air, unless who should send it has fallen silent."""
@@ -220,11 +261,11 @@ class IdealRadio:
             self._await_time_out(exchange, sent)
         elif not exchange.over:
             job = exchange.job
-            job.ack = ack
+            job.ack = self._reception(ack, duplicate=False)
             if job.rates is not None:
                 job.rates.report(job.destination, job.mode, acknowledged=True)
             self._finish(exchange, Outcome.ACKNOWLEDGED)
-        self._channel.on_ended(ack)
+        self._channel.note_end(ack)
 
     def _await_time_out(self, exchange: _Exchange, sent: Transmission) -> None:
         self._queue.at(

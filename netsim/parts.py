@@ -8,6 +8,8 @@ PARTS = {
     "netsim.ftm": "ranging",
     "netsim.emulator": "events",
     "netsim.kernel": "events",
+    "netsim.events": "events",
+    "netsim.tables": "events",
     "netsim.channels": "events",
     "netsim.ideal": "events",
     "netsim.wire": "batches",

@@ -3,11 +3,16 @@
 from collections import Counter
 from typing import NamedTuple
 
+import numpy as np
 from msgspec import Struct
+from numpy.typing import NDArray
 
 from netsim.frames import GROUP, FrameKind
 from netsim.ftm.session import Ranging
-from netsim.phy.medium import Transmission
+from netsim.logs import FRAME_LOG
+from netsim.mac.radios import KINDS, MODE_NAMES
+from netsim.phy.signals import Transmission
+from netsim.tables import COLLIDED, DELIVERED, LOST, RECORD_COLUMNS, Integers
 
 
 class FrameRecord(NamedTuple):
@@ -30,6 +35,9 @@ class FrameRecord(NamedTuple):
     collided: int
     """Intended receivers that would have got it had nothing else been on the air."""
     lost_to_noise: int
+
+
+_KIND, _MODE = FrameRecord._fields.index("kind"), FrameRecord._fields.index("mode")
 
 
 class SessionRecord(NamedTuple):
@@ -78,57 +86,73 @@ class Counters(Struct, frozen=True, kw_only=True):
     ftm: FtmCounters
 
 
-class Tally:
-    """Keeps count while the emulator runs, and the records until somebody takes them."""
+class FrameBook:
+    """Frames that have ended, one by one: rows and counts as `netsim.mac.radios.Radios` keeps them."""
 
     def __init__(self, stations: int) -> None:
+        self.sent = [0] * len(KINDS)
+        """By kind."""
+        self.counts = np.zeros((stations, 3), np.int64)
+        """Datagrams to all by receiver: delivered, collided, lost to noise."""
+        self._rows: list[tuple[int, ...]] = []
+
+    def add(self, transmission: Transmission) -> None:
+        """Put down a frame that has ended at all its receivers."""
+        frame = transmission.frame
+        kind = KINDS.index(frame.kind)
+        ends = {
+            DELIVERED: transmission.delivered,
+            COLLIDED: transmission.collided,
+            LOST: transmission.lost_to_noise,
+        }
+        self.sent[kind] += 1
+        if frame.kind is FrameKind.DATA and frame.destination == GROUP:
+            for end, receivers in ends.items():
+                self.counts[receivers, end - 1] += 1
+        mode = MODE_NAMES.index(frame.mode.name)
+        times_ns = transmission.start_ns, transmission.end_ns
+        what = frame.source, frame.destination, kind, mode, frame.bytes, frame.seq
+        self._rows.append((*times_ns, *what, *map(len, ends.values())))
+
+    def take(self) -> Integers:
+        """Rows since the last call: the fields of `FrameRecord`, kind and mode by their numbers."""
+        rows, self._rows = self._rows, []
+        return np.array(rows, np.int64).reshape(-1, RECORD_COLUMNS)
+
+
+_KIND_BYTES = np.array([kind.value for kind in KINDS], "S16")
+_MODE_BYTES = np.array(MODE_NAMES, "S16")
+
+
+def frame_log_rows(frames: Integers) -> NDArray[np.void]:
+    """Rows of the frame log, of frames as a channel gives them."""
+    rows = np.empty(len(frames), FRAME_LOG)
+    for column, field in enumerate(FrameRecord._fields):
+        rows[field] = frames[:, column]
+    rows["kind"], rows["mode"] = _KIND_BYTES[frames[:, _KIND]], _MODE_BYTES[frames[:, _MODE]]
+    return rows
+
+
+def frame_records(frames: Integers) -> list[FrameRecord]:
+    """Records of frames as a channel gives them."""
+    rows = frames.tolist()
+    for row in rows:
+        row[_KIND], row[_MODE] = KINDS[row[_KIND]], MODE_NAMES[row[_MODE]]
+    return [FrameRecord._make(row) for row in rows]
+
+
+class Tally:
+    """Keeps count of what is above the channel, and the sessions until somebody takes them."""
+
+    def __init__(self) -> None:
         self.ftm_requested = 0
         self.lost_by_hosts = 0
         self.drops: Counter[str] = Counter()
         self.unicasts: Counter[str] = Counter()
-        self._frames: list[FrameRecord] = []
         self._sessions: list[SessionRecord] = []
-        self._sent = dict.fromkeys(FrameKind, 0)
-        self._delivered = [0] * stations
-        self._collided = [0] * stations
-        self._lost = [0] * stations
         self._ftm_ended: Counter[str] = Counter()
         self._error_sum_m = 0.0
         self._error_square_sum_m2 = 0.0
-
-    def count_frame(self, transmission: Transmission) -> None:
-        """Remember a transmission that has ended at all its receivers."""
-        frame = transmission.frame
-        kind, destination = frame.kind, frame.destination
-        delivered, collided, lost = (
-            transmission.delivered,
-            transmission.collided,
-            transmission.lost_to_noise,
-        )
-        self._sent[kind] += 1
-        if kind is FrameKind.DATA and destination == GROUP:
-            for counts, receivers in (
-                (self._delivered, delivered),
-                (self._collided, collided),
-                (self._lost, lost),
-            ):
-                for receiver in receivers:
-                    counts[receiver] += 1
-        self._frames.append(
-            FrameRecord(
-                transmission.start_ns,
-                transmission.end_ns,
-                frame.source,
-                destination,
-                kind,
-                frame.mode.name,
-                frame.bytes,
-                frame.seq,
-                len(delivered),
-                len(collided),
-                len(lost),
-            )
-        )
 
     def count_session(self, ranging: Ranging) -> None:
         """Remember a ranging request that has ended."""
@@ -151,14 +175,14 @@ class Tally:
             )
         )
 
-    @property
-    def counters(self) -> Counters:
-        """Counts since the start."""
+    def counters(self, frames_sent: list[int], broadcasts: Integers) -> Counters:
+        """Counts since the start, with a channel's frames by kind and datagrams to all, (n, 3)."""
+        delivered, collided, lost = (tuple(column) for column in broadcasts.T.tolist())
         return Counters(
-            frames_sent={kind.value: self._sent[kind] for kind in FrameKind},
-            broadcasts_delivered=tuple(self._delivered),
-            broadcasts_collided=tuple(self._collided),
-            broadcasts_lost_to_noise=tuple(self._lost),
+            frames_sent=dict(zip((kind.value for kind in KINDS), frames_sent, strict=True)),
+            broadcasts_delivered=delivered,
+            broadcasts_collided=collided,
+            broadcasts_lost_to_noise=lost,
             drops=dict(sorted(self.drops.items())),
             unicasts=dict(sorted(self.unicasts.items())),
             lost_by_hosts=self.lost_by_hosts,
@@ -170,11 +194,6 @@ class Tally:
                 error_square_sum_m2=self._error_square_sum_m2,
             ),
         )
-
-    def take_frames(self) -> list[FrameRecord]:
-        """Transmissions that ended since the last call, in order of their end."""
-        frames, self._frames = self._frames, []
-        return frames
 
     def take_sessions(self) -> list[SessionRecord]:
         """Ranging sessions that ended since the last call, in order of their end."""

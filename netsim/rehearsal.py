@@ -8,6 +8,7 @@ import numpy as np
 
 from netsim.config import InterfererConfig, RadioConfig
 from netsim.emulator import Emulator
+from netsim.phy.signals import Transmission
 from netsim.wire.messages import Broadcast, FtmRequest, TxBatch, TxItem, Unicast
 
 STEP_US = 4_000
@@ -15,6 +16,9 @@ STEPS = 25
 _PLACES_NED_M = np.array([(0.0, 0.0, -10.0), (0.0, 9.0, -10.0), (150.0, 0.0, -10.0), (4_000.0, 0.0, -10.0)])
 _FAR = len(_PLACES_NED_M) - 1
 _CONFIG = RadioConfig(
+    data_mode="adaptive",
+    queue_lifetime_us=10_000,
+    broadcast_access_category="vi",
     host_jitter_us=0,  # what is handed over at a time collides
     rts_threshold_bytes=0,
     interferers=(InterfererConfig(pos_ned_m=(20.0, 20.0, 0.0), duty_cycle=0.1),),
@@ -28,7 +32,10 @@ class RehearsalError(RuntimeError):
 def rehearse() -> None:
     """Talk, range, collide and call in vain for a tenth of a second. Raises RehearsalError."""
     stations = len(_PLACES_NED_M)
-    emulator = Emulator(config=_CONFIG, stations=stations, seed=np.random.SeedSequence(0))
+    seen: list[Transmission] = []
+    emulator = Emulator(
+        config=_CONFIG, stations=stations, seed=np.random.SeedSequence(0), on_transmission=seen.append
+    )
     velocities_m_s = np.ones((stations, 3))
     for step in range(STEPS):
         now_us = step * STEP_US
@@ -45,6 +52,8 @@ def rehearse() -> None:
             pos_ned_m=_PLACES_NED_M + 1e-6 * now_us * velocities_m_s,
             vel_ned_m_s=velocities_m_s,
         )
-    frames = emulator.take_frames()
-    if not any(frame.delivered for frame in frames) or not any(frame.collided for frame in frames):
+    emulator.set_silent(_FAR)
+    if emulator.next_event_us <= STEPS * STEP_US:
+        raise RehearsalError("the radio's rehearsal has left something undone")
+    if not any(frame.delivered for frame in seen) or not any(frame.collided for frame in seen):
         raise RehearsalError("the radio's rehearsal has frames that arrive or frames that collide, not both")

@@ -57,6 +57,10 @@ class _Draws:
             self._block.reverse()
         return self._block.pop()
 
+    def take(self, count: int) -> list[float]:
+        """Give the next floats of the stream."""
+        return [self.draw() for _ in range(count)]
+
 
 class Uniforms(_Draws):
     """Uniform floats in [0, 1)."""

@@ -13,7 +13,7 @@ from netsim.capture.pcapng import (
 from netsim.capture.radiotap import Radiotap
 from netsim.config import RadioConfig
 from netsim.frames import Frame, FrameKind
-from netsim.phy.medium import Transmission
+from netsim.phy.signals import Transmission
 
 HOLD_NS = 7_000_000
 """How long a frame waits for others that began before it and end later: the longest there is takes 5.484 ms

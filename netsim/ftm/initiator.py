@@ -12,8 +12,7 @@ from netsim.ftm.port import ObservedRequest, Port
 from netsim.ftm.stamps import difference_ps, distance_m
 from netsim.kernel import Event
 from netsim.mac.access import SIFS_NS
-from netsim.mac.jobs import Job, Outcome
-from netsim.phy.medium import Transmission
+from netsim.mac.jobs import Job, Outcome, Reception
 
 GRACE_NS = TIME_UNIT_NS + 1_000_000
 """From a session's last moment by its schedule to its end here: the schedule may be early by a time unit, and
@@ -143,7 +142,8 @@ class Initiator:
             self._finish(session, "dropped")
 
     def _on_time_out(self, session: _Session) -> None:
-        never_sent = session.schedule is None and session.job is not None and session.job.attempts == 0
+        job = session.job
+        never_sent = session.schedule is None and job is not None and not self._port.mac.has_begun(job)
         self._finish(session, "dropped" if never_sent else "timeout")
 
     def _on_end(self, session: _Session) -> None:
@@ -190,11 +190,9 @@ class Initiator:
 
     # --- measurements
 
-    def on_measurement(
-        self, transmission: Transmission, body: Measurement, power_mw: float, end_ns: int, *, duplicate: bool
-    ) -> None:
+    def on_measurement(self, reception: Reception, body: Measurement) -> None:
         """Take a measurement frame; one that comes again brings new time stamps."""
-        peer = transmission.source
+        peer, end_ns, power_mw = reception.source, reception.end_ns, reception.power_mw
         session = self._sessions.get(peer)
         if session is None:
             return
@@ -214,7 +212,7 @@ class Initiator:
             there_ps = difference_ps(body.t4_ps, body.t1_ps)
             here_ps = difference_ps(arrival.t3_ps, arrival.t2_ps)
             session.round_trips.append((there_ps - here_ps * arrival.rate_ratio, arrival))
-        if not duplicate:
+        if not reception.duplicate:
             session.measurements += 1
         if body.token == 0:
             self._finish(session, "timeout", ended_ns=end_ns)
@@ -222,7 +220,7 @@ class Initiator:
         # a frame comes again if its ACK was lost: t1 and t4 will be those of its last transmission
         session.arrival = _Arrival(
             token=body.token,
-            t2_ps=self._port.arrival_ps(transmission, power_mw, session.excess_m)[0],
+            t2_ps=self._port.arrival_ps(reception, session.excess_m)[0],
             t3_ps=self._port.clock.stamp_ps(1_000 * (end_ns + SIFS_NS)),
             rate_ratio=self._port.rate_ratio(peer, power_mw),
             at_ns=end_ns,
@@ -241,7 +239,7 @@ class Initiator:
             if event is not None:
                 self._queue.cancel(event)
         if session.job is not None:
-            session.job.cancelled = True
+            self._port.mac.cancel(session.job)
         self._report(session, failure, retry_after_s, ended_ns)
 
     def _report(

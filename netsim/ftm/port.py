@@ -15,8 +15,7 @@ from netsim.frames import DATA_OVERHEAD_BYTES, FrameKind
 from netsim.ftm.elements import Measurement, Request, format_and_bandwidth
 from netsim.ftm.stamps import Clock, arrival_std_ps, frequency_ratio_std, round_trip_std_ps
 from netsim.kernel import EventQueue
-from netsim.mac.jobs import Job, Outcome, Sender
-from netsim.phy.medium import Transmission
+from netsim.mac.jobs import Job, Outcome, Reception, Sender
 from netsim.phy.modes import PhyMode, phy_mode
 from netsim.phy.propagation import SPEED_OF_LIGHT_M_S, Trajectories, thermal_noise_mw
 from netsim.streams import Normals
@@ -81,20 +80,19 @@ class Port:
             return 0.0
         return self.environment.trajectories.distance_m(self.station, peer, self.queue.now_ns)
 
-    def arrival_ps(self, transmission: Transmission, power_mw: float, excess_m: float) -> tuple[int, float]:
+    def arrival_ps(self, reception: Reception, excess_m: float) -> tuple[int, float]:
         """Stamp of a frame's arrival here, and the standard deviation of its noise in picoseconds.
 
         What calibration left belongs to the pair, and while the line of sight is blocked the session's excess
         is added: each way takes its share, so that a round trip grows by twice the range's.
         """
-        source = transmission.source
-        start_ns = transmission.start_ns
+        source, start_ns = reception.source, reception.start_ns
         environment = self.environment
         true_ps = 1_000 * start_ns + environment.trajectories.delay_ps(source, self.station, start_ns)
         bias_m = environment.calibration_bias_m(source, self.station)
         if excess_m and environment.blocked(source, self.station, start_ns):
             bias_m += excess_m
-        std_ps = arrival_std_ps(self._floor_ps, self.bandwidth_mhz, power_mw / self._noise_mw)
+        std_ps = arrival_std_ps(self._floor_ps, self.bandwidth_mhz, reception.power_mw / self._noise_mw)
         error_ps = std_ps * self._errors.draw() + bias_m * PS_PER_M
         return self.clock.stamp_ps(true_ps + round(error_ps)), std_ps
 

@@ -4,8 +4,7 @@ from netsim.ftm.elements import Measurement, Parameters, Request, Status, error_
 from netsim.ftm.negotiation import Schedule, can_measure, grant, refusal
 from netsim.ftm.port import ObservedRequest, Port
 from netsim.kernel import Event
-from netsim.mac.jobs import Job, Outcome
-from netsim.phy.medium import Transmission
+from netsim.mac.jobs import Job, Outcome, Reception
 
 HIGHEST_TOKEN = 255
 DEPARTURE_ERROR_EXPONENT = error_exponent(1.0)
@@ -151,26 +150,26 @@ class Responder:
             if not acknowledged:
                 self._end(session)  # the initiator will not trigger what it does not know of
             return
-        sent = job.transmission
+        sent_ns = job.sent_ns
         session.followed = Measurement(token=0)
-        if acknowledged and sent is not None and job.ack is not None:
-            session.followed = self._follow_up(session, sent, job.ack)
-        over = sent is None or session.number_in_burst == session.granted.ftms_per_burst
+        if acknowledged and sent_ns is not None and job.ack is not None:
+            session.followed = self._follow_up(session, sent_ns, job.ack)
+        over = sent_ns is None or session.number_in_burst == session.granted.ftms_per_burst
         next_ns = self._queue.now_ns
-        if sent is not None:
-            next_ns = max(next_ns, sent.start_ns + 1_000 * (session.granted.min_delta_us or 0))
+        if sent_ns is not None:
+            next_ns = max(next_ns, sent_ns + 1_000 * (session.granted.min_delta_us or 0))
         if not over and next_ns <= session.burst_end_ns:
             self._queue.at(next_ns, self._send_next, session)
         elif session.burst == session.schedule.last:
             self._end(session)
 
-    def _follow_up(self, session: _Session, sent: Transmission, ack: Transmission) -> Measurement:
+    def _follow_up(self, session: _Session, sent_ns: int, ack: Reception) -> Measurement:
         port = self._port
-        t4_ps, std_ps = port.arrival_ps(ack, ack.power_mw(port.station), session.excess_m)
+        t4_ps, std_ps = port.arrival_ps(ack, session.excess_m)
         return Measurement(
             token=0,
             followed=session.token,
-            t1_ps=port.clock.stamp_ps(1_000 * sent.start_ns),
+            t1_ps=port.clock.stamp_ps(1_000 * sent_ns),
             t4_ps=t4_ps,
             t1_error_exponent=DEPARTURE_ERROR_EXPONENT,
             t4_error_exponent=error_exponent(ARRIVAL_ERROR_STD * std_ps),
@@ -181,4 +180,4 @@ class Responder:
         if session.closing is not None:
             self._queue.cancel(session.closing)
         if session.job is not None:
-            session.job.cancelled = True
+            self._port.mac.cancel(session.job)

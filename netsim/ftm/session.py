@@ -35,8 +35,7 @@ from netsim.ftm.initiator import Initiator, Ranging, lost
 from netsim.ftm.port import Environment, Port
 from netsim.ftm.responder import Responder
 from netsim.ftm.stamps import Clock
-from netsim.mac.jobs import Sender
-from netsim.phy.medium import Transmission
+from netsim.mac.jobs import Reception, Sender
 
 __all__ = ["Environment", "FtmRadio", "Ranging", "lost"]
 
@@ -82,13 +81,13 @@ class FtmRadio:
         """Range to a peer: see `netsim.ftm.initiator.Initiator.request`."""
         self._initiator.request(peer, seq, timeout_ns)
 
-    def on_frame(self, transmission: Transmission, power_mw: float, end_ns: int, *, duplicate: bool) -> None:
+    def on_frame(self, reception: Reception) -> None:
         """Take an FTM frame; a measurement that comes again brings new time stamps, a request nothing."""
-        body = transmission.frame.body
+        body = reception.body
         if isinstance(body, Measurement):
-            self._initiator.on_measurement(transmission, body, power_mw, end_ns, duplicate=duplicate)
-        elif isinstance(body, Request) and not duplicate:
-            self._responder.on_request(transmission.frame.source, body)
+            self._initiator.on_measurement(reception, body)
+        elif isinstance(body, Request) and not reception.duplicate:
+            self._responder.on_request(reception.source, body)
 
     def silence(self) -> None:
         """End every session."""

@@ -1,301 +1,315 @@
 """When a station may send: its queues' contention for a medium that it senses, physically and by NAV.
 
-Every queue contends through its `Contender`. The medium counts as busy from `CCA_NS` after energy arrives,
-while the station sends, while NAV stands, and after a broken frame for EIFS. A frame that finds it idle for
-AIFS, with no backoff left, goes at once (10.3.4.2; EDCA's alignment of that to slots since the last busy
-period is left out: after a long silence no two stations would agree on them).
+The medium counts as busy from `CCA_NS` after energy arrives, while the station sends, while NAV stands, and
+after a broken frame for EIFS. A frame that finds it idle for AIFS, with no backoff left, goes at once
+(10.3.4.2; EDCA's alignment of that to slots since the last busy period is left out: after a long silence no
+two stations would agree on them).
+
+DCF counts a slot once it has passed idle; EDCA counts at the boundaries of slots, so also the one whose
+beginning was idle though somebody began to send in it (10.22.2.4). A station that has nothing to send still
+counts its last backoff down.
 
 A frame whose lifetime is over leaves its queue at once, from any place in it and however long the medium
 stays busy; only an exchange that has begun goes on to its end.
 
-What is said at access, and what follows from it, is `netsim.mac.station`'s.
+The functions are compiled and work on `netsim.tables.Air`. What is said at access, and what follows from it,
+is `netsim.mac.station`'s.
 """
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from numba import njit
 
-from netsim.kernel import NEVER_NS, EventQueue
-from netsim.mac.access import CCA_NS, EIFS_EXTRA_NS, SLOT_NS, AccessParameters, Contender
-from netsim.mac.jobs import Job, Outcome
-from netsim.phy.medium import Receiver
-from netsim.phy.sensing import (
-    BROKEN,
-    BUSY_FROM,
-    BUSY_UNTIL,
-    HEEDS_BUSY,
-    HEEDS_END,
-    IDLE_BEFORE,
-    RESERVED_UNTIL,
-    SENDING_UNTIL,
-    UPSET,
-)
-from netsim.streams import Uniforms
+from netsim import tables as t
+from netsim.events import schedule
+from netsim.kernel import NEVER_NS
+from netsim.mac.access import CCA_NS, EIFS_EXTRA_NS, SLOT_NS
+from netsim.tables import Air, call, draw_backoff
+
+# --- queues
 
 
-class ChannelAccess(ABC):
-    """Queues of one station and their access; the exchange that has got it excludes all others."""
+@njit(cache=True)
+def push(air: Air, q: int, job: int) -> None:
+    """Add a job behind all others of a queue."""
+    queue = t.queues(air, q)
+    t.jobs(air, job)[t.NEXT_JOB] = t.NOTHING
+    if queue[t.FIRST] == t.NOTHING:
+        queue[t.FIRST] = job
+    else:
+        t.jobs(air, queue[t.LAST])[t.NEXT_JOB] = job
+    queue[t.LAST] = job
+    t.stations(air, q // air[t.CATEGORIES])[t.HELD] += 1
 
-    def __init__(
-        self,
-        *,
-        queue: EventQueue,
-        receiver: Receiver,
-        access: Mapping[str, AccessParameters],
-        queue_frames: int,
-        backoff: Uniforms,
-    ) -> None:
-        self._queue = queue
-        self._receiver = receiver
-        self._sensed = receiver.row
-        """What is known of the medium, NAV included; the station heeds it while it has something to count."""
-        self._access = access
-        self._queue_frames = queue_frames
-        self._backoff = backoff
-        self._held = 0
-        self._contenders: list[Contender] = []
-        """Of the categories used so far, in order of falling priority."""
-        self._by_category: dict[str, Contender] = {}
-        self._current: Contender | None = None
-        """Whose exchange it is."""
-        self._silent = False
-        self._wait_until_ns = 0
-        self._planned = False
-        """The planned accesses follow from what is known of the medium."""
 
-    @abstractmethod
-    def _begin(self, contender: Contender) -> None:
-        """Start the exchange of a queue that has got access."""
+@njit(cache=True)
+def give_up(air: Air, q: int, outcome: int) -> None:
+    """End the first job of a queue."""
+    queue = t.queues(air, q)
+    job = queue[t.FIRST]
+    queue[t.FIRST] = t.jobs(air, job)[t.NEXT_JOB]
+    t.stations(air, q // air[t.CATEGORIES])[t.HELD] -= 1
+    if queue[t.FIRST] == t.NOTHING:
+        unwatch(air, q)
+    _tell_done(air, q, job, outcome)
 
-    # --- queues
 
-    def _contender(self, category: str) -> Contender:
-        """Queue of a category, made when it is first used; those with the same parameters share one (DCF)."""
-        contender = self._by_category.get(category)
-        if contender is None:
-            parameters = self._access[category]
-            same = [each for each in self._contenders if each.parameters is parameters]
-            if same:
-                (contender,) = same
+@njit(cache=True)
+def _tell_done(air: Air, q: int, job: int, outcome: int) -> None:
+    i = call(air, t.DONE, q // air[t.CATEGORIES], job)
+    t.calls(air, i)[t.CALL_DETAIL] = outcome
+    t.calls(air, i)[t.CALL_SOURCE] = t.NOTHING
+
+
+@njit(cache=True)
+def drop_expired(air: Air, q: int) -> None:
+    """End the jobs at the head of a queue whose lifetime is over or that are wanted no more."""
+    queue = t.queues(air, q)
+    while queue[t.FIRST] != t.NOTHING:
+        job = t.jobs(air, queue[t.FIRST])
+        if job[t.JOB_EXPIRES] > air[t.NOW] and not job[t.JOB_CANCELLED]:
+            break
+        give_up(air, q, t.EXPIRED)
+
+
+@njit(cache=True)
+def is_full(air: Air, station: int) -> bool:
+    """Whether a station can take no frame, those gone whose lifetime is over."""
+    if t.stations(air, station)[t.HELD] >= air[t.QUEUE_FRAMES]:
+        k = air[t.CATEGORIES]
+        for q in range(station * k, station * k + k):
+            if t.queues(air, q)[t.IN_USE] and q != t.stations(air, station)[t.CURRENT]:
+                drop_expired(air, q)
+    return bool(t.stations(air, station)[t.HELD] >= air[t.QUEUE_FRAMES])
+
+
+@njit(cache=True)
+def watch(air: Air, q: int, expires_ns: int) -> None:
+    """Look for frames whose lifetime is over at that time, which is before any other that is planned."""
+    t.queues(air, q)[t.DEADLINE_AT] = expires_ns
+    t.queues(air, q)[t.DEADLINE] = schedule(air, max(expires_ns, air[t.NOW]), t.ON_DEADLINE, q)
+
+
+@njit(cache=True)
+def unwatch(air: Air, q: int) -> None:
+    """Look no more."""
+    t.queues(air, q)[t.DEADLINE] = 0
+    t.queues(air, q)[t.DEADLINE_AT] = NEVER_NS
+
+
+@njit(cache=True)
+def on_deadline(air: Air, q: int) -> None:
+    """End the frames whose lifetime is over, all but the one that is being exchanged."""
+    unwatch(air, q)
+    queue, station = t.queues(air, q), t.stations(air, q // air[t.CATEGORIES])
+    spared = queue[t.FIRST] if station[t.CURRENT] == q else t.NOTHING
+    next_ns = NEVER_NS
+    before, job = t.NOTHING, queue[t.FIRST]
+    while job != t.NOTHING:
+        behind, expires_ns = t.jobs(air, job)[t.NEXT_JOB], t.jobs(air, job)[t.JOB_EXPIRES]
+        if expires_ns > air[t.NOW]:
+            next_ns = min(next_ns, expires_ns)
+        if expires_ns > air[t.NOW] or job == spared:
+            before = job
+        else:
+            if before == t.NOTHING:
+                queue[t.FIRST] = behind
             else:
-                contender = Contender(parameters, list(self._access).index(category), self._backoff)
-                self._contenders.append(contender)
-                self._contenders.sort(key=lambda each: each.priority)
-            self._by_category[category] = contender
-        return contender
+                t.jobs(air, before)[t.NEXT_JOB] = behind
+            station[t.HELD] -= 1
+            _tell_done(air, q, job, t.EXPIRED)
+        job = behind
+    queue[t.LAST] = before
+    if next_ns < NEVER_NS:
+        watch(air, q, next_ns)
 
-    def _drop_expired(self, contender: Contender) -> None:
-        now = self._queue.now_ns
-        while contender.jobs and (contender.jobs[0].expires_ns <= now or contender.jobs[0].cancelled):
-            self._give_up(contender, Outcome.EXPIRED)
 
-    def _watch(self, contender: Contender, expires_ns: int) -> None:
-        """Look for frames whose lifetime is over at that time, which is before any other that is planned."""
-        if contender.deadline is not None:
-            self._queue.cancel(contender.deadline)
-        contender.deadline_ns = expires_ns
-        contender.deadline = self._queue.at(max(expires_ns, self._queue.now_ns), self._on_deadline, contender)
+# --- backoff
 
-    def _unwatch(self, contender: Contender) -> None:
-        if contender.deadline is not None:
-            self._queue.cancel(contender.deadline)
-            contender.deadline = None
-            contender.deadline_ns = NEVER_NS
 
-    def _on_deadline(self, contender: Contender) -> None:
-        """End the frames whose lifetime is over, all but the one that is being exchanged."""
-        self._unwatch(contender)
-        now = self._queue.now_ns
-        jobs = contender.jobs
-        expired = [job for job in jobs if job.expires_ns <= now]
-        if expired and contender is self._current and expired[0] is jobs[0]:
-            del expired[0]  # it ends with its exchange
-        for job in expired:
-            jobs.remove(job)
-        self._held -= len(expired)
-        next_ns = min((job.expires_ns for job in jobs if job.expires_ns > now), default=NEVER_NS)
-        if next_ns < NEVER_NS:
-            self._watch(contender, next_ns)
-        for job in expired:
-            job.done(job, Outcome.EXPIRED)
+@njit(cache=True)
+def _back_off(air: Air, q: int) -> None:
+    """Draw a new backoff, uniform in 0..CW slots."""
+    queue = t.queues(air, q)
+    draw = draw_backoff(air, q // air[t.CATEGORIES])
+    queue[t.BACKOFF] = int(draw * (queue[t.WINDOW] + 1))
+    queue[t.FRESH] = 0
 
-    def _give_up(self, contender: Contender, outcome: Outcome) -> None:
-        job = contender.jobs.popleft()
-        self._held -= 1
-        if not contender.jobs:
-            self._unwatch(contender)
-        job.done(job, outcome)
 
-    def _full(self) -> bool:
-        """Whether no frame can be taken, those gone whose lifetime is over."""
-        if self._held >= self._queue_frames:
-            for contender in self._contenders:
-                if contender is not self._current:
-                    self._drop_expired(contender)
-        return self._held >= self._queue_frames
+@njit(cache=True)
+def succeeded(air: Air, q: int) -> None:
+    """Return to the smallest window and back off.
 
-    def _contend(self, category: str, job: Job) -> None:
-        """Queue a frame, and plan its access if it is the first."""
-        self._heed()
-        contender = self._contender(category)
-        first = not contender.jobs
-        contender.jobs.append(job)
-        self._held += 1
-        if job.expires_ns < contender.deadline_ns:
-            self._watch(contender, job.expires_ns)
-        if not first or self._current is contender:
+    So after a success, and after a frame was given up at its retry limit (10.3.3).
+    """
+    t.queues(air, q)[t.WINDOW] = t.queues(air, q)[t.WINDOW_LEAST]
+    _back_off(air, q)
+
+
+@njit(cache=True)
+def fail(air: Air, q: int) -> None:
+    """Back off in twice the window after an exchange in vain.
+
+    The retry limit or the lifetime may end its frame.
+    """
+    job = t.queues(air, q)[t.FIRST]
+    t.jobs(air, job)[t.JOB_FAILURES] += 1
+    if t.jobs(air, job)[t.JOB_FAILURES] > t.jobs(air, job)[t.JOB_RETRIES]:
+        succeeded(air, q)
+        give_up(air, q, t.RETRY_LIMIT)
+        return
+    t.queues(air, q)[t.WINDOW] = min(2 * t.queues(air, q)[t.WINDOW] + 1, t.queues(air, q)[t.WINDOW_MOST])
+    _back_off(air, q)
+    if t.jobs(air, job)[t.JOB_EXPIRES] <= air[t.NOW]:
+        give_up(air, q, t.EXPIRED)
+
+
+@njit(cache=True)
+def freeze(air: Air, station: int, from_ns: int) -> None:
+    """Stop all backoffs, as the medium is sensed busy from then on; an access until then goes ahead."""
+    t.stations(air, station)[t.PLANNED] = 0
+    k = air[t.CATEGORIES]
+    for q in range(station * k, station * k + k):
+        if t.queues(air, q)[t.IN_USE]:
+            _freeze_queue(air, q, from_ns)
+
+
+@njit(cache=True)
+def _freeze_queue(air: Air, q: int, from_ns: int) -> None:
+    """Turn the slots that have passed into a smaller backoff."""
+    queue = t.queues(air, q)
+    if queue[t.ACCESS]:
+        if queue[t.ACCESS_AT] <= from_ns:
             return
-        busy = self._medium_busy()
-        remaining_ns = contender.backoff_slots * SLOT_NS
-        if not remaining_ns or (not busy and self._queue.now_ns >= contender.base_ns + remaining_ns):
-            contender.backoff_slots = 0
-            contender.fresh = not busy
-            if busy:
-                contender.draw_backoff()
-        self._resume()
-
-    def _fail(self, contender: Contender) -> None:
-        """Back off after an exchange in vain; the retry limit or the lifetime may end its frame."""
-        job = contender.jobs[0]
-        job.failures += 1
-        if job.failures > job.retry_limit:
-            contender.succeeded()
-            self._give_up(contender, Outcome.RETRY_LIMIT)
+        queue[t.ACCESS] = 0
+        if queue[t.FRESH]:
+            _back_off(air, q)
+            queue[t.BASE] = NEVER_NS
             return
-        contender.collided()
-        if job.expires_ns <= self._queue.now_ns:
-            self._give_up(contender, Outcome.EXPIRED)
+    if queue[t.BACKOFF] and from_ns >= queue[t.BASE]:
+        passed_slots = (from_ns - queue[t.BASE]) // SLOT_NS + queue[t.AHEAD]
+        queue[t.BACKOFF] = max(0, queue[t.BACKOFF] - passed_slots)
+    queue[t.BASE] = NEVER_NS
 
-    # --- the medium
 
-    def on_busy(self, from_ns: int) -> None:
-        """See `netsim.phy.medium.Listener`."""
-        if self._planned:
-            self._freeze(from_ns + CCA_NS)
+# --- accesses
 
-    def on_air_changed(self) -> None:
-        """See `netsim.phy.medium.Listener`."""
-        if not self._planned and self._current is None:
-            self._resume()
 
-    def on_unused(self) -> None:
-        """See `netsim.phy.medium.Listener`."""
-        self._sensed[UPSET] = True
-        self._revise()
-        self._resume()
+@njit(cache=True)
+def contend(air: Air, station: int, q: int, job: int) -> None:
+    """Queue a frame, and plan its access if it is the first."""
+    queue, now = t.queues(air, q), air[t.NOW]
+    queue[t.IN_USE] = 1
+    first = queue[t.FIRST] == t.NOTHING
+    push(air, q, job)
+    if t.jobs(air, job)[t.JOB_EXPIRES] < queue[t.DEADLINE_AT]:
+        watch(air, q, t.jobs(air, job)[t.JOB_EXPIRES])
+    if not first or t.stations(air, station)[t.CURRENT] == q:
+        return
+    busy = _is_busy(air, station)
+    remaining_ns = queue[t.BACKOFF] * SLOT_NS
+    if remaining_ns == 0 or (not busy and now >= queue[t.BASE] + remaining_ns):
+        queue[t.BACKOFF] = 0
+        queue[t.FRESH] = not busy
+        if busy:
+            _back_off(air, q)
+    resume(air, station)
 
-    def _medium_busy(self) -> bool:
-        now = self._queue.now_ns
-        sensed = self._sensed
-        return (
-            self._current is not None
-            or sensed[BUSY_FROM] + CCA_NS < now < sensed[BUSY_UNTIL]
-            or now < sensed[RESERVED_UNTIL]
-            or now < sensed[SENDING_UNTIL]
-        )
 
-    # --- accesses
+@njit(cache=True)
+def _is_busy(air: Air, station: int) -> bool:
+    now, row = air[t.NOW], t.stations(air, station)
+    return bool(
+        row[t.CURRENT] != t.NOTHING
+        or row[t.BUSY_FROM] + CCA_NS < now < row[t.BUSY_UNTIL]
+        or now < row[t.RESERVED_UNTIL]
+        or now < row[t.SENDING_UNTIL]
+    )
 
-    def _heed(self) -> None:
-        """Be told of what happens on the medium: with a plan of what upsets it, without one of every end."""
-        self._sensed[HEEDS_BUSY] = self._planned
-        self._sensed[HEEDS_END] = not self._planned
 
-    def _freeze(self, sensed_ns: int) -> None:
-        """Stop all backoffs, as the medium is sensed busy from then on."""
-        self._planned = False
-        self._sensed[HEEDS_BUSY] = False
-        attentive = self._held > 0
-        for contender in self._contenders:
-            contender.freeze(sensed_ns)
-            if contender.backoff_slots:
-                attentive = True
-        # with nothing to send and no backoff to count, the station stays frozen until that changes
-        self._sensed[HEEDS_END] = attentive
-
-    def _revise(self) -> None:
-        """Withdraw a plan that is upset; the medium is still busy, or by NAV."""
-        if self._planned and self._sensed[UPSET]:
-            self._freeze(self._queue.now_ns)
-
-    def _resume(self) -> None:
-        """Plan each queue's next access from what is known of the medium; what changes that calls again."""
-        now = self._queue.now_ns
-        sensed = self._sensed
-        sending_until_ns = sensed[SENDING_UNTIL]
-        if (
-            self._current is not None
-            or sending_until_ns > now
-            or self._silent
-            or not (sensed[HEEDS_END] or self._planned)
-        ):
+@njit(cache=True)
+def resume(air: Air, station: int) -> None:
+    """Plan each queue's next access from what is known of the medium; what changes that calls again."""
+    now, row = air[t.NOW], t.stations(air, station)
+    if row[t.CURRENT] != t.NOTHING or row[t.SENDING_UNTIL] > now or row[t.DEAF]:
+        return
+    idle_ns = row[t.BUSY_UNTIL]
+    unsensed = False
+    # what NAV covers holds back no plan, and so no frame that comes meanwhile
+    if idle_ns > now and idle_ns > row[t.RESERVED_UNTIL]:
+        # a busy period that the station cannot have sensed yet does not hold it back
+        unsensed = now <= row[t.BUSY_FROM] + CCA_NS
+        if not unsensed:
             return
-        nav_until_ns = sensed[RESERVED_UNTIL]
-        idle_ns = sensed[BUSY_UNTIL]
-        unsensed = False
-        # what NAV covers holds back no plan, and so no frame that comes meanwhile
-        if idle_ns > now and idle_ns > nav_until_ns:
-            # a busy period that the station cannot have sensed yet does not hold it back
-            unsensed = now <= sensed[BUSY_FROM] + CCA_NS
-            if not unsensed:
-                return
-            idle_ns = sensed[IDLE_BEFORE]
-        eifs_until_ns = sensed[BROKEN] and sensed[BROKEN] + EIFS_EXTRA_NS
-        idle_ns = max(idle_ns, sending_until_ns, nav_until_ns, eifs_until_ns, self._wait_until_ns)
-        self._planned = True
-        sensed[UPSET] = False
-        self._heed()
-        for contender in self._contenders:
-            if unsensed and contender.backoff_slots and contender.base_ns == NEVER_NS:
-                continue  # the slots before that busy period were counted when it froze the backoff
-            base_ns = contender.base_ns = idle_ns + contender.aifs_ns
-            if not contender.jobs:
-                continue
-            access_ns = base_ns + contender.backoff_slots * SLOT_NS
-            if access_ns < now:
-                access_ns = now
-            if contender.access is not None:
-                if contender.access_ns == access_ns:
-                    continue
-                self._queue.cancel(contender.access)
-            contender.access_ns = access_ns
-            contender.access = self._queue.at(access_ns, self._on_access, contender)
-        if unsensed:
-            self._freeze(sensed[BUSY_FROM] + CCA_NS)
+        idle_ns = row[t.IDLE_BEFORE]
+    idle_ns = max(idle_ns, row[t.SENDING_UNTIL], row[t.RESERVED_UNTIL], row[t.WAIT_UNTIL])
+    if row[t.BROKEN]:
+        idle_ns = max(idle_ns, row[t.BROKEN] + EIFS_EXTRA_NS)
+    row[t.PLANNED] = 1
+    k = air[t.CATEGORIES]
+    for q in range(station * k, station * k + k):
+        queue = t.queues(air, q)
+        # if it is unsensed, the slots before that busy period were counted when it froze the backoff
+        frozen = queue[t.BACKOFF] and queue[t.BASE] == NEVER_NS
+        if queue[t.IN_USE] and not (unsensed and frozen):
+            _plan(air, q, idle_ns + queue[t.AIFS])
+    if unsensed:
+        freeze(air, station, row[t.BUSY_FROM] + CCA_NS)
 
-    def _on_access(self, contender: Contender) -> None:
-        contender.access = None
-        now = self._queue.now_ns
-        if self._current is not None or self._sensed[SENDING_UNTIL] > now:
-            contender.base_ns = NEVER_NS
-            return
-        self._drop_expired(contender)
-        if not contender.jobs:
-            self._resume()
-            return
-        winner = contender
-        if len(self._contenders) > 1:
-            winner = self._collide_inside(contender, now)
-        self._current = winner
-        winner.backoff_slots = 0
-        winner.fresh = False
-        self._begin(winner)
 
-    def _collide_inside(self, contender: Contender, now: int) -> Contender:
-        """Of queues that would send at one time the first in priority does; the others have collided."""
-        rivals = [
-            each
-            for each in self._contenders
-            if each is contender or (each.access is not None and each.access_ns <= now)
-        ]
-        for rival in rivals:
-            self._drop_expired(rival)
-        rivals = [rival for rival in rivals if rival.jobs]
-        winner = self._current = rivals[0]
-        for rival in rivals:
-            if rival.access is not None:
-                self._queue.cancel(rival.access)
-                rival.access = None
-            if rival is not winner:
-                rival.base_ns = NEVER_NS
-                self._fail(rival)
-        return winner
+@njit(cache=True)
+def _plan(air: Air, q: int, base_ns: int) -> None:
+    """Plan one queue's access to a medium that falls or has fallen idle, from ``base_ns`` on."""
+    queue = t.queues(air, q)
+    queue[t.BASE] = base_ns
+    if queue[t.FIRST] == t.NOTHING:
+        return
+    access_ns = max(base_ns + queue[t.BACKOFF] * SLOT_NS, air[t.NOW])
+    if not queue[t.ACCESS] or queue[t.ACCESS_AT] != access_ns:
+        queue[t.ACCESS_AT] = access_ns
+        queue[t.ACCESS] = schedule(air, access_ns, t.ON_ACCESS, q)
+
+
+@njit(cache=True)
+def win(air: Air, q: int) -> int:
+    """Have a queue get the access that it planned; returns the queue that does, or `netsim.tables.NOTHING`.
+
+    It may be another of the same station, before which it has to stand back.
+    """
+    queue, now = t.queues(air, q), air[t.NOW]
+    queue[t.ACCESS] = 0
+    k = air[t.CATEGORIES]
+    station = q // k
+    row = t.stations(air, station)
+    if row[t.CURRENT] != t.NOTHING or row[t.SENDING_UNTIL] > now:
+        queue[t.BASE] = NEVER_NS
+        return t.NOTHING
+    drop_expired(air, q)
+    if queue[t.FIRST] == t.NOTHING:
+        resume(air, station)
+        return t.NOTHING
+    winner = _collide_inside(air, station, q)
+    row[t.CURRENT] = winner
+    t.queues(air, winner)[t.BACKOFF] = 0
+    t.queues(air, winner)[t.FRESH] = 0
+    return winner
+
+
+@njit(cache=True)
+def _collide_inside(air: Air, station: int, q: int) -> int:
+    """Of queues that would send at one time the first in priority does; the others have collided."""
+    k = air[t.CATEGORIES]
+    winner = t.NOTHING
+    for rival in range(station * k, station * k + k):
+        queue = t.queues(air, rival)
+        if rival != q and not (queue[t.ACCESS] and queue[t.ACCESS_AT] <= air[t.NOW]):
+            continue
+        drop_expired(air, rival)
+        if queue[t.FIRST] == t.NOTHING:
+            continue
+        queue[t.ACCESS] = 0
+        if winner == t.NOTHING:
+            winner = rival
+            t.stations(air, station)[t.CURRENT] = winner
+        else:
+            queue[t.BASE] = NEVER_NS
+            fail(air, rival)
+    return winner

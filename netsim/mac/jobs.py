@@ -1,12 +1,11 @@
-"""What a station is asked to send, and how that ended."""
+"""What a station is asked to send and how that ended, and what it receives."""
 
 from collections.abc import Callable
 from enum import StrEnum
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from netsim.frames import FrameKind
 from netsim.mac.rates import RateControl
-from netsim.phy.medium import Transmission
 from netsim.phy.modes import PhyMode
 
 
@@ -23,12 +22,28 @@ class Outcome(StrEnum):
     """The queue was full."""
 
 
+class Reception(NamedTuple):
+    """A frame as one station has received it."""
+
+    source: int
+    start_ns: int
+    """At the sender's antenna."""
+    end_ns: int
+    """At this one's."""
+    power_mw: float
+    seq: int = 0
+    """The host's number of what it carries."""
+    body: object = None
+    duplicate: bool = False
+    """The same has been received before."""
+
+
 class Job:
     """One frame to be delivered, by as many transmissions as it takes."""
 
     __slots__ = (
         "ack", "attempts", "body", "cancelled", "destination", "done", "expires_ns", "failures",
-        "frame_bytes", "kind", "mode", "rates", "retry_limit", "rts", "seq", "sequence", "transmission",
+        "frame_bytes", "kind", "mode", "rates", "retry_limit", "row", "rts", "sent_ns", "seq", "sequence",
     )  # fmt: skip
 
     def __init__(
@@ -64,12 +79,14 @@ class Job:
         """Reserve the medium first: with the destination, or for a group frame with a neighbour."""
         self.cancelled = False
         self.attempts = 0
-        """Transmissions of the frame itself."""
+        """Transmissions of the frame itself; this and the rest is known when it has ended."""
         self.failures = 0
-        self.transmission: Transmission | None = None
-        """The last transmission of the frame itself."""
-        self.ack: Transmission | None = None
+        self.sent_ns: int | None = None
+        """When it last went on the air."""
+        self.ack: Reception | None = None
         """The acknowledgement that ended it."""
+        self.row: int | None = None
+        """Where it is kept by who sends it."""
 
 
 class Sender(Protocol):
@@ -78,5 +95,18 @@ class Sender(Protocol):
     def enqueue(self, category: str, job: Job, /) -> None:
         """Take a frame for transmission in an access category; its job tells how that ends, at once too."""
 
+    def cancel(self, job: Job, /) -> None:
+        """Have a frame leave its queue instead of going out; harmless when it has ended."""
+
+    def has_begun(self, job: Job, /) -> bool:
+        """Whether a frame has gone out at least once."""
+
     def silence(self) -> None:
         """End for good: nothing is sent, answered or heard any more."""
+
+
+class Upper(Protocol):
+    """Who gets the frames that are for a station or for everybody."""
+
+    def on_frame(self, reception: Reception) -> None:
+        """Take a data or action frame."""

@@ -13,336 +13,424 @@ RTS goes to the next loudest, for the first may be gone; after the retry limit t
 At the retry limit the window falls back to its smallest (10.3.3). A frame that expires leaves it as it is.
 
 Left out: fragmentation, power save, aggregation, block acknowledgement, CF-End.
+
+The functions are compiled and work on `netsim.tables.Air`.
 """
 
-from collections.abc import Mapping
-from enum import Enum
-from typing import Protocol
+from numba import njit
 
-from netsim.frames import ACK_BYTES, CTS_BYTES, GROUP, RTS_BYTES, Frame, FrameKind
-from netsim.kernel import Event, EventQueue
-from netsim.mac.access import SIFS_NS, SLOT_NS, AccessParameters, Contender
-from netsim.mac.channel import ChannelAccess
-from netsim.mac.jobs import Job, Outcome
-from netsim.phy.medium import Medium, Transmission
-from netsim.phy.modes import NON_HT_PREAMBLE_NS, PhyMode, response_mode, response_ns
-from netsim.phy.sensing import LOCK, NOBODY, RESERVED_BY, RESERVED_UNTIL, SENDING_UNTIL, UNLOCKED, loudest
-from netsim.streams import Uniforms
+from netsim import tables as t
+from netsim.events import schedule
+from netsim.frames import ACK_BYTES, CTS_BYTES, GROUP, RTS_BYTES
+from netsim.mac.access import CCA_NS, SIFS_NS, SLOT_NS
+from netsim.mac.channel import drop_expired, fail, freeze, give_up, resume, succeeded, unwatch, win
+from netsim.phy import medium
+from netsim.phy.modes import NON_HT_PREAMBLE_NS, SERVICE_AND_TAIL_BITS, SYMBOL_NS, VHT_DELIMITER_BYTES
+from netsim.phy.path_loss import Doubles
+from netsim.tables import Air, call, take_signal
 
 RESPONSE_TIMEOUT_NS = SIFS_NS + SLOT_NS + NON_HT_PREAMBLE_NS
 """From the end of a frame to the moment at which its CTS or ACK must have begun (10.3.2.9)."""
 HEARD_WITHIN_NS = 1_000_000_000
 
-
-class Upper(Protocol):
-    """Who gets the frames that are for this station or for everybody."""
-
-    def on_frame(self, transmission: Transmission, power_mw: float, end_ns: int, *, duplicate: bool) -> None:
-        """Take a data or action frame; ``end_ns`` is the time at this antenna."""
+# Where an exchange stands. Sending: the frame itself is on the air or follows within SIFS, and nothing is
+# awaited.
+IDLE, AWAITING_CTS, SENDING, AWAITING_ACK = range(4)
 
 
-class Phase(Enum):
-    """Where an exchange stands."""
-
-    IDLE = 0
-    AWAITING_CTS = 1
-    SENDING = 2
-    """The frame itself is on the air or follows within SIFS, and nothing is awaited."""
-    AWAITING_ACK = 3
+# --- how long frames take
 
 
-class Station(ChannelAccess):
-    """MAC of one station."""
-
-    def __init__(
-        self,
-        *,
-        index: int,
-        queue: EventQueue,
-        medium: Medium,
-        access: Mapping[str, AccessParameters],
-        control_mode: PhyMode,
-        queue_frames: int,
-        backoff: Uniforms,
-        upper: Upper,
-    ) -> None:
-        super().__init__(
-            queue=queue,
-            receiver=medium.receivers[index],
-            access=access,
-            queue_frames=queue_frames,
-            backoff=backoff,
-        )
-        self.index = index
-        self._medium = medium
-        self._heard = medium.heard_ns[index], medium.heard_mw[index]
-        """When and how loud each other station was last heard."""
-        self._receiver.listener = self
-        self._control_mode = control_mode
-        self._upper = upper
-        self._phase = Phase.IDLE
-        self._txop_end_ns = 0
-        self._timeout: Event | None = None
-        self._timed_out = False
-        self._sequence = 0
-        self._last_sequence: dict[tuple[int, FrameKind], int] = {}
-        """By sender and kind, each of which keeps to one queue of the sender and so to an order."""
-
-    # --- the host's side
-
-    def enqueue(self, category: str, job: Job) -> None:
-        """Take a frame for transmission. A full queue, and a station that is silent, ends the job at once."""
-        if self._silent or self._full():
-            job.done(job, Outcome.OVERFLOW)
-        else:
-            self._contend(category, job)
-
-    def silence(self) -> None:
-        """End for good: nothing is sent, answered or heard any more."""
-        self._silent = True
-        self._medium.remove(self.index)
-        self._freeze(self._queue.now_ns - 1)
-        self._stop_waiting()
-        self._current = None
-        for contender in self._contenders:
-            self._unwatch(contender)
-            while contender.jobs:
-                job = contender.jobs.popleft()
-                # a group frame that is still here though it was sent is on the air, and is completed
-                gone = job.destination == GROUP and job.transmission is not None
-                job.done(job, Outcome.SENT if gone else Outcome.EXPIRED)
-        self._held = 0
-
-    # --- the own exchange
-
-    def _begin(self, contender: Contender) -> None:
-        self._txop_end_ns = self._queue.now_ns + contender.txop_ns
-        self._choose_mode(contender.jobs[0])
-        self._start(contender)
-
-    def _choose_mode(self, job: Job) -> None:
-        if job.rates is not None:
-            job.mode = job.rates.mode_for(
-                job.destination,
-                frame_bytes=job.frame_bytes,
-                failures=job.failures,
-                now_ns=self._queue.now_ns,
-            )
-
-    def _start(self, contender: Contender) -> None:
-        if self._current is not contender or not contender.jobs:
-            return
-        job = contender.jobs[0]
-        target = self._rts_target(job) if job.rts else None
-        if target is None:
-            self._send_job(contender)
-            return
-        cts_ns = response_ns(self._control_mode, CTS_BYTES)
-        rts = Frame(
-            kind=FrameKind.RTS,
-            source=self.index,
-            destination=target,
-            mode=self._control_mode,
-            frame_bytes=RTS_BYTES,
-            nav_ns=SIFS_NS + cts_ns + SIFS_NS + _data_ns(job),
-            lapse_ns=2 * SIFS_NS + cts_ns + NON_HT_PREAMBLE_NS + 2 * SLOT_NS,
-        )
-        self._phase = Phase.AWAITING_CTS
-        self._send(rts, timeout=True)
-
-    def _rts_target(self, job: Job) -> int | None:
-        if job.destination != GROUP:
-            return job.destination
-        oldest_ns = self._queue.now_ns - HEARD_WITHIN_NS
-        target = loudest(*self._heard, oldest_ns, job.failures)
-        return None if target == NOBODY else target
-
-    def _send_job(self, contender: Contender) -> None:
-        if self._current is not contender or not contender.jobs:
-            return
-        job = contender.jobs[0]
-        if job.transmission is None:
-            self._sequence += 1
-            job.sequence = self._sequence
-        awaits = job.destination != GROUP
-        nav_ns = answer_ns(job)
-        if contender.txop_ns and len(contender.jobs) > 1:
-            next_ns = self._queue.now_ns + _data_ns(job) + SIFS_NS + self._exchange_ns(contender.jobs[1])
-            if next_ns <= self._txop_end_ns:
-                nav_ns += SIFS_NS + self._exchange_ns(contender.jobs[1])
-        frame = Frame(
-            kind=job.kind,
-            source=self.index,
-            destination=job.destination,
-            mode=job.mode,
-            frame_bytes=job.frame_bytes,
-            nav_ns=nav_ns,
-            seq=job.seq,
-            sequence=job.sequence,
-            body=job.body,
-        )
-        self._phase = Phase.AWAITING_ACK if awaits else Phase.SENDING
-        job.attempts += 1
-        job.transmission = self._send(frame, timeout=awaits)
-
-    def _send(self, frame: Frame, *, timeout: bool = False) -> Transmission:
-        self._freeze(self._queue.now_ns)
-        transmission = self._medium.start(frame)
-        if timeout:
-            self._timed_out = False
-            self._timeout = self._queue.at(transmission.end_ns + RESPONSE_TIMEOUT_NS, self._on_timeout, None)
-        return transmission
-
-    def _exchange_ns(self, job: Job) -> int:
-        """Time that the exchange of a frame takes from its RTS or itself on."""
-        if not job.rts:
-            return _data_ns(job)
-        cts_ns = response_ns(self._control_mode, CTS_BYTES)
-        return self._control_mode.duration_ns(RTS_BYTES) + SIFS_NS + cts_ns + SIFS_NS + _data_ns(job)
-
-    def _succeeded(self, outcome: Outcome, end_ns: int) -> None:
-        """End the exchange at ``end_ns``, and begin the next one of the same TXOP if it fits."""
-        contender = self._current
-        if contender is None:
-            return
-        self._stop_waiting()
-        self._give_up(contender, outcome)
-        if self._current is not contender:
-            return
-        if contender.txop_ns and self._goes_on(contender, end_ns + SIFS_NS):
-            return
-        self._current = None
-        self._phase = Phase.IDLE
-        self._heed()
-        contender.succeeded()
-        self._resume()
-
-    def _goes_on(self, contender: Contender, start_ns: int) -> bool:
-        """Begin the next exchange of a TXOP at ``start_ns`` if there is one and it ends within the limit."""
-        contender.cw = contender.parameters.cw_min
-        self._drop_expired(contender)
-        if self._current is not contender or not contender.jobs:
-            return False
-        job = contender.jobs[0]
-        self._choose_mode(job)
-        if start_ns + self._exchange_ns(job) > self._txop_end_ns:
-            return False
-        self._phase = Phase.SENDING
-        self._queue.at(start_ns, self._start, contender)
-        return True
-
-    def _failed(self) -> None:
-        contender = self._current
-        if contender is None:
-            return
-        job = contender.jobs[0]
-        if self._phase is Phase.AWAITING_ACK and job.rates is not None:
-            job.rates.report(job.destination, job.mode, acknowledged=False)
-        self._stop_waiting()
-        self._current = None
-        self._phase = Phase.IDLE
-        self._wait_until_ns = self._queue.now_ns
-        self._heed()
-        self._fail(contender)
-        self._resume()
-
-    def _on_timeout(self, _: None) -> None:
-        self._timeout = None
-        if self._sensed[LOCK] != UNLOCKED:
-            # a frame has begun in time: whether it is the answer shows at its end
-            self._timed_out = True
-        else:
-            self._failed()
-
-    def _stop_waiting(self) -> None:
-        self._timed_out = False
-        if self._timeout is not None:
-            self._queue.cancel(self._timeout)
-            self._timeout = None
-
-    # --- what the receiver reports
-
-    def on_sent(self, transmission: Transmission) -> None:
-        """See `netsim.phy.medium.Listener`."""
-        if self._phase is Phase.SENDING and not transmission.frame.is_answer:
-            self._succeeded(Outcome.SENT, transmission.end_ns)
-        elif self._timed_out and self._sensed[LOCK] == UNLOCKED:
-            # to answer somebody it has given up the frame that might have been its own answer
-            self._failed()
-        else:
-            self._resume()
-
-    def on_error(self, end_ns: int) -> None:  # noqa: ARG002  it is in what is sensed
-        """See `netsim.phy.medium.Listener`: errors make the station wait EIFS."""
-        self._revise()
-        if self._timed_out:
-            self._failed()
-
-    def on_received(self, transmission: Transmission, power_mw: float, end_ns: int) -> None:
-        """See `netsim.phy.medium.Listener`."""
-        self._revise()
-        destination = transmission.frame.destination
-        if destination == self.index:
-            self._received_own(transmission, power_mw, end_ns)
-        elif destination == GROUP:
-            self._upper.on_frame(transmission, power_mw, end_ns, duplicate=False)
-        if self._timed_out:
-            self._failed()
-
-    def _received_own(self, transmission: Transmission, power_mw: float, end_ns: int) -> None:
-        frame = transmission.frame
-        contender = self._current
-        if frame.kind is FrameKind.CTS:
-            if self._phase is Phase.AWAITING_CTS and contender is not None:
-                self._stop_waiting()
-                self._phase = Phase.SENDING
-                self._queue.at(end_ns + SIFS_NS, self._send_job, contender)
-        elif frame.kind is FrameKind.ACK:
-            if self._phase is Phase.AWAITING_ACK and contender is not None:
-                job = contender.jobs[0]
-                job.ack = transmission
-                if job.rates is not None:
-                    job.rates.report(job.destination, job.mode, acknowledged=True)
-                self._succeeded(Outcome.ACKNOWLEDGED, end_ns)
-        elif frame.kind is FrameKind.RTS:
-            # NAV holds back the answer, unless it is the same station that set it (10.22.2.4)
-            sensed = self._sensed
-            free = sensed[RESERVED_UNTIL] <= end_ns or sensed[RESERVED_BY] == frame.source
-            if free and self._current is None:
-                self._answer(FrameKind.CTS, frame, CTS_BYTES, end_ns)
-        else:
-            self._answer(FrameKind.ACK, frame, ACK_BYTES, end_ns)
-            sender = (frame.source, frame.kind)
-            duplicate = self._last_sequence.get(sender) == frame.sequence
-            self._last_sequence[sender] = frame.sequence
-            self._upper.on_frame(transmission, power_mw, end_ns, duplicate=duplicate)
-
-    # --- answers
-
-    def _answer(self, kind: FrameKind, to: Frame, frame_bytes: int, end_ns: int) -> None:
-        mode = response_mode(to.mode)
-        answer = Frame(
-            kind=kind,
-            source=self.index,
-            destination=to.source,
-            mode=mode,
-            frame_bytes=frame_bytes,
-            nav_ns=max(0, to.nav_ns - SIFS_NS - response_ns(to.mode, frame_bytes)),
-        )
-        self._queue.at(end_ns + SIFS_NS, self._respond, answer)
-
-    def _respond(self, frame: Frame) -> None:
-        if not self._silent and self._sensed[SENDING_UNTIL] <= self._queue.now_ns:
-            self._send(frame)
+@njit(cache=True)
+def duration_ns(air: Air, mode: int, frame_bytes: int) -> int:
+    """Air time of a frame: see `netsim.phy.modes.PhyMode.duration_ns`."""
+    length = frame_bytes + VHT_DELIMITER_BYTES * t.modes(air, mode)[t.VHT]
+    symbols = -(-(SERVICE_AND_TAIL_BITS + 8 * length) // t.modes(air, mode)[t.BITS_PER_SYMBOL])
+    return int(t.modes(air, mode)[t.PREAMBLE] + SYMBOL_NS * symbols)
 
 
-def answer_ns(job: Job) -> int:
-    """Time from the end of a frame to the end of its ACK."""
-    if job.destination == GROUP:
+@njit(cache=True)
+def _answer_ns(air: Air, job: int) -> int:
+    """Time from the end of a job's frame to the end of its ACK."""
+    if t.jobs(air, job)[t.JOB_TO] == GROUP:
         return 0
-    return SIFS_NS + response_ns(job.mode, ACK_BYTES)
+    mode = t.modes(air, t.jobs(air, job)[t.JOB_MODE])[t.RESPONSE_MODE]
+    return int(SIFS_NS + duration_ns(air, mode, ACK_BYTES))
 
 
-def _data_ns(job: Job) -> int:
-    """Time from the beginning of a frame to the end of its ACK."""
-    return job.mode.duration_ns(job.frame_bytes) + answer_ns(job)
+@njit(cache=True)
+def _data_ns(air: Air, job: int) -> int:
+    """Time from the beginning of a job's frame to the end of its ACK."""
+    mode, frame_bytes = t.jobs(air, job)[t.JOB_MODE], t.jobs(air, job)[t.JOB_BYTES]
+    return duration_ns(air, mode, frame_bytes) + _answer_ns(air, job)
+
+
+@njit(cache=True)
+def _cts_ns(air: Air) -> int:
+    mode = t.modes(air, air[t.CONTROL_MODE])[t.RESPONSE_MODE]
+    return duration_ns(air, mode, CTS_BYTES)
+
+
+@njit(cache=True)
+def _exchange_ns(air: Air, job: int) -> int:
+    """Time that the exchange of a job takes from its RTS or its frame on."""
+    if not t.jobs(air, job)[t.JOB_RTS]:
+        return _data_ns(air, job)
+    rts_ns = duration_ns(air, air[t.CONTROL_MODE], RTS_BYTES)
+    return rts_ns + SIFS_NS + _cts_ns(air) + SIFS_NS + _data_ns(air, job)
+
+
+# --- the own exchange
+
+
+@njit(cache=True)
+def on_access(air: Air, fading: Doubles, q: int) -> int:
+    """Have a queue send as it has planned.
+
+    Returns the queue that got access if its frame needs a mode, which is then `begin_exchange`'s turn.
+    """
+    winner = win(air, q)
+    if winner == t.NOTHING:
+        return t.NOTHING
+    station = winner // air[t.CATEGORIES]
+    t.stations(air, station)[t.TXOP_END] = air[t.NOW] + t.queues(air, winner)[t.TXOP]
+    return begin_exchange(air, fading, winner)
+
+
+@njit(cache=True)
+def begin_exchange(air: Air, fading: Doubles, q: int) -> int:
+    """Begin the exchange of a queue's first job, unless its mode has to be chosen: then returns the queue."""
+    station = q // air[t.CATEGORIES]
+    job = t.queues(air, q)[t.FIRST]
+    if t.stations(air, station)[t.CURRENT] != q or job == t.NOTHING:
+        return t.NOTHING
+    if t.jobs(air, job)[t.JOB_ADAPTS]:
+        return q
+    _begin(air, fading, q, job)
+    return t.NOTHING
+
+
+@njit(cache=True)
+def begin_chosen(air: Air, fading: Doubles, q: int) -> None:
+    """Begin the exchange of a queue's first job, whose mode has been chosen just now.
+
+    In that mode it may not end within the TXOP any more: then it has to wait for its own.
+    """
+    station = q // air[t.CATEGORIES]
+    row, queue = t.stations(air, station), t.queues(air, q)
+    job = queue[t.FIRST]
+    goes_on = air[t.NOW] > row[t.TXOP_END] - queue[t.TXOP]  # the TXOP has begun before
+    if goes_on and air[t.NOW] + _exchange_ns(air, job) > row[t.TXOP_END]:
+        _leave(air, station, q)
+    else:
+        _begin(air, fading, q, job)
+
+
+@njit(cache=True)
+def _begin(air: Air, fading: Doubles, q: int, job: int) -> None:
+    station = q // air[t.CATEGORIES]
+    target = _rts_target(air, station, job) if t.jobs(air, job)[t.JOB_RTS] else t.NOTHING
+    if target == t.NOTHING:
+        send_job(air, fading, q)
+        return
+    t.stations(air, station)[t.PHASE] = AWAITING_CTS
+    rts = _frame(air, t.RTS, station, target, air[t.CONTROL_MODE], RTS_BYTES)
+    cts_ns = _cts_ns(air)
+    t.signals(air, rts)[t.NAV] = SIFS_NS + cts_ns + SIFS_NS + _data_ns(air, job)
+    t.signals(air, rts)[t.LAPSE] = 2 * SIFS_NS + cts_ns + NON_HT_PREAMBLE_NS + 2 * SLOT_NS
+    _send(air, fading, rts)
+    _await_answer(air, station, rts)
+
+
+@njit(cache=True)
+def _rts_target(air: Air, station: int, job: int) -> int:
+    if t.jobs(air, job)[t.JOB_TO] != GROUP:
+        return int(t.jobs(air, job)[t.JOB_TO])
+    oldest_ns = air[t.NOW] - HEARD_WITHIN_NS
+    return medium.loudest(air, station, oldest_ns, t.jobs(air, job)[t.JOB_FAILURES])
+
+
+@njit(cache=True)
+def send_job(air: Air, fading: Doubles, q: int) -> None:
+    """Send the frame itself of a queue's exchange."""
+    station = q // air[t.CATEGORIES]
+    row, queue = t.stations(air, station), t.queues(air, q)
+    which = queue[t.FIRST]
+    if row[t.CURRENT] != q or which == t.NOTHING:
+        return
+    job = t.jobs(air, which)
+    if job[t.JOB_ATTEMPTS] == 0:
+        row[t.SEQUENCE] += 1
+        job[t.JOB_SEQUENCE] = row[t.SEQUENCE]
+    nav_ns = _answer_ns(air, which)
+    if queue[t.TXOP] and job[t.NEXT_JOB] != t.NOTHING:
+        next_ns = SIFS_NS + _exchange_ns(air, job[t.NEXT_JOB])
+        if air[t.NOW] + _data_ns(air, which) + next_ns <= row[t.TXOP_END]:
+            nav_ns += next_ns
+    frame = _frame(air, job[t.JOB_KIND], station, job[t.JOB_TO], job[t.JOB_MODE], job[t.JOB_BYTES])
+    sent = t.signals(air, frame)
+    sent[t.NAV] = nav_ns
+    sent[t.SEQ], sent[t.FRAME_SEQUENCE], sent[t.JOB] = job[t.JOB_SEQ], job[t.JOB_SEQUENCE], which
+    job[t.JOB_ATTEMPTS] += 1
+    job[t.JOB_SENT_AT] = air[t.NOW]
+    row[t.PHASE] = SENDING if job[t.JOB_TO] == GROUP else AWAITING_ACK
+    _send(air, fading, frame)
+    if job[t.JOB_TO] != GROUP:
+        _await_answer(air, station, frame)
+
+
+@njit(cache=True)
+def _frame(air: Air, kind: int, source: int, to: int, mode: int, frame_bytes: int) -> int:
+    """Make a frame that begins now, with what all have."""
+    row = take_signal(air)
+    frame = t.signals(air, row)
+    frame[t.SOURCE], frame[t.TO], frame[t.KIND] = source, to, kind
+    frame[t.MODE], frame[t.BYTES] = mode, frame_bytes
+    frame[t.START] = air[t.NOW]
+    frame[t.END] = frame[t.START] + duration_ns(air, mode, frame_bytes)
+    frame[t.NAV] = frame[t.LAPSE] = frame[t.SEQ] = frame[t.FRAME_SEQUENCE] = 0
+    frame[t.JOB] = t.NOTHING
+    return row
+
+
+@njit(cache=True)
+def _send(air: Air, fading: Doubles, frame: int) -> None:
+    freeze(air, t.signals(air, frame)[t.SOURCE], air[t.NOW])
+    on_busy(air, frame, medium.start(air, fading, frame))
+
+
+@njit(cache=True)
+def on_busy(air: Air, signal: int, count: int) -> None:
+    """Have those freeze their backoffs to whom the medium falls busy with a signal: the first of ``told``."""
+    for r in t.ends(air, t.TOLD)[:count]:
+        if t.stations(air, r)[t.PLANNED]:
+            freeze(air, r, t.signals(air, signal)[t.START] + t.delays_ns(air, signal)[r] + CCA_NS)
+
+
+@njit(cache=True)
+def _await_answer(air: Air, station: int, frame: int) -> None:
+    t.stations(air, station)[t.TIMED_OUT] = 0
+    at_ns = t.signals(air, frame)[t.END] + RESPONSE_TIMEOUT_NS
+    t.stations(air, station)[t.TIMEOUT] = schedule(air, at_ns, t.ON_TIMEOUT, station)
+
+
+@njit(cache=True)
+def _stop_waiting(air: Air, station: int) -> None:
+    t.stations(air, station)[t.TIMED_OUT] = 0
+    t.stations(air, station)[t.TIMEOUT] = 0
+
+
+@njit(cache=True)
+def _succeed(air: Air, station: int, outcome: int, end_ns: int) -> None:
+    """End the exchange at ``end_ns``, and begin the next one of the same TXOP if it fits."""
+    q = t.stations(air, station)[t.CURRENT]
+    if q == t.NOTHING:
+        return
+    _stop_waiting(air, station)
+    give_up(air, q, outcome)
+    if not (t.queues(air, q)[t.TXOP] and _goes_on(air, station, q, end_ns + SIFS_NS)):
+        _leave(air, station, q)
+
+
+@njit(cache=True)
+def _leave(air: Air, station: int, q: int) -> None:
+    """Let others contend after a success."""
+    t.stations(air, station)[t.CURRENT] = t.NOTHING
+    t.stations(air, station)[t.PHASE] = IDLE
+    succeeded(air, q)
+    resume(air, station)
+
+
+@njit(cache=True)
+def _goes_on(air: Air, station: int, q: int, start_ns: int) -> bool:
+    """Have the next exchange of a TXOP begin at ``start_ns`` if there is one and it ends within the limit."""
+    queue = t.queues(air, q)
+    queue[t.WINDOW] = queue[t.WINDOW_LEAST]
+    drop_expired(air, q)
+    job = queue[t.FIRST]
+    if job == t.NOTHING:
+        return False
+    # what has no mode yet is looked at when it has one
+    if (
+        not t.jobs(air, job)[t.JOB_ADAPTS]
+        and start_ns + _exchange_ns(air, job) > t.stations(air, station)[t.TXOP_END]
+    ):
+        return False
+    t.stations(air, station)[t.PHASE] = SENDING
+    schedule(air, start_ns, t.START_EXCHANGE, q)
+    return True
+
+
+@njit(cache=True)
+def _fail_exchange(air: Air, station: int) -> None:
+    row = t.stations(air, station)
+    q = row[t.CURRENT]
+    if q == t.NOTHING:
+        return
+    job = t.queues(air, q)[t.FIRST]
+    if row[t.PHASE] == AWAITING_ACK and t.jobs(air, job)[t.JOB_ADAPTS]:
+        call(air, t.FAILED, station, job)
+    _stop_waiting(air, station)
+    row[t.CURRENT] = t.NOTHING
+    row[t.PHASE] = IDLE
+    row[t.WAIT_UNTIL] = air[t.NOW]
+    fail(air, q)
+    resume(air, station)
+
+
+@njit(cache=True)
+def on_timeout(air: Air, station: int) -> None:
+    """Have an exchange fail whose answer has not begun in time."""
+    t.stations(air, station)[t.TIMEOUT] = 0
+    if t.stations(air, station)[t.LOCK] != t.NOTHING:
+        # a frame has begun in time: whether it is the answer shows at its end
+        t.stations(air, station)[t.TIMED_OUT] = 1
+    else:
+        _fail_exchange(air, station)
+
+
+# --- what the receiver reports
+
+
+@njit(cache=True)
+def on_end(air: Air, frame: int, station: int) -> None:
+    """Have a station act on a frame that has ended, of which the medium knows what has become."""
+    row, fate = t.stations(air, station), t.ends(air, t.FATES)[station]
+    if t.ends(air, t.UPSETS)[station] and row[t.PLANNED]:
+        freeze(air, station, air[t.NOW])
+    if fate == t.RECEIVED:
+        to = t.signals(air, frame)[t.TO]
+        if to == station:
+            _receive_own(air, frame, station)
+        elif to == GROUP:
+            _hand_up(air, frame, station, 0)
+    if fate != t.MISSED and row[t.TIMED_OUT]:
+        _fail_exchange(air, station)
+    on_air_changed(air, station)
+
+
+@njit(cache=True)
+def on_air_changed(air: Air, station: int) -> None:
+    """Have a station that has no plan make one, if it can."""
+    if not t.stations(air, station)[t.PLANNED]:
+        resume(air, station)
+
+
+@njit(cache=True)
+def on_unused(air: Air, station: int) -> None:
+    """Have a station make its plan anew after a reservation has fallen."""
+    if t.stations(air, station)[t.PLANNED]:
+        freeze(air, station, air[t.NOW])
+    resume(air, station)
+
+
+@njit(cache=True)
+def on_sent(air: Air, frame: int) -> None:
+    """Have a station go on whose frame has ended everywhere."""
+    station = t.signals(air, frame)[t.SOURCE]
+    row = t.stations(air, station)
+    if row[t.PHASE] == SENDING and t.signals(air, frame)[t.KIND] not in (t.CTS, t.ACK):
+        _succeed(air, station, t.SENT, t.signals(air, frame)[t.END])
+    elif row[t.TIMED_OUT] and row[t.LOCK] == t.NOTHING:
+        # to answer somebody it has given up the frame that might have been its own answer
+        _fail_exchange(air, station)
+    else:
+        resume(air, station)
+
+
+@njit(cache=True)
+def _receive_own(air: Air, frame: int, station: int) -> None:
+    row, kind = t.stations(air, station), t.signals(air, frame)[t.KIND]
+    source = t.signals(air, frame)[t.SOURCE]
+    end_ns = t.signals(air, frame)[t.END] + t.delays_ns(air, frame)[station]
+    if kind == t.CTS:
+        if row[t.PHASE] == AWAITING_CTS and row[t.CURRENT] != t.NOTHING:
+            _stop_waiting(air, station)
+            row[t.PHASE] = SENDING
+            schedule(air, end_ns + SIFS_NS, t.SEND_JOB, row[t.CURRENT])
+    elif kind == t.ACK:
+        if row[t.PHASE] == AWAITING_ACK and row[t.CURRENT] != t.NOTHING:
+            done = air[t.CALLS]
+            _succeed(air, station, t.ACKNOWLEDGED, end_ns)
+            t.calls(air, done)[t.CALL_SOURCE] = source
+            t.calls(air, done)[t.CALL_START] = t.signals(air, frame)[t.START]
+            t.calls(air, done)[t.CALL_END] = end_ns
+            t.calls_mw(air, done)[0] = t.powers_mw(air, frame)[station]
+    elif kind == t.RTS:
+        # NAV holds back the answer, unless it is the same station that set it (10.22.2.4)
+        free = row[t.RESERVED_UNTIL] <= end_ns or row[t.RESERVED_BY] == source
+        if free and row[t.CURRENT] == t.NOTHING:
+            _answer(air, frame, end_ns, station)
+    else:
+        _answer(air, frame, end_ns, station)
+        sequence = t.signals(air, frame)[t.FRAME_SEQUENCE]
+        again = t.last_sequences(air, station)[source * t.KINDS + kind] == sequence
+        t.last_sequences(air, station)[source * t.KINDS + kind] = sequence
+        _hand_up(air, frame, station, int(again))
+
+
+@njit(cache=True)
+def _hand_up(air: Air, frame: int, station: int, again: int) -> None:
+    """Have whoever is above the MAC told of a frame; ``again`` is 1 if it has been received before."""
+    i = call(air, t.FRAME, station, t.signals(air, frame)[t.JOB])
+    t.calls(air, i)[t.CALL_DETAIL] = again
+    t.calls(air, i)[t.CALL_SOURCE] = t.signals(air, frame)[t.SOURCE]
+    t.calls(air, i)[t.CALL_START] = t.signals(air, frame)[t.START]
+    t.calls(air, i)[t.CALL_END] = t.signals(air, frame)[t.END] + t.delays_ns(air, frame)[station]
+    t.calls_mw(air, i)[0] = t.powers_mw(air, frame)[station]
+
+
+# --- answers
+
+
+@njit(cache=True)
+def _answer(air: Air, frame: int, end_ns: int, station: int) -> None:
+    """Have a CTS or ACK follow a frame that has ended here at ``end_ns``."""
+    mode = t.modes(air, t.signals(air, frame)[t.MODE])[t.RESPONSE_MODE]
+    if t.signals(air, frame)[t.KIND] == t.RTS:
+        what, frame_bytes = t.CTS, CTS_BYTES
+    else:
+        what, frame_bytes = t.ACK, ACK_BYTES
+    nav_ns = max(0, t.signals(air, frame)[t.NAV] - SIFS_NS - duration_ns(air, mode, frame_bytes))
+    to = t.signals(air, frame)[t.SOURCE]
+    schedule(air, end_ns + SIFS_NS, t.SEND_FRAME, station, to, what * t.MODES + mode, frame_bytes, nav_ns)
+
+
+@njit(cache=True)
+def send_frame(
+    air: Air, fading: Doubles, station: int, to: int, what: int, frame_bytes: int, nav_ns: int
+) -> None:
+    """Send a frame that is nobody's job, unless the station has fallen silent or is sending.
+
+    ``what`` is its kind times the number of modes, and its mode.
+    """
+    row = t.stations(air, station)
+    if row[t.DEAF] or row[t.SENDING_UNTIL] > air[t.NOW]:
+        return
+    frame = _frame(air, what // t.MODES, station, to, what % t.MODES, frame_bytes)
+    t.signals(air, frame)[t.NAV] = nav_ns
+    _send(air, fading, frame)
+
+
+# --- the end
+
+
+@njit(cache=True)
+def silence(air: Air, station: int) -> None:
+    """End a station for good: nothing is sent, answered or heard any more."""
+    row = t.stations(air, station)
+    row[t.DEAF] = 1
+    row[t.LOCK] = t.NOTHING
+    freeze(air, station, air[t.NOW] - 1)
+    _stop_waiting(air, station)
+    row[t.CURRENT] = t.NOTHING
+    k = air[t.CATEGORIES]
+    for q in range(station * k, station * k + k):
+        if not t.queues(air, q)[t.IN_USE]:
+            continue
+        unwatch(air, q)
+        while t.queues(air, q)[t.FIRST] != t.NOTHING:
+            job = t.queues(air, q)[t.FIRST]
+            # a group frame that is still here though it was sent is on the air, and is completed
+            gone = t.jobs(air, job)[t.JOB_TO] == GROUP and t.jobs(air, job)[t.JOB_ATTEMPTS] > 0
+            give_up(air, q, t.SENT if gone else t.EXPIRED)

@@ -55,25 +55,36 @@ def _turn(
 
 
 @njit(cache=True)
-def _gains(
-    theta_rad: Doubles,
-    rates_rad_ns: Doubles,
-    since_ns: int,
-    cosines: Doubles,
-    weights: Doubles,
-    line_of_sight: float,
-    gains: Doubles,
-) -> None:
-    """Fill ``gains`` (n,) with |h|^2 of one station's links, of which all the arrays are."""
-    for r in range(len(gains)):
-        angle_rad = theta_rad[r] + rates_rad_ns[r] * since_ns
+def fade(block: Doubles, source: int, at_ns: int, powers_mw: Doubles) -> None:
+    """Multiply the powers (n,) of a station's signals by |h|^2 of its links, in a `RicianFading.block`."""
+    n = len(powers_mw)
+    since_ns, line_of_sight = int(block[0]), block[1]
+    theta_rad, rates_rad_ns, cosines, weights = _parts(block, n)
+    for r in range(n):
+        angle_rad = theta_rad[source, r] + rates_rad_ns[source, r] * (at_ns - since_ns)
         real, imaginary = line_of_sight, 0.0
-        for m in range(cosines.shape[1]):
-            phase_rad = angle_rad * cosines[r, m]
+        for m in range(SECTORS):
+            phase_rad = angle_rad * cosines[source, r, m]
             cosine, sine = cos(phase_rad), sin(phase_rad)
-            real += weights[r, m, 0] * cosine + weights[r, m, 1] * sine
-            imaginary += weights[r, m, 2] * cosine + weights[r, m, 3] * sine
-        gains[r] = real * real + imaginary * imaginary
+            real += weights[source, r, m, 0] * cosine + weights[source, r, m, 1] * sine
+            imaginary += weights[source, r, m, 2] * cosine + weights[source, r, m, 3] * sine
+        powers_mw[r] *= real * real + imaginary * imaginary
+
+
+@njit(cache=True)
+def _parts(block: Doubles, n: int) -> tuple[Doubles, Doubles, Doubles, Doubles]:
+    """Give every pair's theta and its rate (n, n), the waves' cosines (n, n, sectors), and their weights.
+
+    Weights (n, n, sectors, 4) are of each one's cosine and sine, in the real and then in the imaginary part.
+    """
+    square = n * n
+    at = 2
+    theta_rad = block[at : at + square].reshape((n, n))
+    rates_rad_ns = block[at + square : at + 2 * square].reshape((n, n))
+    at += 2 * square
+    cosines = block[at : at + square * SECTORS].reshape((n, n, SECTORS))
+    weights = block[at + square * SECTORS : at + 5 * square * SECTORS].reshape((n, n, SECTORS, 4))
+    return theta_rad, rates_rad_ns, cosines, weights
 
 
 class RicianFading:
@@ -83,20 +94,18 @@ class RicianFading:
         self, *, k_db: float, doppler_hz: float, frequency_mhz: float, stations: int, streams: Streams
     ) -> None:
         k = 10.0 ** (k_db / 10.0)
-        self._line_of_sight = (k / (k + 1.0)) ** 0.5
         self._amplitude = (0.5 / SECTORS / (k + 1.0)) ** 0.5
         self._doppler_hz = doppler_hz
         self._wavelength_m = SPEED_OF_LIGHT_M_S / (frequency_mhz * 1e6)
         self._stations = stations
         self._streams = streams
-        self._since_ns = 0
         self._pos_ned_m: Doubles | None = None
-        self._theta_rad = np.zeros((stations, stations))
-        """Of every pair at ``_since_ns``, and its rate from then on."""
-        self._rates_rad_ns = np.full((stations, stations), 2e-9 * pi * doppler_hz)
-        self._waves: list[tuple[Doubles, Doubles] | None] = [None] * stations
-        """By source: cosines (n, sectors); weights (n, sectors, 4) of each one's cosine and sine, in the real
-        and then in the imaginary part."""
+        self.block = np.zeros(2 + stations**2 * (2 + 5 * SECTORS))
+        """All that `fade` needs: since when the parts hold, in nanoseconds, the steady ray, and the parts."""
+        self.block[1] = (k / (k + 1.0)) ** 0.5
+        self._theta_rad, self._rates_rad_ns, self._cosines, self._weights = _parts(self.block, stations)
+        self._rates_rad_ns[...] = 2e-9 * pi * doppler_hz
+        self._drawn = [False] * stations
 
     def move(self, at_ns: int, pos_ned_m: Doubles, vel_ned_m_s: Doubles) -> None:
         """At ``at_ns`` the stations are at these places (n, 3), and go on with these velocities (n, 3).
@@ -110,31 +119,27 @@ class RicianFading:
             self._rates_rad_ns,
             moved_m,
             vel_ned_m_s,
-            (at_ns - self._since_ns) * 1e-9,
+            (at_ns - int(self.block[0])) * 1e-9,
             self._doppler_hz,
             self._wavelength_m,
         )
-        self._since_ns, self._pos_ned_m = at_ns, pos_ned_m
+        self.block[0], self._pos_ned_m = at_ns, pos_ned_m
 
     def gains(self, source: int, at_ns: int) -> Doubles:
         """Gain of each link of ``source``, by station; of no meaning for itself."""
-        waves = self._waves[source]
-        if waves is None:
-            waves = self._waves[source] = self._draw(source)
-        gains = np.empty(self._stations)
-        _gains(
-            self._theta_rad[source],
-            self._rates_rad_ns[source],
-            at_ns - self._since_ns,
-            *waves,
-            self._line_of_sight,
-            gains,
-        )
+        self.prepare(source)
+        gains = np.ones(self._stations)
+        fade(self.block, source, at_ns, gains)
         return gains
 
-    def _draw(self, source: int) -> tuple[Doubles, Doubles]:
-        cosines = np.zeros((self._stations, SECTORS))
-        weights = np.zeros((self._stations, SECTORS, 4))
+    def prepare(self, source: int) -> None:
+        """Have a station's waves in the block."""
+        if not self._drawn[source]:
+            self._drawn[source] = True
+            self._draw(source)
+
+    def _draw(self, source: int) -> None:
+        cosines, weights = self._cosines[source], self._weights[source]
         for other in range(self._stations):
             if other == source:
                 continue
@@ -144,4 +149,3 @@ class RicianFading:
             # ahead e^(ix) + behind e^(-ix)
             of_cosine, of_sine = ahead + behind, 1j * (ahead - behind)
             weights[other] = np.stack((of_cosine.real, of_sine.real, of_cosine.imag, of_sine.imag), axis=1)
-        return cosines, weights

@@ -1,61 +1,35 @@
-"""The shared medium: which transmissions overlap at whom, what each receiver locks on to, and what survives.
+"""The shared medium: which signals overlap at whom, what each receiver locks on to, and what survives.
 
-A transmission is three calls in time. At its start every receiver's energy detection learns of it; 4 us later
-receivers find its preamble or not; when its end has reached the last of them, what they made of it is
-settled, with every transmission known that overlapped it. All times at a receiver include the propagation
-delay to it. Interferers' bursts are signals that nobody can find a preamble in.
+A frame is three passes over all stations. At its start every receiver's energy detection learns of it; 4 us
+later receivers find its preamble or not; when its end has reached the last of them, what they made of it is
+settled, with every signal known that overlapped it. All times at a receiver include the propagation delay to
+it. Interferers' bursts are signals that nobody can find a preamble in. Clear channel assessment is
+`netsim.phy.sensing`'s.
 
-Clear channel assessment (IEEE 802.11-2016, 17.3.10.6): the medium is busy while all signals together are over
--62 dBm, and while a frame lasts that is over -82 dBm and 4 dB over the noise. Such a frame counts from its
-arrival on, whatever else is on the air and whatever the receiver makes of it: the short training fields of
-frames that collide trip a correlator all the same, and ns-3 takes frames as busy from its CCA sensitivity on.
-That it takes 4 us is the MAC's matter (`netsim.mac.access.CCA_NS`). Both thresholds apply to the power in the
-whole channel, which is more alert than the standard asks of wide channels.
-
-Preambles are found from the same -82 dBm and 4 dB over noise and interference on, as with ns-3's
+Preambles are found from -82 dBm and 4 dB over noise and interference on, as with ns-3's
 ThresholdPreambleDetection, and a frame 5 dB stronger that begins within 16 us of the one being received takes
 its place, as with its SimpleFrameCaptureModel.
 
 Left out: adjacent channels; secondary channels, as every frame occupies the whole channel; propagation longer
 than SIFS (4.8 km), beyond which 802.11's own timing fails and nobody hears anybody; and giving up a frame
 whose signal field failed: its receiver stays with it until it ends in errors.
+
+The functions are compiled and work on `netsim.tables.Air`. Whose MAC has to hear of something is for the
+caller to see: in ``told``, or in ``fates`` and ``upsets``.
 """
 
-from collections.abc import Callable
 from math import inf
 
-import numpy as np
+from numba import njit
 
-from netsim.config import RadioConfig
-from netsim.frames import GROUP, Frame
-from netsim.kernel import EventQueue
-from netsim.phy.interferers import Interferer
-from netsim.phy.propagation import Links, thermal_noise_mw
-from netsim.phy.sensing import (
-    ABSENT,
-    BROKE,
-    DEAF,
-    HEEDS_END,
-    IN_DOUBT,
-    LOCK,
-    LOCKED,
-    NEVER_HEARD,
-    NOBODY,
-    RECEIVED,
-    RESERVED_UNTIL,
-    UNLOCKED,
-    arrive,
-    conclude,
-    find,
-    first_state,
-    settle,
-    unused,
-)
-from netsim.phy.signals import Listener, Receiver, Signal, Transmission, none_of
-from netsim.phy.survival import Survival
-from netsim.streams import Model, Streams, Uniforms
-
-__all__ = ["Listener", "Medium", "Receiver", "Transmission"]
+from netsim import tables as t
+from netsim.events import schedule
+from netsim.frames import GROUP
+from netsim.phy.fading import fade
+from netsim.phy.path_loss import Doubles
+from netsim.phy.sensing import begin_sending, end_sending, energy_until_ns, occupy
+from netsim.phy.survival import alone, among_others, clean_mw
+from netsim.tables import Air, Integers, draw_reception, end_signal, let_go
 
 PREAMBLE_DETECTION_NS = 4_000
 PREAMBLE_SINR = 10.0**0.4
@@ -63,251 +37,325 @@ PREAMBLE_SINR = 10.0**0.4
 CAPTURE_RATIO = 10.0**0.5
 """A later frame takes over a receiver that is in an earlier frame's preamble if it is 5 dB stronger."""
 CAPTURE_WINDOW_NS = 16_000
-BURST_PART_NS = 20_000_000
-"""A longer burst goes on the air in parts, each with the powers of its beginning: receivers move."""
+FRAMES, BURSTS = 0, 1
+"""Rows of `netsim.tables.on_air`."""
 
 
-class Medium:
-    """One channel."""
+@njit(cache=True)
+def start(air: Air, fading: Doubles, frame: int) -> int:
+    """Put a frame on the air now, a row of signals that has all but its powers; returns how many are told.
 
-    def __init__(
-        self,
-        *,
-        config: RadioConfig,
-        queue: EventQueue,
-        links: Links,
-        stations: int,
-        streams: Streams,
-        on_ended: Callable[[Transmission], None],
-    ) -> None:
-        self._queue = queue
-        self._links = links
-        self._on_ended = on_ended
-        self._fades = config.rician_k_db is not None
-        self._energy_mw = 10.0 ** (config.cca_energy_dbm / 10.0)
-        self.noise_mw = thermal_noise_mw(config.bandwidth_mhz, config.noise_figure_db)
-        self._preamble_mw = max(10.0 ** (config.cca_preamble_dbm / 10.0), PREAMBLE_SINR * self.noise_mw)
-        self._sensed_mw = min(self._energy_mw, self._preamble_mw)
-        """Least power of a frame that is sensed by itself."""
-        self._survival = Survival(config.bandwidth_mhz, self.noise_mw)
-        self._active: list[Transmission] = []
-        self._started = 0
-        self._busy_ns = 0
-        self._busy_until_ns = 0
-        self.state = first_state(stations)
-        """What all stations sense: see `netsim.phy.sensing`."""
-        self.heard_ns = np.full((stations, stations), NEVER_HEARD)
-        self.heard_mw = np.zeros((stations, stations))
-        """When and how loud each station, by row, last heard a frame of each other that was no answer."""
-        self.receivers = [
-            Receiver(i, self.state, Uniforms(streams.generator(Model.RECEPTION, i))) for i in range(stations)
-        ]
-        self._locks_mw = np.zeros(stations)
-        self._fates = np.zeros(stations, dtype=np.int64)
-        self._told = np.zeros(stations, dtype=np.int64)
-        self._nothing = none_of(stations)
-        self._bursts: list[Signal] = []
-        for index, settings in enumerate(config.interferers):
-            if settings.duty_cycle > 0.0:
-                interferer = Interferer(index, settings, streams.generator(Model.INTERFERENCE, index))
-                queue.at(queue.now_ns + interferer.first_ns(), self._begin_burst, interferer)
+    The sender's link budget holds. Told are the stations at which the medium falls busy.
+    """
+    now = air[t.NOW]
+    sent = t.signals(air, frame)
+    source = sent[t.SOURCE]
+    powers_mw, delays_ns = t.powers_mw(air, frame), t.delays_ns(air, frame)
+    powers_mw[:] = t.budgets_mw(air, source)
+    delays_ns[:] = t.budget_delays_ns(air, source)
+    if len(fading):
+        fade(fading, source, now, powers_mw)
+    air[t.STARTED] += 1
+    sent[t.NUMBER] = air[t.STARTED]
+    sent[t.LONGEST_DELAY] = t.budgets(air, source)[t.BUDGET_DELAY]
+    _overlap(air, frame)
+    for k in range(air[t.BURSTS]):
+        _add_overlap(air, frame, t.on_air(air, BURSTS)[k])
+    t.on_air(air, FRAMES)[air[t.ACTIVE]] = frame
+    air[t.ACTIVE] += 1
+    begin_sending(t.stations(air, source), now, sent[t.END])
+    told = _radiate(air, frame, t.levels_mw(air, 0)[t.SENSED_MW])
+    schedule(air, now + PREAMBLE_DETECTION_NS, t.DETECT, frame)
+    schedule(air, sent[t.END] + sent[t.LONGEST_DELAY], t.END_FRAME, frame)
+    return told
 
-    def busy_ns(self) -> int:
-        """Time up to now for which the medium carried at least one signal."""
-        return self._busy_ns - max(0, self._busy_until_ns - self._queue.now_ns)
 
-    def remove(self, station: int) -> None:
-        """From now on this station hears nothing and is nobody's intended receiver."""
-        row = self.receivers[station].row
-        row[DEAF] = 1
-        row[LOCK] = UNLOCKED
+@njit(cache=True)
+def start_burst(air: Air, burst: int) -> int:
+    """Put an interferer's burst on the air now, powers and all; as `start`."""
+    signal = t.signals(air, burst)
+    _overlap(air, burst)
+    bursts = t.on_air(air, BURSTS)
+    for other in bursts[: air[t.BURSTS]]:
+        if t.signals(air, other)[t.SOURCE] != signal[t.SOURCE]:
+            _add_overlap(air, burst, other)
+    bursts[air[t.BURSTS]] = burst
+    air[t.BURSTS] += 1
+    told = _radiate(air, burst, inf)
+    # what overlaps it matters only now; kept, each burst would keep all before it
+    for other in t.overlaps(air, burst)[: signal[t.OVERLAPS]]:
+        let_go(air, other)
+    signal[t.OVERLAPS] = 0
+    schedule(air, signal[t.END] + signal[t.LONGEST_DELAY], t.END_BURST, burst)
+    return told
 
-    def start(self, frame: Frame) -> Transmission:
-        """Put a frame on the air now."""
-        now = self._queue.now_ns
-        source = frame.source
-        row = self._links.row(source, now)
-        powers_mw = row.powers_mw
-        if self._fades:
-            powers_mw = powers_mw * self._links.fading_gains(source, now)
-        self._started += 1
-        transmission = Transmission(frame, now, row, powers_mw, self._started)
-        for other in self._active:
-            if other.end_ns + other.longest_delay_ns > now:
-                transmission.overlaps.append(other)
-                other.overlaps.append(transmission)
-        if self._bursts:
-            transmission.overlaps.extend(self._bursts)
-        self._active.append(transmission)
-        self.receivers[source].send(now, transmission.end_ns)
-        self._radiate(transmission, self._sensed_mw)
-        self._queue.at(now + PREAMBLE_DETECTION_NS, self._detect, transmission)
-        self._queue.at(transmission.end_ns + row.longest_delay_ns, self._end, transmission)
-        return transmission
 
-    def _radiate(self, signal: Signal, sensed_mw: float) -> None:
-        """Have the stations sense a signal that begins now, from ``sensed_mw`` on by itself."""
-        if signal.end_ns > self._busy_until_ns:
-            self._busy_ns += signal.end_ns - max(signal.start_ns, self._busy_until_ns)
-            self._busy_until_ns = signal.end_ns
-        count = arrive(
-            self.state,
-            signal.source,
-            signal.start_ns,
-            signal.end_ns,
-            signal.powers_mw,
-            signal.delays_ns,
-            sensed_mw,
-            self._energy_mw,
-            *(signal.others() if signal.overlaps else self._nothing),
-            self._told,
-        )
-        if count:
-            for r in self._told[:count].tolist():
-                self.receivers[r].listener.on_busy(signal.start_ns + signal.delay_ns(r))
+@njit(cache=True)
+def end_burst(air: Air, burst: int) -> None:
+    """Take a burst off the air."""
+    air[t.BURSTS] = _remove(t.on_air(air, BURSTS), air[t.BURSTS], burst)
+    end_signal(air, burst)
 
-    def _begin_burst(self, interferer: Interferer) -> None:
-        self._go_on(interferer, self._queue.now_ns + interferer.burst_ns())
 
-    def _on_rest(self, rest: tuple[Interferer, int]) -> None:
-        self._go_on(*rest)
+@njit(cache=True)
+def _remove(rows: Integers, count: int, row: int) -> int:
+    """Take a row out of the first ``count``, whose order stays; returns how many are left."""
+    kept = 0
+    for k in range(count):
+        if rows[k] != row:
+            rows[kept] = rows[k]
+            kept += 1
+    return kept
 
-    def _go_on(self, interferer: Interferer, until_ns: int) -> None:
-        """Put what is left of a burst on the air, or the next part of it."""
-        now = self._queue.now_ns
-        end_ns = min(until_ns, now + BURST_PART_NS)
-        # what follows at once is on the air before this has ended everywhere
-        if end_ns < until_ns:
-            self._queue.at(end_ns, self._on_rest, (interferer, until_ns))
+
+@njit(cache=True)
+def _overlap(air: Air, signal: int) -> None:
+    """Note the frames that a signal which begins now is on the air with, and it with them."""
+    for other in t.on_air(air, FRAMES)[: air[t.ACTIVE]]:
+        frame = t.signals(air, other)
+        if frame[t.END] + frame[t.LONGEST_DELAY] > air[t.NOW]:
+            _add_overlap(air, signal, other)
+            _add_overlap(air, other, signal)
+
+
+@njit(cache=True)
+def _add_overlap(air: Air, signal: int, other: int) -> None:
+    count = t.signals(air, signal)[t.OVERLAPS]
+    t.overlaps(air, signal)[count] = other
+    t.signals(air, signal)[t.OVERLAPS] = count + 1
+    t.signals(air, other)[t.HOLDERS] += 1
+
+
+@njit(cache=True)
+def _radiate(air: Air, which: int, sensed_mw: float) -> int:
+    """Have the stations sense a signal that begins now, from ``sensed_mw`` on by itself.
+
+    Returns how many are told: those to which the medium falls busy, but for what a reservation covers.
+    """
+    signal = t.signals(air, which)
+    start_ns, end_ns = signal[t.START], signal[t.END]
+    if end_ns > air[t.BUSY_UNTIL_NS]:
+        air[t.BUSY_NS] += end_ns - max(start_ns, air[t.BUSY_UNTIL_NS])
+        air[t.BUSY_UNTIL_NS] = end_ns
+    count = 0
+    told = t.ends(air, t.TOLD)
+    powers_mw, delays_ns = t.powers_mw(air, which), t.delays_ns(air, which)
+    energy_mw = t.levels_mw(air, 0)[t.ENERGY_MW]
+    for r in range(air[t.STATIONS]):
+        row = t.stations(air, r)
+        if r == signal[t.SOURCE] or row[t.DEAF]:
+            continue
+        arrival_ns, until_ns = start_ns + delays_ns[r], end_ns + delays_ns[r]
+        if powers_mw[r] < sensed_mw:
+            if signal[t.OVERLAPS] == 0 and powers_mw[r] < energy_mw:
+                continue
+            until_ns = energy_until_ns(air, which, r, arrival_ns, until_ns)
+            if until_ns == 0:
+                continue
+        if occupy(row, arrival_ns, until_ns) and row[t.BUSY_UNTIL] > row[t.RESERVED_UNTIL]:
+            told[count] = r
+            count += 1
+    return count
+
+
+@njit(cache=True)
+def find(air: Air, frame: int) -> None:
+    """Have every free receiver look for a frame's preamble, now.
+
+    It takes the least power, and 4 dB over the noise and all other signals since the arrival. Who is locked
+    on to another frame changes to one that is stronger and began soon after it.
+    """
+    sent = t.signals(air, frame)
+    powers_mw, delays_ns, locks_mw = t.powers_mw(air, frame), t.delays_ns(air, frame), t.locks_mw(air, 0)
+    levels_mw = t.levels_mw(air, 0)
+    for r in range(air[t.STATIONS]):
+        row = t.stations(air, r)
+        arrival_ns = sent[t.START] + delays_ns[r]
+        if (
+            r == sent[t.SOURCE]
+            or powers_mw[r] < levels_mw[t.PREAMBLE_MW]
+            or row[t.SENDING_UNTIL] > arrival_ns
+            or row[t.DEAF]
+        ):
+            continue
+        if sent[t.OVERLAPS]:
+            floor_mw = _floor_mw(air, frame, r, arrival_ns)
+            if powers_mw[r] < PREAMBLE_SINR * (levels_mw[t.NOISE_MW] + floor_mw):
+                continue
+            if row[t.LOCK] != t.NOTHING and (
+                powers_mw[r] < CAPTURE_RATIO * locks_mw[r]
+                or arrival_ns > row[t.LOCK_ARRIVED] + CAPTURE_WINDOW_NS
+            ):
+                continue
+        row[t.LOCK] = sent[t.NUMBER]
+        row[t.LOCK_ARRIVED] = arrival_ns
+        row[t.LOCKED] = air[t.NOW]
+        locks_mw[r] = powers_mw[r]
+
+
+@njit(cache=True)
+def _floor_mw(air: Air, frame: int, r: int, arrival_ns: int) -> float:
+    """Power of all other signals at ``r`` that were there at some time since a frame's arrival."""
+    sent = t.signals(air, frame)
+    floor_mw = 0.0
+    for k in t.overlaps(air, frame)[: sent[t.OVERLAPS]]:
+        other, delay_ns = t.signals(air, k), t.delays_ns(air, k)[r]
+        if (
+            other[t.SOURCE] != r
+            and other[t.START] + delay_ns < arrival_ns + air[t.NOW] - sent[t.START]
+            and other[t.END] + delay_ns > arrival_ns
+        ):
+            floor_mw += t.powers_mw(air, k)[r]
+    return floor_mw
+
+
+@njit(cache=True)
+def settle(air: Air, frame: int) -> None:
+    """Find out what has become of a frame that has ended everywhere, and have all stations take note.
+
+    Fates become what each made of it, notes whether it has arrived where it was meant to, and if not, whether
+    it would have alone. One draw decides whether it survives, and whether it would have without the others;
+    nothing is drawn for one that is certain to survive. Upset are stations whose plans cannot stay: it was an
+    error, the end of EIFS, a longer reservation.
+    """
+    air[t.ACTIVE] = _remove(t.on_air(air, FRAMES), air[t.ACTIVE], frame)
+    sent, powers_mw = t.signals(air, frame), t.powers_mw(air, frame)
+    fates, notes, upsets = t.ends(air, t.FATES), t.ends(air, t.NOTES), t.ends(air, t.UPSETS)
+    doubtful_mw = inf if sent[t.OVERLAPS] else clean_mw(air, sent[t.MODE])
+    for r in range(air[t.STATIONS]):
+        row = t.stations(air, r)
+        notes[r], upsets[r] = t.NOT_MEANT, 0
+        if r == sent[t.SOURCE] or row[t.DEAF]:
+            fates[r] = t.ABSENT
+            continue
+        draw = -1.0
+        if row[t.LOCK] != sent[t.NUMBER]:
+            fates[r] = t.MISSED
         else:
-            self._queue.at(end_ns + interferer.pause_ns(), self._begin_burst, interferer)
-        row = self._links.interferer_row(interferer.index, now)
-        burst = Signal(-1 - interferer.index, now, end_ns, row, row.powers_mw)
-        for other in self._active:
-            if other.end_ns + other.longest_delay_ns > now:
-                burst.overlaps.append(other)
-                other.overlaps.append(burst)
-        burst.overlaps.extend([other for other in self._bursts if other.source != burst.source])
-        self._bursts.append(burst)
-        self._radiate(burst, inf)
-        burst.forget_others()  # asked for only now; kept, each burst would keep all before it
-        self._queue.at(end_ns + row.longest_delay_ns, self._end_burst, burst)
-
-    def _end_burst(self, burst: Signal) -> None:
-        self._bursts.remove(burst)
-        for receiver in self.receivers:
-            if receiver.row[HEEDS_END]:
-                receiver.listener.on_air_changed()
-
-    def _detect(self, transmission: Transmission) -> None:
-        """Each free receiver looks for the preamble: strong enough, and 4 dB over noise and interference."""
-        find(
-            self.state,
-            transmission.number,
-            transmission.source,
-            transmission.start_ns,
-            self._queue.now_ns,
-            transmission.powers_mw,
-            transmission.delays_ns,
-            self._preamble_mw,
-            self.noise_mw,
-            PREAMBLE_SINR,
-            CAPTURE_RATIO,
-            CAPTURE_WINDOW_NS,
-            *(transmission.others() if transmission.overlaps else self._nothing),
-            self._locks_mw,
-        )
-
-    def _end(self, transmission: Transmission) -> None:
-        self._active.remove(transmission)
-        frame = transmission.frame
-        # nothing is drawn for a frame that is certain to survive
-        doubtful_mw = inf if transmission.overlaps else self._survival.clean_mw(frame.mode)
-        draws: dict[int, float] = {}
-        course = (
-            frame.destination,
-            transmission.end_ns,
-            frame.nav_ns,
-            frame.destination if frame.is_answer else frame.source,
-            NOBODY if frame.is_answer else frame.source,
-            transmission.powers_mw,
-            transmission.delays_ns,
-            self.heard_ns,
-            self.heard_mw,
-            self._told,
-        )
-        count = settle(self.state, self._fates, transmission.number, frame.source, doubtful_mw, *course)
-        if count == IN_DOUBT:
-            draws = self._judge(transmission, doubtful_mw)
-            count = conclude(self.state, self._fates, *course)
-        if frame.destination == GROUP:
-            for r, fate in enumerate(self._fates.tolist()):
-                self._note(transmission, r, fate, draws)
-        else:
-            self._note(transmission, frame.destination, self._fates.item(frame.destination), draws)
-        if count:
-            self._tell(transmission, self._told[:count].tolist())
-        if frame.lapse_ns:
-            self._queue.at(transmission.end_ns + frame.lapse_ns, self._look_for_unused, transmission)
-        sender = self.receivers[frame.source]
-        sender.sent()
-        sender.listener.on_sent(transmission)
-        self._on_ended(transmission)
-
-    def _judge(self, transmission: Transmission, doubtful_mw: float) -> dict[int, float]:
-        """Find out where a frame survives; returns what was drawn, by receiver.
-
-        One draw decides whether it survives, and whether it would have without the others.
-        """
-        draws: dict[int, float] = {}
-        for r in np.flatnonzero(self._fates == RECEIVED).tolist():
-            if transmission.power_mw(r) < doubtful_mw:
-                survival = self._survival.among_others(transmission, r)
+            fates[r] = t.RECEIVED
+            if powers_mw[r] < doubtful_mw:
+                survival = among_others(air, frame, r)
                 if survival < 1.0:
-                    draws[r] = self.receivers[r].uniforms.draw()
-                    if draws[r] >= survival:
-                        self._fates[r] = BROKE
-        return draws
+                    draw = draw_reception(air, r)
+                    if draw >= survival:
+                        fates[r] = t.BROKE
+            upsets[r] = _take_note(air, frame, r, fates[r])
+        if sent[t.TO] in (r, GROUP):
+            notes[r] = _judge(air, frame, r, fates[r], draw)
 
-    def _note(self, transmission: Transmission, r: int, fate: int, draws: dict[int, float]) -> None:
-        """Note whether an intended receiver got a frame, and if not, whether it would have got it alone."""
-        if fate == RECEIVED:
-            transmission.delivered.append(r)
-        elif fate != ABSENT:
-            power_mw = transmission.power_mw(r)
-            if transmission.overlaps and power_mw >= self._preamble_mw:
-                draw = draws[r] if fate == BROKE else self.receivers[r].uniforms.draw()
-                if draw < self._survival.alone(transmission.frame, power_mw):
-                    transmission.collided.append(r)
-                    return
-            transmission.lost_to_noise.append(r)
 
-    def _tell(self, transmission: Transmission, told: list[int]) -> None:
-        """Tell listeners that a frame has ended, and what their receivers made of it."""
-        for r in told:
-            listener, fate = self.receivers[r].listener, self._fates.item(r)
-            end_ns = transmission.end_ns + transmission.delay_ns(r)
-            if fate == RECEIVED:
-                listener.on_received(transmission, transmission.power_mw(r), end_ns)
-            elif fate == BROKE:
-                listener.on_error(end_ns)
-            listener.on_air_changed()
+@njit(cache=True)
+def _take_note(air: Air, frame: int, r: int, fate: int) -> bool:
+    """Have a station that was locked on to a frame take note of how it ended; True if that upsets a plan."""
+    row, sent = t.stations(air, r), t.signals(air, frame)
+    end_here_ns = sent[t.END] + t.delays_ns(air, frame)[r]
+    row[t.LOCK] = t.NOTHING
+    if fate == t.BROKE:
+        row[t.BROKEN] = end_here_ns
+        return True
+    upset = row[t.BROKEN] != 0
+    row[t.BROKEN] = 0
+    is_answer = sent[t.KIND] in (t.CTS, t.ACK)
+    # whom it is not for keeps the medium reserved
+    if r != sent[t.TO] and sent[t.NAV] and end_here_ns + sent[t.NAV] > row[t.RESERVED_UNTIL]:
+        row[t.RESERVED_UNTIL] = end_here_ns + sent[t.NAV]
+        row[t.RESERVED_BY] = sent[t.TO] if is_answer else sent[t.SOURCE]
+        upset = True
+    if not is_answer:
+        t.heard_ns(air, r)[sent[t.SOURCE]] = end_here_ns
+        t.heard_mw(air, r)[sent[t.SOURCE]] = t.powers_mw(air, frame)[r]
+    return bool(upset)
 
-    # --- reservations that nobody uses
 
-    def _look_for_unused(self, transmission: Transmission) -> None:
-        """Have a reservation fall where nothing was heard after the frame that made it (10.3.2.4)."""
-        count = unused(
-            self.state, transmission.end_ns, transmission.frame.nav_ns, transmission.delays_ns, self._told
-        )
-        for r in self._told[:count].tolist():
-            end_ns = transmission.end_ns + transmission.delay_ns(r)
-            until_ns = end_ns + transmission.frame.nav_ns
-            self._queue.at(end_ns + transmission.frame.lapse_ns, self._on_unused, (r, end_ns, until_ns))
+@njit(cache=True)
+def _judge(air: Air, frame: int, r: int, fate: int, draw: float) -> int:
+    """Whether an intended receiver has got a frame, and if not, whether it would have got it alone."""
+    if fate == t.RECEIVED:
+        return t.DELIVERED
+    power_mw = t.powers_mw(air, frame)[r]
+    if t.signals(air, frame)[t.OVERLAPS] and power_mw >= t.levels_mw(air, 0)[t.PREAMBLE_MW]:
+        if fate != t.BROKE:
+            draw = draw_reception(air, r)
+        if draw < alone(air, frame, power_mw):
+            return t.COLLIDED
+    return t.LOST
 
-    def _on_unused(self, reservation: tuple[int, int, int]) -> None:
-        r, end_ns, until_ns = reservation
-        row = self.receivers[r].row
-        if row[RESERVED_UNTIL] == until_ns and row[LOCKED] <= end_ns:
-            row[RESERVED_UNTIL] = self._queue.now_ns
-            self.receivers[r].listener.on_unused()
+
+@njit(cache=True)
+def conclude(air: Air, frame: int) -> None:
+    """Count a frame that has ended, put it down among the records, and note that its sender has sent it.
+
+    A reservation that nobody uses will be seen.
+    """
+    sent, notes = t.signals(air, frame), t.ends(air, t.NOTES)
+    if sent[t.LAPSE]:
+        sent[t.HOLDERS] += 1
+        schedule(air, sent[t.END] + sent[t.LAPSE], t.LOOK_FOR_UNUSED, frame)
+    t.sent(air, 0)[sent[t.KIND]] += 1
+    record = t.records(air, air[t.RECORDS])
+    air[t.RECORDS] += 1
+    record[0], record[1], record[2], record[3] = sent[t.START], sent[t.END], sent[t.SOURCE], sent[t.TO]
+    record[4], record[5], record[6], record[7] = sent[t.KIND], sent[t.MODE], sent[t.BYTES], sent[t.SEQ]
+    record[8] = record[9] = record[10] = 0
+    for r in range(air[t.STATIONS]):
+        if notes[r] != t.NOT_MEANT:
+            record[7 + notes[r]] += 1
+            if sent[t.KIND] == t.DATA and sent[t.TO] == GROUP:
+                t.counts(air, r)[notes[r] - 1] += 1
+    end_sending(t.stations(air, sent[t.SOURCE]))
+
+
+# --- reservations that nobody uses
+
+
+@njit(cache=True)
+def look_for_unused(air: Air, frame: int) -> None:
+    """Have a reservation fall where nothing was heard after the frame that made it (10.3.2.4)."""
+    nav_ns, lapse_ns = t.signals(air, frame)[t.NAV], t.signals(air, frame)[t.LAPSE]
+    for r in range(air[t.STATIONS]):
+        end_here_ns = t.signals(air, frame)[t.END] + t.delays_ns(air, frame)[r]
+        if (
+            t.stations(air, r)[t.RESERVED_UNTIL] == end_here_ns + nav_ns
+            and t.stations(air, r)[t.LOCKED] <= end_here_ns
+        ):
+            schedule(air, end_here_ns + lapse_ns, t.ON_UNUSED, r, end_here_ns, end_here_ns + nav_ns)
+    let_go(air, frame)
+
+
+@njit(cache=True)
+def drop_reservation(air: Air, r: int, end_here_ns: int, until_ns: int) -> bool:
+    """Have a reservation fall if it is still the same and still unused."""
+    row = t.stations(air, r)
+    if row[t.RESERVED_UNTIL] == until_ns and row[t.LOCKED] <= end_here_ns:
+        row[t.RESERVED_UNTIL] = air[t.NOW]
+        return True
+    return False
+
+
+@njit(cache=True)
+def loudest(air: Air, station: int, oldest_ns: int, turn: int) -> int:
+    """Who is heard loudest by a station since ``oldest_ns``; `netsim.tables.NOTHING` if nobody is.
+
+    ``turn`` counts through all of them, in order of falling power and then of their numbers, again and again.
+    """
+    heard_ns, heard_mw = t.heard_ns(air, station), t.heard_mw(air, station)
+    count = 0
+    for other in range(len(heard_ns)):
+        count += heard_ns[other] >= oldest_ns
+    if count == 0:
+        return t.NOTHING
+    rank = turn % count
+    for other in range(len(heard_ns)):
+        if heard_ns[other] < oldest_ns:
+            continue
+        ahead = 0
+        for rival in range(len(heard_ns)):
+            if heard_ns[rival] >= oldest_ns and (
+                heard_mw[rival] > heard_mw[other] or (heard_mw[rival] == heard_mw[other] and rival < other)
+            ):
+                ahead += 1
+                if ahead > rank:
+                    break
+        if ahead == rank:
+            return other
+    return t.NOTHING

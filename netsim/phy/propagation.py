@@ -19,8 +19,8 @@ from netsim.phy.fading import RicianFading
 from netsim.phy.obstruction import Obstruction
 from netsim.phy.path_gain import ALL, PathGain
 from netsim.phy.path_loss import REFERENCE_DISTANCE_M, SPEED_OF_LIGHT_M_S, Doubles, Vector, friis_loss_db
-from netsim.phy.sensing import Integers
 from netsim.streams import Streams
+from netsim.tables import Integers
 
 __all__ = [
     "SPEED_OF_LIGHT_M_S",
@@ -204,6 +204,8 @@ class LinkRow(Struct, frozen=True):
     delays_ns: Integers
     longest_delay_ns: int
     """To the stations that can hear anything at all."""
+    until_ns: int = 0
+    """How long it holds while `Links.version` stays as it is; always for the time that it was asked for."""
 
 
 class Links:
@@ -222,6 +224,7 @@ class Links:
             AUDIBLE_BELOW_NOISE * thermal_noise_mw(config.bandwidth_mhz, config.noise_figure_db),
             10.0 ** (min(config.cca_energy_dbm, config.cca_preamble_dbm) / 10.0 - 2.0),
         )
+        self._powers_version = 0
         self._rows: list[LinkRow | None] = [None] * stations
         self._row_until_ns = [0] * stations
         self._row_version = [-1] * stations
@@ -244,16 +247,16 @@ class Links:
                 streams=streams,
             )
         self._blocked_gain = 10.0 ** (-config.nlos_loss_db / 10.0)
-        self._fading: RicianFading | None = None
+        self.fading: RicianFading | None = None
         if config.rician_k_db is not None:
-            self._fading = RicianFading(
+            self.fading = RicianFading(
                 k_db=config.rician_k_db,
                 doppler_hz=config.fading_doppler_hz,
                 frequency_mhz=config.frequency_mhz,
                 stations=stations,
                 streams=streams,
             )
-            trajectories.on_set = self._fading.move
+            trajectories.on_set = self.fading.move
         self._plain = not (
             config.path_loss == "two_ray"
             or self._dipoles
@@ -286,6 +289,14 @@ class Links:
         gain_db = 2.0 * self._config.antenna_gain_dbi - loss_db
         self._at_reference_mw = [10.0 ** ((power_dbm + gain_db) / 10.0) for power_dbm in self._tx_power_dbm]
         self._rows = [None] * self._stations
+        self._powers_version += 1
+
+    @property
+    def version(self) -> int:
+        """Rises whenever rows may have changed otherwise than by the motion announced before."""
+        trajectories = self._trajectories
+        poses = trajectories.pose_version if self._dipoles else trajectories.version
+        return poses + self._powers_version
 
     def blocked(self, a: int, b: int, at_ns: int) -> bool:
         """Whether something stands between two stations."""
@@ -293,7 +304,7 @@ class Links:
 
     def fading_gains(self, source: int, at_ns: int) -> Doubles:
         """What small-scale fading makes of each power of a row, by station; 1 without fading."""
-        return np.ones(self._stations) if self._fading is None else self._fading.gains(source, at_ns)
+        return np.ones(self._stations) if self.fading is None else self.fading.gains(source, at_ns)
 
     def row(self, source: int, at_ns: int) -> LinkRow:
         """Link budget from a station to all others."""
@@ -324,7 +335,7 @@ class Links:
                 powers_mw[blocked] *= self._blocked_gain
                 until_ns = min(until_ns, same_until_ns - 1)
         powers_mw[source] = 0.0
-        row = self._finish(powers_mw, distances_m, FARTHEST_M)
+        row = self._finish(powers_mw, distances_m, FARTHEST_M, until_ns)
         self._rows[source], self._row_until_ns[source], self._row_version[source] = row, until_ns, version
         return row
 
@@ -373,7 +384,9 @@ class Links:
             self._paths = self._path_gain.between_stations(ALL, *self._poses_at(since_ns))
         return self._paths[0][source], self._paths[1][source]
 
-    def _finish(self, powers_mw: Doubles, distances_m: Doubles, farthest_m: float) -> LinkRow:
+    def _finish(
+        self, powers_mw: Doubles, distances_m: Doubles, farthest_m: float, until_ns: int = 0
+    ) -> LinkRow:
         delays_ns = np.empty(self._stations, np.int64)
         longest_ns = _reach(powers_mw, distances_m, farthest_m, self._audible_mw, delays_ns)
-        return LinkRow(powers_mw, delays_ns, int(longest_ns))
+        return LinkRow(powers_mw, delays_ns, int(longest_ns), until_ns)

@@ -8,13 +8,13 @@ from netsim.config import Mode, RadioConfig
 from netsim.frames import GROUP, FrameKind
 from netsim.kernel import EventQueue
 from netsim.mac.access import DCF, AccessParameters
-from netsim.mac.jobs import Job, Outcome
+from netsim.mac.jobs import Job, Outcome, Reception
+from netsim.mac.radios import Radios
 from netsim.mac.rates import RateControl
-from netsim.mac.station import Station
-from netsim.phy.medium import Medium, Transmission
 from netsim.phy.modes import phy_mode
 from netsim.phy.propagation import LinkRow
-from netsim.streams import Model, Streams, Uniforms
+from netsim.phy.signals import Transmission
+from netsim.streams import Streams, Uniforms
 
 UNHEARD_DBM = -200.0
 A, B, C, D = range(4)
@@ -22,6 +22,9 @@ A, B, C, D = range(4)
 
 class GivenLinks:
     """Powers and delays by (from, to); -50 dBm and no delay where nothing else is said."""
+
+    version = 0
+    fading = None
 
     def __init__(
         self,
@@ -65,14 +68,15 @@ class Air:
         control_mode: Mode = "ofdm24",
         seed: int = 1,
     ) -> None:
-        config = RadioConfig(bandwidth_mhz=20, rician_k_db=None)
+        config = RadioConfig(bandwidth_mhz=20, rician_k_db=None, control_mode=control_mode, queue_frames=10)
         streams = Streams(np.random.SeedSequence(seed))
         self.queue = EventQueue()
         self.transmissions: list[Transmission] = []
         self.outcomes: list[Outcome] = []
         self.arrivals: list[tuple[int, int, bool]] = []
-        self.medium = Medium(
+        self.radios = Radios(
             config=config,
+            access=access or {"dcf": DCF},
             queue=self.queue,
             links=GivenLinks(stations, powers_dbm or {}, delays_ns or {}),
             stations=stations,
@@ -80,17 +84,8 @@ class Air:
             on_ended=self.transmissions.append,
         )
         self.stations = [
-            Station(
-                index=i,
-                queue=self.queue,
-                medium=self.medium,
-                access=access or {"dcf": DCF},
-                control_mode=phy_mode(control_mode, 20),
-                queue_frames=10,
-                backoff=GivenBackoffs(backoffs[i])
-                if backoffs and i in backoffs
-                else Uniforms(streams.generator(Model.BACKOFF, i)),
-                upper=_Upper(self, i),
+            self.radios.join(
+                i, _Upper(self, i), GivenBackoffs(backoffs[i]) if backoffs and i in backoffs else None
             )
             for i in range(stations)
         ]
@@ -136,7 +131,7 @@ class _Upper:
         self._air = air
         self._index = index
 
-    def on_frame(self, transmission: Transmission, power_mw: float, end_ns: int, *, duplicate: bool) -> None:
-        assert power_mw > 0.0
-        assert end_ns >= transmission.end_ns
-        self._air.arrivals.append((self._index, transmission.source, duplicate))
+    def on_frame(self, reception: Reception) -> None:
+        assert reception.power_mw > 0.0
+        assert reception.end_ns > reception.start_ns
+        self._air.arrivals.append((self._index, reception.source, reception.duplicate))

@@ -14,11 +14,11 @@ from netsim.ftm.stamps import Clock
 from netsim.kernel import EventQueue
 from netsim.mac.access import EDCA
 from netsim.mac.jobs import Job
-from netsim.mac.station import Station
-from netsim.phy.medium import Medium, Transmission
+from netsim.mac.radios import Radios
 from netsim.phy.modes import phy_mode
 from netsim.phy.propagation import LinkRow, Trajectories
-from netsim.streams import Model, Streams, Uniforms
+from netsim.phy.signals import Transmission
+from netsim.streams import Model, Streams
 
 A, B, C = range(3)
 Interval = tuple[int, int]
@@ -28,6 +28,9 @@ Way = tuple[int, int]
 
 class LossyLinks:
     """As given, but what a station begins to send within its intervals in microseconds is heard by nobody."""
+
+    version = 0
+    fading = None
 
     def __init__(self, stations: int, unheard_us: Mapping[int, Sequence[Interval]], delay_ns: int) -> None:
         pairs = [(a, b) for a in range(stations) for b in range(stations) if a != b]
@@ -77,8 +80,9 @@ class FtmAir:
         self._blocked_ways = blocked_ways
         self._blocked_from_ns = blocked_from_ns
         streams = Streams(np.random.SeedSequence(seed))
-        medium = Medium(
+        radios = Radios(
             config=config,
+            access=EDCA,
             queue=self.queue,
             links=LossyLinks(stations, unheard_us or {}, round(distance_m / 0.299792458)),
             stations=stations,
@@ -100,18 +104,7 @@ class FtmAir:
             for i in range(stations)
         ]
         self.macs = [
-            Station(
-                index=i,
-                queue=self.queue,
-                medium=medium,
-                access=EDCA,
-                control_mode=phy_mode("ofdm24", config.bandwidth_mhz),
-                queue_frames=64,
-                backoff=GivenBackoffs(backoffs[i])
-                if backoffs and i in backoffs
-                else Uniforms(streams.generator(Model.BACKOFF, i)),
-                upper=radio,
-            )
+            radios.join(i, radio, GivenBackoffs(backoffs[i]) if backoffs and i in backoffs else None)
             for i, radio in enumerate(self.radios)
         ]
         for radio, mac in zip(self.radios, self.macs, strict=True):

@@ -5,9 +5,9 @@ import struct
 import numpy as np
 
 from netsim.frames import GROUP, Frame, FrameKind
-from netsim.phy.medium import Transmission
 from netsim.phy.modes import phy_mode
 from netsim.phy.propagation import LinkRow
+from netsim.phy.signals import Transmission
 
 OFDM24 = phy_mode("ofdm24", 20)
 NO_NEIGHBOURS = LinkRow(np.array([0.0]), np.array([0]), 0)

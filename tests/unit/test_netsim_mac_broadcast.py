@@ -21,12 +21,13 @@ def broadcast(stations, jitter_us, periods, seed=1):
     for k in range(periods):
         for station in range(stations):
             at_us = 1_000 + k * PERIOD_US + int(rng.uniform(0, jitter_us))
-            jobs.append((at_us, air.send(at_us, station, frame_bytes=FRAME_BYTES)))
+            jobs.append((at_us, station, air.send(at_us, station, frame_bytes=FRAME_BYTES)))
     air.queue.run_until(1_000 * (periods + 1) * PERIOD_US)
+    sent = {(frame.source, frame.frame.sequence): frame for frame in air.transmissions}
     delays_ms = [
-        (job.transmission.end_ns - 1_000 * at_us) / 1e6
-        for at_us, job in jobs
-        for _ in job.transmission.delivered
+        (sent[source, job.sequence].end_ns - 1_000 * at_us) / 1e6
+        for at_us, source, job in jobs
+        for _ in sent[source, job.sequence].delivered
     ]
     return len(delays_ms) / (len(jobs) * (stations - 1)), float(np.mean(delays_ms))
 

@@ -64,7 +64,7 @@ def test_order_of_first_use_is_not_the_order_of_priority():
     air.send(1000, A, category="be")
     jobs = [air.send(1010, B, category=category) for category in ("bk", "be", "vi", "vo")]
     air.run()
-    starts_ns = [job.transmission.start_ns for job in jobs]
+    starts_ns = [job.sent_ns for job in jobs]
     assert starts_ns == sorted(starts_ns, reverse=True)
     # video alone has collided: it would have sent in voice's slot
     assert [job.failures for job in jobs] == [0, 0, 1, 0]

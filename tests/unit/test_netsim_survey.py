@@ -36,7 +36,7 @@ def expected_ns(transmissions, station, until_ns):
 
 
 def surveyed_us(air, station):
-    return air.medium.receivers[station].surveyed_ns(air.queue.now_ns) / 1_000
+    return air.radios.surveyed_ns(station) / 1_000
 
 
 def test_a_drawn_timeline():

@@ -392,8 +392,8 @@ def test_a_peer_is_timed_beside_the_emulator():
     assert 0.15 <= cost.peer.cpu_s < 1.0
     assert cost.faster_cpu == pytest.approx(cost.peer.cpu_s / cost.process.cpu_s)
     assert 0.0 < cost.floor.cpu_s < cost.run.cpu_s < cost.process.cpu_s
-    # each frame of the pair ends, is answered and contended for: some events at least of 600 frames a second
-    assert cost.events > 600 * 3
+    # each of 600 frames a second is handed over by Python
+    assert cost.events > 600
 
 
 def test_a_peer_that_fails_is_one_line():

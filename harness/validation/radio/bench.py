@@ -48,7 +48,7 @@ class SaturatedCost(Struct, frozen=True, kw_only=True):
     run: Cost
     """Without start-up and end"""
     floor: Cost
-    """The event queue alone: as many events, which do nothing"""
+    """Python's event queue alone: as many events, which do nothing; those of the air are compiled"""
     events: float
     peer: Cost | None
     """Another program's process"""

@@ -81,7 +81,7 @@ def _saturated_table(cost: SaturatedCost) -> Table:
     for column in ("", "wall, s", "processor, s", "times real time", "peer's time over it"):
         table.add_column(column, justify="left" if not column else "right")
     rows = [("process", cost.process), ("without start-up", cost.run)]
-    rows.append((f"event queue alone ({cost.events:.0f} events)", cost.floor))
+    rows.append((f"Python's event queue alone ({cost.events:.0f} events)", cost.floor))
     for name, one in rows:
         table.add_row(name, *_cells(one), f"{cost.peer.wall_s / one.wall_s:.1f}" if cost.peer else "")
     if cost.peer is not None:
@@ -101,7 +101,7 @@ def _article_table(cost: ArticleCost, name: str) -> Table:
         table.add_column(column, justify="left" if not column else "right")
     table.add_row("emulator", *_cells(cost.emulator))
     table.add_row("with its messages", *_cells(cost.with_messages))
-    table.add_row(f"event queue alone ({cost.events:.0f} events)", *_cells(cost.floor))
+    table.add_row(f"Python's event queue alone ({cost.events:.0f} events)", *_cells(cost.floor))
     table.add_row("allowed", "", f"{REAL_TIME_LIMIT:.4f}", "")
     return table
 

@@ -1,0 +1,77 @@
+"""The air's events: a heap by time and order of scheduling, in `netsim.tables`."""
+
+from numba import njit
+
+from netsim import tables as t
+from netsim.tables import Air
+
+
+@njit(cache=True)
+def _comes_before(air: Air, i: int, j: int) -> bool:
+    one, other = t.events(air, i), t.events(air, j)
+    if one[t.AT] != other[t.AT]:
+        return bool(one[t.AT] < other[t.AT])
+    return bool(one[t.ORDER] < other[t.ORDER])
+
+
+@njit(cache=True)
+def _swap(air: Air, i: int, j: int) -> None:
+    one, other = t.events(air, i), t.events(air, j)
+    for column in range(t.EVENT_COLUMNS):
+        one[column], other[column] = other[column], one[column]
+
+
+@njit(cache=True)
+def schedule(
+    air: Air,
+    at_ns: int,
+    what: int,
+    about: int,
+    first: int = 0,
+    second: int = 0,
+    third: int = 0,
+    fourth: int = 0,
+) -> int:
+    """Have an event come; returns its order, which no other has."""
+    air[t.SCHEDULED] += 1
+    i = air[t.EVENTS]
+    air[t.EVENTS] = i + 1
+    event = t.events(air, i)
+    event[t.AT], event[t.ORDER], event[t.WHAT], event[t.ABOUT] = at_ns, air[t.SCHEDULED], what, about
+    event[t.FURTHER], event[t.FURTHER + 1] = first, second
+    event[t.FURTHER + 2], event[t.FURTHER + 3] = third, fourth
+    while i and _comes_before(air, i, (i - 1) // 2):
+        _swap(air, i, (i - 1) // 2)
+        i = (i - 1) // 2
+    return int(air[t.SCHEDULED])
+
+
+@njit(cache=True)
+def drop_next(air: Air) -> None:
+    """Take the next event out."""
+    count = air[t.EVENTS] - 1
+    air[t.EVENTS] = count
+    _swap(air, 0, count)
+    i = 0
+    while 2 * i + 1 < count:
+        child = 2 * i + 1
+        if child + 1 < count and _comes_before(air, child + 1, child):
+            child += 1
+        if not _comes_before(air, child, i):
+            break
+        _swap(air, i, child)
+        i = child
+
+
+@njit(cache=True)
+def is_off(air: Air) -> bool:
+    """Whether the next event has been taken back: who waited for it waits for another, or for none."""
+    event = t.events(air, 0)
+    what, about, order = event[t.WHAT], event[t.ABOUT], event[t.ORDER]
+    if what == t.ON_ACCESS:
+        return bool(t.queues(air, about)[t.ACCESS] != order)
+    if what == t.ON_DEADLINE:
+        return bool(t.queues(air, about)[t.DEADLINE] != order)
+    if what == t.ON_TIMEOUT:
+        return bool(t.stations(air, about)[t.TIMEOUT] != order)
+    return False

@@ -1,0 +1,169 @@
+"""The air's events, one after the other: what each has the medium and the stations do.
+
+`run` goes on without Python until it has to ask or to tell something. What is told is told after the event
+in which it happens: what the layers above make of it then comes behind all that the event itself has caused.
+"""
+
+from numba import njit
+
+from netsim import tables as t
+from netsim.events import drop_next, is_off
+from netsim.mac import station as mac
+from netsim.mac.channel import contend, is_full, on_deadline
+from netsim.phy import medium
+from netsim.phy.path_loss import Doubles
+from netsim.tables import Air, end_signal
+
+# Why `run` comes back.
+REACHED, TELLS, WANTS_BUDGET, WANTS_MODE, WANTS_DRAWS, WANTS_ROOM = range(6)
+"""It is through; has calls to be told; lacks the link budget of a station or the mode of a queue's next
+frame, see `netsim.tables.WANTED`; lacks draws; lacks free rows."""
+
+
+@njit(cache=True)
+def run(air: Air, fading: Doubles, until_ns: int, until_order: int, chosen: int) -> int:
+    """Run the events before a time and an order of scheduling; returns why it stops.
+
+    Goes on with the exchange of queue ``chosen`` first, whose frame has been given a mode, if it is one.
+    """
+    if chosen != t.NOTHING:
+        mac.begin_chosen(air, fading, chosen)
+    while air[t.EVENTS]:
+        if is_off(air):
+            drop_next(air)
+            continue
+        event = t.events(air, 0)
+        at_ns, what, about = event[t.AT], event[t.WHAT], event[t.ABOUT]
+        if at_ns > until_ns or (at_ns == until_ns and event[t.ORDER] > until_order):
+            break
+        lack = _lack(air, what, about, at_ns)
+        if lack != REACHED:
+            return lack
+        first, second = event[t.FURTHER], event[t.FURTHER + 1]
+        third, fourth = event[t.FURTHER + 2], event[t.FURTHER + 3]
+        drop_next(air)
+        air[t.NOW] = at_ns
+        queue = _act(air, fading, what, about, first, second, third, fourth)
+        if queue != t.NOTHING:
+            air[t.WANTED] = queue
+            return WANTS_MODE
+        if air[t.CALLS]:
+            return TELLS
+    return REACHED
+
+
+@njit(cache=True)
+def _lack(air: Air, what: int, about: int, at_ns: int) -> int:
+    """What has to be there before the next event, or `REACHED`."""
+    if air[t.DRAWS_LOW]:
+        return WANTS_DRAWS
+    if (
+        air[t.FREE_SIGNAL] == t.NOTHING
+        or air[t.EVENTS] + spare_events(air) > air[t.EVENT_ROWS]
+        or air[t.RECORDS] == t.RECORD_ROWS
+    ):
+        return WANTS_ROOM
+    if what in (t.ON_ACCESS, t.START_EXCHANGE, t.SEND_JOB):
+        sender = about // air[t.CATEGORIES]
+    elif what == t.SEND_FRAME:
+        sender = about
+    else:
+        return REACHED
+    if at_ns > t.budgets(air, sender)[t.BUDGET_UNTIL]:
+        air[t.WANTED] = sender
+        return WANTS_BUDGET
+    return REACHED
+
+
+@njit(cache=True)
+def spare_events(air: Air) -> int:
+    """Events that one event schedules at most: an access and a deadline of every queue, an answer."""
+    return int(air[t.STATIONS] * (2 * air[t.CATEGORIES] + 2) + 8)
+
+
+@njit(cache=True)
+def _act(
+    air: Air, fading: Doubles, what: int, about: int, first: int, second: int, third: int, fourth: int
+) -> int:
+    """Do what an event is; returns the queue whose next frame needs a mode, if one does."""
+    if what == t.END_FRAME:
+        _end_frame(air, about)
+    elif what == t.DETECT:
+        medium.find(air, about)
+    elif what == t.ON_ACCESS:
+        return mac.on_access(air, fading, about)
+    elif what == t.SEND_FRAME:
+        mac.send_frame(air, fading, about, first, second, third, fourth)
+    elif what == t.SEND_JOB:
+        mac.send_job(air, fading, about)
+    elif what == t.START_EXCHANGE:
+        return mac.begin_exchange(air, fading, about)
+    elif what == t.ON_TIMEOUT:
+        mac.on_timeout(air, about)
+    elif what == t.ON_DEADLINE:
+        on_deadline(air, about)
+    elif what == t.LOOK_FOR_UNUSED:
+        medium.look_for_unused(air, about)
+    elif what == t.ON_UNUSED:
+        if medium.drop_reservation(air, about, first, second):
+            mac.on_unused(air, about)
+    elif what == t.END_BURST:
+        medium.end_burst(air, about)
+        for r in range(air[t.STATIONS]):
+            mac.on_air_changed(air, r)
+    return t.NOTHING
+
+
+@njit(cache=True)
+def _end_frame(air: Air, frame: int) -> None:
+    medium.settle(air, frame)
+    for r in range(air[t.STATIONS]):
+        if t.ends(air, t.FATES)[r] != t.ABSENT:
+            mac.on_end(air, frame, r)
+    medium.conclude(air, frame)
+    mac.on_sent(air, frame)
+    if air[t.OBSERVED]:
+        t.call(air, t.FRAME_ENDED, t.signals(air, frame)[t.SOURCE], t.signals(air, frame)[t.JOB])
+        air[t.ENDED] = frame
+    else:
+        end_signal(air, frame)
+
+
+# --- what Python does between the events
+
+
+@njit(cache=True)
+def enqueue(air: Air, station: int, q: int, job: int) -> bool:
+    """Have a station take a job, which is a row of jobs; False if its queues are full or it is silent."""
+    if t.stations(air, station)[t.DEAF] or is_full(air, station):
+        return False
+    contend(air, station, q, job)
+    return True
+
+
+@njit(cache=True)
+def silence(air: Air, station: int) -> None:
+    """End a station for good."""
+    mac.silence(air, station)
+
+
+@njit(cache=True)
+def start_burst(air: Air, burst: int) -> None:
+    """Put an interferer's burst on the air, which is a row of signals."""
+    mac.on_busy(air, burst, medium.start_burst(air, burst))
+
+
+@njit(cache=True)
+def release(air: Air, frame: int) -> None:
+    """Let go of a frame whose end has been told."""
+    end_signal(air, frame)
+
+
+@njit(cache=True)
+def next_ns(air: Air, never_ns: int) -> int:
+    """Time of the next event, or ``never_ns``."""
+    while air[t.EVENTS]:
+        if not is_off(air):
+            return int(t.events(air, 0)[t.AT])
+        drop_next(air)
+    return never_ns
