@@ -70,6 +70,9 @@ def launcher_and_children(start: str, child: str, folder: Path, *, ends_by: sign
         assert launcher.stdout is not None
         pids = [int(pid) for pid in launcher.stdout.readline().split()]
         launcher.send_signal(ends_by)
-        launcher.communicate(timeout=WALL_LIMIT_S)
+        try:
+            launcher.communicate(timeout=WALL_LIMIT_S)
+        finally:
+            launcher.kill()
     wait_for(lambda: not any(alive(pid) for pid in pids), f"children's end after {ends_by.name}")
     return pids
