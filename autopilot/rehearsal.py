@@ -65,6 +65,7 @@ def rehearse() -> None:
         )
         if joining_steps > JOINING_STEPS:
             _rehearse_modes(vehicles[0])
+            _rehearse_distances(vehicles[0], time_us)
             _rehearse_common_frame()
             _rehearse_inertial_steps(ahead)
             return
@@ -90,6 +91,16 @@ def _rehearse_modes(vehicle: Vehicle) -> None:
         vehicle.pilot.controller.update(state, setpoint, dt_s=0.004, landed=False)
     rates = RateSetpoint(rate_frd_rad_s=np.zeros(3), thrust=0.5)
     vehicle.pilot.controller.update(state, rates, dt_s=0.004, landed=False)
+
+
+def _rehearse_distances(vehicle: Vehicle, now_us: int) -> None:
+    """Ask how well a distance is known, which the application does only where it is worth a measurement.
+
+    Raises RehearsalError.
+    """
+    localisation = vehicle.app.localisation if vehicle.app is not None else None
+    if localisation is None or localisation.distance_variance_m2(1, now_us) is None:
+        raise RehearsalError("the vehicles on their way are not located")
 
 
 def _rehearse_inertial_steps(ahead: Ahead | None) -> None:

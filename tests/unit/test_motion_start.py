@@ -9,6 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import stamp
+from harness.answers import Answers
 from harness.messages import FormationMoves
 from harness.motion_start import agreed, flown_start_us, since_start_s, start_us
 from harness.recording import EVENT_KINDS
@@ -72,6 +73,7 @@ class _Mute:
 
     def __init__(self, count):
         self.seats = [_Seat(i) for i in range(count)]
+        self._answers = Answers(count)
 
     @property
     def living(self):
@@ -82,7 +84,7 @@ class _Mute:
 
     def answers(self, time_us):
         assert time_us > 0
-        return [None] * len(self.seats)
+        return self._answers
 
     def judge(self, instances):
         raise AssertionError(instances)
