@@ -22,11 +22,24 @@ HOLD_S = 8.0
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory):
+def own_kernels(tmp_path_factory):
+    """A copy of the compiled kernels for this swarm: tests beside it compile for types that nobody flies."""
+    shared = kernel_cache.folder()
+    own = tmp_path_factory.mktemp("kernels") / shared.name
+    shutil.copytree(shared, own, ignore=shutil.ignore_patterns("*.tmp.*"))  # those are being written
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(kernel_cache.VARIABLE, str(own))
+        kernel_cache.folder.cache_clear()
+        yield own
+    kernel_cache.folder.cache_clear()
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory, own_kernels):
     """Fly it once, for all tests: the summary, the folder, and what was seen in flight."""
     folder = tmp_path_factory.mktemp("article") / "run"
     with Swarm(ARTICLE, out=folder, overrides=["radio.capture=true"], wall_limit_s=280.0) as swarm:
-        kernels = sorted(kernel_cache.folder().rglob("*.nb?"))
+        kernels = set(own_kernels.rglob("*.nb?"))
         swarm.run_until_formed(timeout_s=60.0)
         names = {name: psutil.Process(pid).name() for name, pid in swarm.pids.items()}
         pids = swarm.pids
@@ -34,7 +47,7 @@ def flown(tmp_path_factory):
         uss_mb = {name: psutil.Process(pid).memory_full_info().uss * 1e-6 for name, pid in swarm.pids.items()}
         swarm.stop()
         summary = swarm.summary()
-        compiled = set(kernel_cache.folder().rglob("*.nb?")) - set(kernels)
+        compiled = set(own_kernels.rglob("*.nb?")) - kernels
         return {
             "summary": summary,
             "folder": folder,
@@ -44,6 +57,7 @@ def flown(tmp_path_factory):
             "events": swarm.events,
             "forced": swarm.forced,
             "leftovers": swarm.leftovers(),
+            "kernels": kernels,
             "compiled": compiled,
         }
 
@@ -132,6 +146,7 @@ def test_every_figure_is_drawn(flown):
 
 def test_nothing_was_compiled_in_flight(flown):
     assert flown["compiled"] == set()
+    assert flown["kernels"]  # they were looked for where they are
 
 
 @pytest.mark.skipif(shutil.which("tshark") is None, reason="tshark is not installed")
