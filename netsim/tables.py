@@ -31,12 +31,13 @@ NOTHING = -1
     STARTED,  # frames so far
     BUSY_NS, BUSY_UNTIL_NS,  # time for which the medium carried a signal, counted up to then
     DRAWS_LOW,  # some station has hardly any draws left
-    WANTED,  # the sender whose link budget has to be computed, or the queue whose next frame needs a mode
+    DUE, CHOSEN,  # the queue whose exchange begins now, or `NOTHING`; its frame has been given a mode
+    WANTED,  # the sender whose link budget has to be computed
     QUEUE_FRAMES, CONTROL_MODE,  # settings
     OBSERVED,  # the end of every frame is told
     ENDED,  # the frame whose end is being told, and whose row is kept until then
     FIRST_TABLE,  # from here on, where the tables begin
-) = range(23)  # fmt: skip
+) = range(25)  # fmt: skip
 NUMBERS = 56
 
 # --- columns of a station: what it senses of the medium, and its MAC

@@ -16,45 +16,46 @@ from netsim.tables import Air, end_signal
 
 # Why `run` comes back.
 REACHED, TELLS, WANTS_BUDGET, WANTS_MODE, WANTS_DRAWS, WANTS_ROOM = range(6)
-"""It is through; has calls to be told; lacks the link budget of a station or the mode of a queue's next
-frame, see `netsim.tables.WANTED`; lacks draws; lacks free rows."""
+"""It is through; has calls to be told; lacks the link budget of the station `netsim.tables.WANTED`, which
+sends now; the mode of the next frame of the queue `netsim.tables.DUE`; draws; free rows."""
 
 
 @njit(cache=True)
-def run(air: Air, fading: Doubles, until_ns: int, until_order: int, chosen: int) -> int:
+def run(air: Air, fading: Doubles, until_ns: int, until_order: int) -> int:
     """Run the events before a time and an order of scheduling; returns why it stops.
 
-    Goes on with the exchange of queue ``chosen`` first, whose frame has been given a mode, if it is one.
+    What it has stopped for is to be there when it is called again.
     """
-    if chosen != t.NOTHING:
-        mac.begin_chosen(air, fading, chosen)
-    while air[t.EVENTS]:
-        if is_off(air):
-            drop_next(air)
-            continue
-        event = t.events(air, 0)
-        at_ns, what, about = event[t.AT], event[t.WHAT], event[t.ABOUT]
-        if at_ns > until_ns or (at_ns == until_ns and event[t.ORDER] > until_order):
-            break
-        lack = _lack(air, what, about, at_ns)
+    while True:
+        if air[t.DUE] != t.NOTHING:
+            lack = _begin_due(air, fading)
+        elif _next_is_due(air, until_ns, until_order):
+            lack = _run_next(air, fading)
+        else:
+            return REACHED
         if lack != REACHED:
             return lack
-        first, second = event[t.FURTHER], event[t.FURTHER + 1]
-        third, fourth = event[t.FURTHER + 2], event[t.FURTHER + 3]
-        drop_next(air)
-        air[t.NOW] = at_ns
-        queue = _act(air, fading, what, about, first, second, third, fourth)
-        if queue != t.NOTHING:
-            air[t.WANTED] = queue
-            return WANTS_MODE
-        if air[t.CALLS]:
+        if air[t.CALLS] and air[t.DUE] == t.NOTHING:
             return TELLS
-    return REACHED
 
 
 @njit(cache=True)
-def _lack(air: Air, what: int, about: int, at_ns: int) -> int:
-    """What has to be there before the next event, or `REACHED`."""
+def _next_is_due(air: Air, until_ns: int, until_order: int) -> bool:
+    """Whether there is an event before a time and an order, those taken back gone."""
+    while air[t.EVENTS] and is_off(air):
+        drop_next(air)
+    if not air[t.EVENTS]:
+        return False
+    event = t.events(air, 0)
+    return bool(event[t.AT] < until_ns or (event[t.AT] == until_ns and event[t.ORDER] <= until_order))
+
+
+@njit(cache=True)
+def _run_next(air: Air, fading: Doubles) -> int:
+    """Run the next event, unless it lacks something, which is returned."""
+    event = t.events(air, 0)
+    what, about = event[t.WHAT], event[t.ABOUT]
+    air[t.NOW] = event[t.AT]
     if air[t.DRAWS_LOW]:
         return WANTS_DRAWS
     if (
@@ -63,16 +64,44 @@ def _lack(air: Air, what: int, about: int, at_ns: int) -> int:
         or air[t.RECORDS] == t.RECORD_ROWS
     ):
         return WANTS_ROOM
-    if what in (t.ON_ACCESS, t.START_EXCHANGE, t.SEND_JOB):
-        sender = about // air[t.CATEGORIES]
-    elif what == t.SEND_FRAME:
-        sender = about
-    else:
-        return REACHED
-    if at_ns > t.budgets(air, sender)[t.BUDGET_UNTIL]:
-        air[t.WANTED] = sender
-        return WANTS_BUDGET
+    if what in (t.SEND_JOB, t.SEND_FRAME):
+        sender = mac.sender(air, what, about)
+        if sender == t.NOTHING:
+            drop_next(air)
+            return REACHED
+        if _lacks_budget(air, sender):
+            return WANTS_BUDGET
+    first, second = event[t.FURTHER], event[t.FURTHER + 1]
+    third, fourth = event[t.FURTHER + 2], event[t.FURTHER + 3]
+    drop_next(air)
+    _act(air, fading, what, about, first, second, third, fourth)
     return REACHED
+
+
+@njit(cache=True)
+def _begin_due(air: Air, fading: Doubles) -> int:
+    """Begin the exchange that is due, unless it lacks something, which is returned."""
+    q = air[t.DUE]
+    if mac.lacks_mode(air, q):
+        return WANTS_MODE
+    if mac.has_time(air, q):
+        if _lacks_budget(air, q // air[t.CATEGORIES]):
+            return WANTS_BUDGET
+        mac.begin(air, fading, q)
+    else:
+        mac.leave(air, q)
+    air[t.DUE] = t.NOTHING
+    return REACHED
+
+
+@njit(cache=True)
+def _lacks_budget(air: Air, sender: int) -> bool:
+    """Whether the link budget of who sends now has to be computed.
+
+    It holds for a while from then on, so it is never asked for ahead, nor for what may come to nothing.
+    """
+    air[t.WANTED] = sender
+    return bool(air[t.NOW] > t.budgets(air, sender)[t.BUDGET_UNTIL])
 
 
 @njit(cache=True)
@@ -84,20 +113,20 @@ def spare_events(air: Air) -> int:
 @njit(cache=True)
 def _act(
     air: Air, fading: Doubles, what: int, about: int, first: int, second: int, third: int, fourth: int
-) -> int:
-    """Do what an event is; returns the queue whose next frame needs a mode, if one does."""
+) -> None:
+    """Do what an event is."""
     if what == t.END_FRAME:
         _end_frame(air, about)
     elif what == t.DETECT:
         medium.find(air, about)
     elif what == t.ON_ACCESS:
-        return mac.on_access(air, fading, about)
+        mac.on_access(air, about)
     elif what == t.SEND_FRAME:
         mac.send_frame(air, fading, about, first, second, third, fourth)
     elif what == t.SEND_JOB:
         mac.send_job(air, fading, about)
     elif what == t.START_EXCHANGE:
-        return mac.begin_exchange(air, fading, about)
+        mac.have_due(air, about)
     elif what == t.ON_TIMEOUT:
         mac.on_timeout(air, about)
     elif what == t.ON_DEADLINE:
@@ -111,7 +140,6 @@ def _act(
         medium.end_burst(air, about)
         for r in range(air[t.STATIONS]):
             mac.on_air_changed(air, r)
-    return t.NOTHING
 
 
 @njit(cache=True)

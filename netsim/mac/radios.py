@@ -86,8 +86,6 @@ class Radios:
         self._fading = links.fading
         self._fading_block = _NO_FADING if self._fading is None else self._fading.block
         self._links_version = links.version
-        self._chosen = t.NOTHING
-        """The queue whose next frame has just been given a mode."""
         self._spare_events = loop.spare_events(self._air)
         self._uppers: list[Upper] = []
         self._backoffs: list[Uniforms] = []
@@ -118,6 +116,7 @@ class Radios:
         self._mode_row(phy_mode("ofdm6", config.bandwidth_mhz))
         air[t.OBSERVED] = self._on_ended is not None
         air[t.DRAWS_LOW] = 1
+        air[t.DUE] = t.NOTHING
         stations = tables.stations
         stations[:, [t.SENDING_FROM, t.SENDING_UNTIL, t.LOCKED]] = -1
         stations[:, [t.LOCK, t.RESERVED_BY, t.CURRENT]] = t.NOTHING
@@ -270,19 +269,17 @@ class Radios:
         if self._links.version != self._links_version:
             self._links_version = self._links.version
             self._tables.budgets[:, t.BUDGET_UNTIL] = -1
-        chosen, self._chosen = self._chosen, t.NOTHING
-        why = loop.run(self._air, self._fading_block, until_ns, until_order, chosen)
+        why = loop.run(self._air, self._fading_block, until_ns, until_order)
         queue.scheduled = head[t.SCHEDULED]
         if why == loop.REACHED:
             return True
+        queue.now_ns = head[t.NOW]
         if why == loop.TELLS:
-            queue.now_ns = head[t.NOW]
             self._tell()
         elif why == loop.WANTS_BUDGET:
-            self._have_budget(head[t.WANTED], int(self._tables.events[0, t.AT]))
+            self._have_budget(head[t.WANTED], queue.now_ns)
         elif why == loop.WANTS_MODE:
-            queue.now_ns = head[t.NOW]
-            self._choose_mode(head[t.WANTED])
+            self._choose_mode(head[t.DUE])
         else:
             self._make_ready()
         return False
@@ -331,7 +328,7 @@ class Radios:
             now_ns=self._queue.now_ns,
         )
         tables.jobs[row, t.JOB_MODE] = self._mode_row(job.mode)
-        self._chosen = q
+        self._head[t.CHOSEN] = 1
 
     # --- interferers
 

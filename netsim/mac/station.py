@@ -84,51 +84,63 @@ def _exchange_ns(air: Air, job: int) -> int:
 
 
 @njit(cache=True)
-def on_access(air: Air, fading: Doubles, q: int) -> int:
-    """Have a queue send as it has planned.
+def sender(air: Air, what: int, about: int) -> int:
+    """Give the station that sends at an event now; `netsim.tables.NOTHING` if it cannot any more.
 
-    Returns the queue that got access if its frame needs a mode, which is then `begin_exchange`'s turn.
+    The event is the frame itself of an exchange, or one that is nobody's job. Since it was planned a station
+    may have given up the one, and fallen silent or begun to send another instead of the other.
     """
+    if what == t.SEND_JOB:
+        return about // air[t.CATEGORIES] if _may_send(air, about) else t.NOTHING
+    row = t.stations(air, about)
+    return t.NOTHING if row[t.DEAF] or row[t.SENDING_UNTIL] > air[t.NOW] else about
+
+
+@njit(cache=True)
+def on_access(air: Air, q: int) -> None:
+    """Have the exchange of the queue that gets the access which ``q`` has planned be due."""
     winner = win(air, q)
-    if winner == t.NOTHING:
-        return t.NOTHING
-    station = winner // air[t.CATEGORIES]
-    t.stations(air, station)[t.TXOP_END] = air[t.NOW] + t.queues(air, winner)[t.TXOP]
-    return begin_exchange(air, fading, winner)
+    if winner != t.NOTHING:
+        t.stations(air, winner // air[t.CATEGORIES])[t.TXOP_END] = air[t.NOW] + t.queues(air, winner)[t.TXOP]
+        have_due(air, winner)
 
 
 @njit(cache=True)
-def begin_exchange(air: Air, fading: Doubles, q: int) -> int:
-    """Begin the exchange of a queue's first job, unless its mode has to be chosen: then returns the queue."""
-    station = q // air[t.CATEGORIES]
-    job = t.queues(air, q)[t.FIRST]
-    if t.stations(air, station)[t.CURRENT] != q or job == t.NOTHING:
-        return t.NOTHING
-    if t.jobs(air, job)[t.JOB_ADAPTS]:
-        return q
-    _begin(air, fading, q, job)
-    return t.NOTHING
+def have_due(air: Air, q: int) -> None:
+    """Have the exchange of a queue's first job begin now, if the queue may still send and has one."""
+    if _may_send(air, q):
+        air[t.DUE], air[t.CHOSEN] = q, 0
 
 
 @njit(cache=True)
-def begin_chosen(air: Air, fading: Doubles, q: int) -> None:
-    """Begin the exchange of a queue's first job, whose mode has been chosen just now.
+def _may_send(air: Air, q: int) -> bool:
+    may = t.stations(air, q // air[t.CATEGORIES])[t.CURRENT] == q
+    return bool(may and t.queues(air, q)[t.FIRST] != t.NOTHING)
 
-    In that mode it may not end within the TXOP any more: then it has to wait for its own.
+
+@njit(cache=True)
+def lacks_mode(air: Air, q: int) -> bool:
+    """Whether the mode of a queue's next frame has to be chosen before its exchange begins."""
+    return bool(t.jobs(air, t.queues(air, q)[t.FIRST])[t.JOB_ADAPTS] and not air[t.CHOSEN])
+
+
+@njit(cache=True)
+def has_time(air: Air, q: int) -> bool:
+    """Whether the exchange of a queue's first job can begin now.
+
+    In a mode that has been chosen just now it may not end within the TXOP any more: then it has to wait for
+    its own.
     """
-    station = q // air[t.CATEGORIES]
-    row, queue = t.stations(air, station), t.queues(air, q)
-    job = queue[t.FIRST]
-    goes_on = air[t.NOW] > row[t.TXOP_END] - queue[t.TXOP]  # the TXOP has begun before
-    if goes_on and air[t.NOW] + _exchange_ns(air, job) > row[t.TXOP_END]:
-        _leave(air, station, q)
-    else:
-        _begin(air, fading, q, job)
+    txop_end_ns, queue = t.stations(air, q // air[t.CATEGORIES])[t.TXOP_END], t.queues(air, q)
+    goes_on = air[t.NOW] > txop_end_ns - queue[t.TXOP]  # the TXOP has begun before
+    late = air[t.CHOSEN] and goes_on and air[t.NOW] + _exchange_ns(air, queue[t.FIRST]) > txop_end_ns
+    return not late
 
 
 @njit(cache=True)
-def _begin(air: Air, fading: Doubles, q: int, job: int) -> None:
-    station = q // air[t.CATEGORIES]
+def begin(air: Air, fading: Doubles, q: int) -> None:
+    """Begin the exchange of a queue's first job: see `lacks_mode` and `has_time`."""
+    station, job = q // air[t.CATEGORIES], t.queues(air, q)[t.FIRST]
     target = _rts_target(air, station, job) if t.jobs(air, job)[t.JOB_RTS] else t.NOTHING
     if target == t.NOTHING:
         send_job(air, fading, q)
@@ -152,12 +164,10 @@ def _rts_target(air: Air, station: int, job: int) -> int:
 
 @njit(cache=True)
 def send_job(air: Air, fading: Doubles, q: int) -> None:
-    """Send the frame itself of a queue's exchange."""
+    """Send the frame itself of a queue's exchange, which may send: see `sender`."""
     station = q // air[t.CATEGORIES]
     row, queue = t.stations(air, station), t.queues(air, q)
     which = queue[t.FIRST]
-    if row[t.CURRENT] != q or which == t.NOTHING:
-        return
     job = t.jobs(air, which)
     if job[t.JOB_ATTEMPTS] == 0:
         row[t.SEQUENCE] += 1
@@ -229,12 +239,13 @@ def _succeed(air: Air, station: int, outcome: int, end_ns: int) -> None:
     _stop_waiting(air, station)
     give_up(air, q, outcome)
     if not (t.queues(air, q)[t.TXOP] and _goes_on(air, station, q, end_ns + SIFS_NS)):
-        _leave(air, station, q)
+        leave(air, q)
 
 
 @njit(cache=True)
-def _leave(air: Air, station: int, q: int) -> None:
+def leave(air: Air, q: int) -> None:
     """Let others contend after a success."""
+    station = q // air[t.CATEGORIES]
     t.stations(air, station)[t.CURRENT] = t.NOTHING
     t.stations(air, station)[t.PHASE] = IDLE
     succeeded(air, q)
@@ -400,13 +411,10 @@ def _answer(air: Air, frame: int, end_ns: int, station: int) -> None:
 def send_frame(
     air: Air, fading: Doubles, station: int, to: int, what: int, frame_bytes: int, nav_ns: int
 ) -> None:
-    """Send a frame that is nobody's job, unless the station has fallen silent or is sending.
+    """Send a frame that is nobody's job, if the station can: see `sender`.
 
     ``what`` is its kind times the number of modes, and its mode.
     """
-    row = t.stations(air, station)
-    if row[t.DEAF] or row[t.SENDING_UNTIL] > air[t.NOW]:
-        return
     frame = _frame(air, what // t.MODES, station, to, what % t.MODES, frame_bytes)
     t.signals(air, frame)[t.NAV] = nav_ns
     _send(air, fading, frame)

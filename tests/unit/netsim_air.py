@@ -32,6 +32,8 @@ class GivenLinks:
         powers_dbm: Mapping[tuple[int, int], float],
         delays_ns: Mapping[tuple[int, int], int],
     ):
+        self.asked: list[tuple[int, int]] = []
+        """Times and sources of all rows so far."""
         self._rows = []
         for source in range(stations):
             powers_mw = [10 ** (powers_dbm.get((source, to), -50.0) / 10) for to in range(stations)]
@@ -40,6 +42,7 @@ class GivenLinks:
 
     def row(self, source: int, at_ns: int) -> LinkRow:
         assert at_ns >= 0
+        self.asked.append((at_ns, source))
         return self._rows[source]
 
 
@@ -74,11 +77,12 @@ class Air:
         self.transmissions: list[Transmission] = []
         self.outcomes: list[Outcome] = []
         self.arrivals: list[tuple[int, int, bool]] = []
+        self.links = GivenLinks(stations, powers_dbm or {}, delays_ns or {})
         self.radios = Radios(
             config=config,
             access=access or {"dcf": DCF},
             queue=self.queue,
-            links=GivenLinks(stations, powers_dbm or {}, delays_ns or {}),
+            links=self.links,
             stations=stations,
             streams=streams,
             on_ended=self.transmissions.append,
