@@ -7,6 +7,7 @@ in which it happens: what the layers above make of it then comes behind all that
 from numba import njit
 
 from netsim import tables as t
+from netsim.borrowed import borrowed
 from netsim.events import drop_next, is_off
 from netsim.mac import station as mac
 from netsim.mac.channel import contend, is_full, on_deadline
@@ -26,6 +27,7 @@ def run(air: Air, fading: Doubles, until_ns: int, until_order: int) -> int:
 
     What it has stopped for is to be there when it is called again.
     """
+    air, fading = borrowed(air), borrowed(fading)
     while True:
         if air[t.DUE] != t.NOTHING:
             lack = _begin_due(air, fading)
