@@ -176,7 +176,7 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     localisation: Literal["gps", "ftm", "truth"] = "ftm"
     """Correct the own position by everyone's GPS and the FTM distances, trust the own GPS alone, or be told
     by the simulator: the last two are what the first is measured against."""
-    loop_period_ms: Annotated[int, Meta(ge=4, le=40)] = 20
+    loop_period_ms: Annotated[int, Meta(ge=4, le=40)] = 40
     """How often the application works, and deals with autopilot and radio: at the multiples of this, a whole
     number of steps. The channel goes on in intervals as long. Beside a PX4 it works when PX4 speaks."""
     beacon_period_ms: Annotated[int, Meta(ge=10, le=1_000)] = 100

@@ -21,11 +21,11 @@ PREFIXES = {
     "COM": "Commander and failsafes", "EKF2": "Estimator", "FD": "Failure detector", "GF": "Geofence",
     "HTE": "Hover thrust estimator", "IMU": "Inertial sensors", "LNDMC": "Land detector",
     "MC": "Attitude and rate control", "MIS": "Missions", "MPC": "Position control and modes",
-    "NAV": "Navigation", "RTL": "Return", "SIM": "Simulated battery", "THR": "Motors",
+    "NAV": "Navigation", "RTL": "Return", "SENS": "Sensors", "SIM": "Simulated battery", "THR": "Motors",
 }  # fmt: skip
 _MORE_PREFIXES = {
     "CA": "Geometry", "CAL": "Calibration", "CP": "Obstacles", "MAN": "Manual control", "MAV": "MAVLink",
-    "MNT": "Gimbal", "RC": "Remote control", "SDLOG": "Log", "SENS": "Sensors", "SYS": "System",
+    "MNT": "Gimbal", "RC": "Remote control", "SDLOG": "Log", "SYS": "System",
     "TRIG": "Camera", "UAVCAN": "CAN bus",
 }  # fmt: skip
 """Of the parameters without effect alone."""

@@ -21,6 +21,7 @@ from autopilot.commander.params import CommanderParams
 from autopilot.control.params import ControlParams
 from autopilot.estimation.params import EstimatorParams
 from autopilot.navigation.params import NavigationParams
+from autopilot.sensors import SensorsParams
 from autopilot.stated_params import STATED, STATED_OF, Stated
 
 
@@ -54,6 +55,7 @@ class Settings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     geofence: GeofenceParams = GeofenceParams()
     land_detector: LandDetectorParams = LandDetectorParams()
     navigation: NavigationParams = NavigationParams()
+    sensors: SensorsParams = SensorsParams()
 
 
 class Parameter(NamedTuple):
@@ -236,6 +238,8 @@ TABLE = (
     Parameter("RTL_LAND_DELAY", "navigation.return_home.land_delay_s", "s", -1.0, 3_600.0),
     Parameter("RTL_MIN_DIST", "navigation.return_home.min_distance_m", "m", 0.0, 1_000.0),
     Parameter("RTL_RETURN_ALT", "navigation.return_home.height_m", "m", 0.0, 1_000.0),
+    Parameter("SENS_BARO_RATE", "sensors.baro_rate_hz", "Hz", 1.0, 200.0),
+    Parameter("SENS_MAG_RATE", "sensors.mag_rate_hz", "Hz", 1.0, 200.0),
     Parameter("SIM_BAT_DRAIN", "battery_sim.drain_s", "s", 0.0, 86_400.0),
     Parameter("SIM_BAT_ENABLE", "battery_sim.enabled", "", 0, 1, is_integer=True),
     Parameter("SIM_BAT_MIN_PCT", "battery_sim.minimum", "%", 0.0, 100.0, 0.01),

@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.config import Site, VehicleConfig
 from autopilot.estimation.atmosphere import pressure_pa
 from autopilot.inertial_step import Ahead, InertialSteps
+from autopilot.mavlink.hil import HilSensor, pack
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.navigation.manual import ManualInput
@@ -48,7 +49,6 @@ def rehearse() -> None:
     inboxes: list[list[RxItem]] = [[], []]
     step_us = configs[0].step_us
     height_m, joining_steps = 0.0, 0
-    ahead: Ahead | None = None
     for time_us in range(step_us, LIMIT_US, step_us):
         lifted = all(vehicle.commander.armed for vehicle in vehicles)
         climb_m_s = LIFT_SPEED_M_S if lifted else 0.0
@@ -59,15 +59,15 @@ def rehearse() -> None:
             sensors = _sensors(configs[i].site, time_us, pos_ned_m, climb_m_s)
             sent.append(vehicle.step(sim_messages=sensors, radio_items=inboxes[i]).radio)
         inboxes = [_arrivals(sent[1 - i], sent[i], other=1 - i, time_us=time_us) for i in range(2)]
-        ahead = ahead or vehicles[0].ahead
         joining_steps += all(
             vehicle.app is not None and vehicle.app.phase >= Phase.JOINING for vehicle in vehicles
         )
-        if joining_steps > JOINING_STEPS:
+        ahead = vehicles[0].ahead if joining_steps > JOINING_STEPS else None
+        if ahead is not None:
+            _rehearse_inertial_step(ahead)
             _rehearse_modes(vehicles[0])
             _rehearse_distances(vehicles[0], time_us)
             _rehearse_common_frame()
-            _rehearse_inertial_steps(ahead)
             return
     raise RehearsalError("the vehicles of the rehearsal did not get on their way")
 
@@ -103,13 +103,17 @@ def _rehearse_distances(vehicle: Vehicle, now_us: int) -> None:
         raise RehearsalError("the vehicles on their way are not located")
 
 
-def _rehearse_inertial_steps(ahead: Ahead | None) -> None:
-    """Ask for the step that `autopilot.host` takes without its vehicle. Raises RehearsalError."""
-    if ahead is None:
-        raise RehearsalError("there was no step with nothing but an inertial sample in it")
+def _rehearse_inertial_step(ahead: Ahead) -> None:
+    """Make a step as `autopilot.host` does without its vehicle. Raises RehearsalError."""
     steps = InertialSteps(system=1, component=1)
     steps.open(ahead, 0)
-    steps.step(0)  # no bytes are no such step, but it has looked at them
+    nothing = (0.0, 0.0, 0.0)
+    accel = (0.0, 0.0, -_GRAVITY_M_S2)
+    at_rest = HilSensor(ahead.last.time_usec + 1, *accel, *nothing, *nothing, 0.0, 0.0, 0.0, 0.0, _IMU)
+    frame = pack(at_rest, sequence=0, system=0, component=1)
+    steps.incoming[: len(frame)] = frame
+    if steps.step(len(frame)) is None:
+        raise RehearsalError("an inertial sample was not taken for one")
 
 
 def _rehearse_common_frame() -> None:

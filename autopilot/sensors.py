@@ -1,12 +1,15 @@
 """A simulator's HIL messages turned into what the estimator takes, and how fresh each sensor is.
 
-A group of HIL_SENSOR counts only when all its bits of ``fields_updated`` are set, as in PX4.
+A group of HIL_SENSOR counts only when all its bits of ``fields_updated`` are set, as in PX4. Like there the
+estimator is given magnetometer and barometer less often than they are read.
 """
 
 import math
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta, Struct
 from pymavlink.dialects.v20 import common
 
 from autopilot.commander.conditions import Condition
@@ -25,14 +28,24 @@ _IMU, _BARO, _MAG, _GPS = map(int, (Condition.IMU, Condition.BARO, Condition.MAG
 TIMEOUTS_US = {_IMU: 100_000, _BARO: 1_000_000, _MAG: 1_000_000, _GPS: 2_000_000}
 """Age from which a sensor counts as gone: several periods of the slowest rate that PX4 accepts of it."""
 
+_US_PER_S = 1_000_000
 _LONG_AGO_US = -(1 << 40)
 _UNKNOWN = 65_535
+
+
+class SensorsParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How often the estimator is given what comes more often."""
+
+    mag_rate_hz: Annotated[float, Meta(ge=1.0, le=200.0)] = 25.0
+    """SENS_MAG_RATE: how often a field is taken at most, that of the moment (PX4: 15, and means)"""
+    baro_rate_hz: Annotated[float, Meta(ge=1.0, le=200.0)] = 25.0
+    """SENS_BARO_RATE: how often a pressure is taken at most, that of the moment (PX4: 20, and means)"""
 
 
 class SensorInput:
     """Feeds the estimator and keeps the last messages for telemetry."""
 
-    def __init__(self, estimator: Estimator) -> None:
+    def __init__(self, estimator: Estimator, params: SensorsParams) -> None:
         self.sensor: Message | None = None
         """The last HIL_SENSOR of the first set."""
         self.baro: Message | None = None
@@ -44,6 +57,19 @@ class SensorInput:
         self.motor_currents_us = 0
         self._estimator = estimator
         self._seen_us = dict.fromkeys(TIMEOUTS_US, _LONG_AGO_US)
+        self._mag_us = self._baro_us = 0
+        """From when on the next reading is taken: multiples of the periods, so that both come in one step."""
+        self.set_params(params)
+
+    def set_params(self, params: SensorsParams) -> None:
+        """Take readings at other rates from the next one on."""
+        self._mag_period_us = round(_US_PER_S / params.mag_rate_hz)
+        self._baro_period_us = round(_US_PER_S / params.baro_rate_hz)
+
+    @property
+    def aids_us(self) -> int:
+        """From when on a reading of magnetometer or barometer is not passed over."""
+        return min(self._mag_us, self._baro_us)
 
     def take(self, messages: Sequence[Message], now_us: int) -> bool:
         """Hand one step's messages to the estimator, in order; tells whether a GPS fix was among them."""
@@ -76,13 +102,16 @@ class SensorInput:
         self.sensor = message
         fields = message.fields_updated
         # aiding first: the inertial sample ends the estimator's step
-        if fields & MAG_FIELDS == MAG_FIELDS:
+        if fields & MAG_FIELDS == MAG_FIELDS and now_us >= self._mag_us:
             self._seen_us[_MAG] = now_us
+            self._mag_us = now_us - now_us % self._mag_period_us + self._mag_period_us
             self._estimator.on_mag(now_us, (message.xmag, message.ymag, message.zmag))
         if fields & BARO_FIELDS == BARO_FIELDS:
             self.baro = message
-            self._seen_us[_BARO] = now_us
-            self._estimator.on_baro(now_us, message.abs_pressure, message.temperature)
+            if now_us >= self._baro_us:
+                self._seen_us[_BARO] = now_us
+                self._baro_us = now_us - now_us % self._baro_period_us + self._baro_period_us
+                self._estimator.on_baro(now_us, message.abs_pressure, message.temperature)
         if fields & IMU_FIELDS == IMU_FIELDS:
             self._seen_us[_IMU] = now_us
             self._estimator.on_imu(

@@ -3,11 +3,12 @@
 `Vehicle.step` is all that happens in the moment of one HIL_SENSOR. It does no I/O: messages and radio items
 come in as objects and go out as objects, and time is the sensor's.
 
-Parts have rates of their own, as in PX4: estimator, rates and attitude act at every sample, position control
-at every second; what is felt of the ground, conditions, failsafes and modes are looked at every
-`DECISION_PERIOD_US`, and at once when a link or the application wants something. The application has a loop
-of its own (``onboard.loop_period_ms``), in which it takes telemetry and says what it has to say. Both come at
-the multiples of their periods, so that most steps have nothing but the sample.
+Parts have rates of their own, as in PX4: prediction, rates and attitude act at every sample, position control
+at every second; magnetometer and barometer are taken at their parameters' rates; what is felt of the ground,
+conditions, failsafes and modes are looked at every `DECISION_PERIOD_US`, and at once when a link or the
+application wants something. The application has a loop of its own (``onboard.loop_period_ms``), in which it
+takes telemetry and says what it has to say. All come at the multiples of their periods, so that most steps
+have nothing but the sample.
 """
 
 from collections.abc import Sequence
@@ -54,8 +55,8 @@ from autopilot.recording import SiteFrame
 from autopilot.sensors import SensorInput
 from netsim.wire.messages import RxItem, TxItem
 
-DECISION_PERIOD_US = 20_000
-"""PX4 looks for the ground as often, and at failsafes twice as often."""
+DECISION_PERIOD_US = 40_000
+"""PX4 looks for the ground twice as often, at failsafes four times; what they wait for lasts far longer."""
 _GROUND = Partner(GROUND_STATION)
 _HEARTBEAT_PERIOD_US = 1_000_000
 _TRUTH_INTERVAL_US = 5_000.0
@@ -118,7 +119,7 @@ class Vehicle:
         self.offboard = OffboardService(self.flight)
         self.manual = ManualControlService(self.commander)
         self.site = SiteFrame(config.site)
-        self._sensors = SensorInput(self.estimator)
+        self._sensors = SensorInput(self.estimator, settings.sensors)
         self.monitor = Monitor(
             settings,
             geofence=Geofence(settings.geofence),
@@ -250,7 +251,7 @@ class Vehicle:
         if until_us <= now_us + self.config.step_us:
             return None
         return Ahead(
-            self._actuators(now_us), flies, until_us, sound_until_us,
+            self._actuators(now_us), flies, until_us, self._sensors.aids_us, sound_until_us,
             filtered.block, filtered.samples, self.pilot.controller.block,
         )  # fmt: skip
 
@@ -303,6 +304,7 @@ class Vehicle:
             return
         if settings.estimation is not before.estimation:
             self.estimator.set_params(settings.estimation)
+        self._sensors.set_params(settings.sensors)
         self.commander.params = settings.commander
         self.monitor.set_params(settings)  # of the geofence, too, by which the pilot looks at the mission
         self.pilot.set_params(settings)

@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common
 
-from autopilot.mavlink.checksum import Octets, checksum
+from autopilot.mavlink.frame import CHECKSUM_BYTES, FIRST, HEADER_BYTES, PAYLOAD, Octets, payload_bytes
 from autopilot.mavlink.hil import HilActuatorControls
 from autopilot.types import Array
 from netsim.wire.lockstep import BATCH_HANDED_OVER
@@ -17,16 +17,11 @@ from netsim.wire.lockstep import BATCH_HANDED_OVER
 ROTORS = 4
 ROOM_BYTES = 250
 """For what one vehicle says at once; a longer speech is heard in parts."""
-_FIRST = 6
-"""Where a row's bytes begin, so that a frame's payload is aligned for the numbers in it."""
-_MAGIC = 0xFD
-_LENGTH, _INCOMPATIBLE, _KIND, _PAYLOAD = _FIRST + 1, _FIRST + 2, _FIRST + 7, _FIRST + 10
 # the payload: time and flags in eight bytes each, sixteen floats, the mode
-_TIME, _FLAGS, _CONTROLS, _MODE = _PAYLOAD, _PAYLOAD + 8, _PAYLOAD + 16, _PAYLOAD + 80
+_TIME, _FLAGS, _CONTROLS, _MODE = PAYLOAD, PAYLOAD + 8, PAYLOAD + 16, PAYLOAD + 80
 _PAYLOAD_BYTES = 81
 """Nothing is cut off it, for its last byte, the mode, is not zero."""
-_END = _PAYLOAD + _PAYLOAD_BYTES
-ANSWER_BYTES = _END + 2 - _FIRST
+ANSWER_BYTES = HEADER_BYTES + _PAYLOAD_BYTES + CHECKSUM_BYTES
 """Length of a whole frame."""
 _ANSWER_KIND = common.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS
 _ANSWER_EXTRA = common.mavlink_map[_ANSWER_KIND].crc_extra
@@ -50,8 +45,8 @@ class Answers:
         self.armed: NDArray[np.bool_] = np.zeros(vehicles, dtype=np.bool_)
         """(n,) as the last answer says"""
         self.voices = np.zeros(vehicles, VOICE)
-        self._octets = np.zeros((vehicles, _FIRST + ROOM_BYTES), dtype=np.uint8)
-        self.rooms = [memoryview(row)[_FIRST:] for row in self._octets]  # type: ignore[arg-type]
+        self._octets = np.zeros((vehicles, FIRST + ROOM_BYTES), dtype=np.uint8)
+        self.rooms = [memoryview(row)[FIRST:] for row in self._octets]  # type: ignore[arg-type]
         """Where to put what each vehicle says; ``voices["heard_bytes"]`` tells how much it was."""
 
     @property
@@ -105,14 +100,10 @@ def take(
         voice, row = voices[i], octets[i]
         voice["answered_us"] = 0
         voice["handed_over"] = False
-        if voice["heard_bytes"] != ANSWER_BYTES or voice["by_hand"]:
+        heard_bytes = voice["heard_bytes"]
+        if heard_bytes != ANSWER_BYTES or voice["by_hand"]:
             continue
-        if row[_FIRST] != _MAGIC or row[_LENGTH] != _PAYLOAD_BYTES or row[_INCOMPATIBLE] != 0:
-            continue
-        if row[_KIND] != _ANSWER_KIND or row[_KIND + 1] != 0 or row[_KIND + 2] != 0:
-            continue
-        found = np.int64(row[_END]) | np.int64(row[_END + 1]) << 8
-        if found != checksum(row, _FIRST + 1, _END, _ANSWER_EXTRA):
+        if payload_bytes(row, heard_bytes, _ANSWER_KIND, _ANSWER_EXTRA) != _PAYLOAD_BYTES:
             continue
         if row[_TIME:_FLAGS].view(np.int64)[0] != time_us:
             continue

@@ -13,14 +13,20 @@ from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink import dialect
-from autopilot.mavlink.checksum import checksum
+from autopilot.mavlink.frame import (
+    CHECKSUM_BYTES,
+    FIRST,
+    HEADER_BYTES,
+    MAGIC,
+    PAYLOAD,
+    Octets,
+    checksum,
+    seal,
+)
 from autopilot.types import Array
 
 SIMULATOR_SYSTEM_ID = 0
 SIMULATOR_COMPONENT_ID = 1
-_MAGIC = 0xFD
-_HEADER_BYTES = 10
-_CHECKSUM_BYTES = 2
 
 
 class Kind:
@@ -31,13 +37,13 @@ class Kind:
         """Packed, in the order of the wire."""
         self._crc_extra: Final = int(common.mavlink_map[message_id].crc_extra)
         source = bytes((SIMULATOR_SYSTEM_ID, SIMULATOR_COMPONENT_ID))
-        header = bytes((_MAGIC, 0, 0, 0, 0)) + source + message_id.to_bytes(3, "little")
+        header = bytes((MAGIC, 0, 0, 0, 0)) + source + message_id.to_bytes(3, "little")
         self._header: Final = np.frombuffer(header, dtype=np.uint8)
 
     def frames(self, rows: NDArray[np.void], sequence: int) -> list[bytes]:
         """Whole frames of rows (n,) of ``dtype``, all with the same sequence number."""
         n, size = len(rows), self.dtype.itemsize
-        longest = _HEADER_BYTES + size + _CHECKSUM_BYTES
+        longest = HEADER_BYTES + size + CHECKSUM_BYTES
         frames = np.empty((n, longest), dtype=np.uint8)
         lengths = np.empty(n, dtype=np.int64)
         payloads = rows.view(np.uint8).reshape(n, size)
@@ -49,11 +55,11 @@ class Kind:
 
 @njit(cache=True)
 def make_frames(
-    header: NDArray[np.uint8],
+    header: Octets,
     sequence: int,
     crc_extra: int,
-    payloads: NDArray[np.uint8],
-    frames: NDArray[np.uint8],
+    payloads: Octets,
+    frames: Octets,
     lengths: NDArray[np.int64],
 ) -> None:
     """Write frames (n, size + 12) of payloads (n, size), and their lengths (n,).
@@ -66,15 +72,15 @@ def make_frames(
         length = payloads.shape[1]
         while length > 1 and payloads[row, length - 1] == 0:
             length -= 1
-        end = _HEADER_BYTES + length
-        frame[:_HEADER_BYTES] = header
+        end = HEADER_BYTES + length
+        frame[:HEADER_BYTES] = header
         frame[1] = length
         frame[4] = sequence
-        frame[_HEADER_BYTES:end] = payloads[row, :length]
+        frame[HEADER_BYTES:end] = payloads[row, :length]
         crc = checksum(frame, 1, end, crc_extra)  # all but the magic byte
         frame[end] = crc & 0xFF
         frame[end + 1] = crc >> 8
-        lengths[row] = end + _CHECKSUM_BYTES
+        lengths[row] = end + CHECKSUM_BYTES
 
 
 HIL_SENSOR = Kind(
@@ -145,10 +151,7 @@ RC_CHANNELS = Kind(
     ],
 )
 
-_FIRST = 6
-"""Where frames begin in their rows, so that payloads are aligned for the numbers in them."""
-_PAYLOAD = _FIRST + _HEADER_BYTES
-_SAMPLES, _REST, _UPDATED = _PAYLOAD + 8, _PAYLOAD + 32, _PAYLOAD + 60
+_SAMPLES, _REST, _UPDATED = PAYLOAD + 8, PAYLOAD + 32, PAYLOAD + 60
 _END = _UPDATED + 1
 """Of HIL_SENSOR's payload where ``fields_updated`` is below 256, for what follows are zeros."""
 _ROW_BYTES = 80
@@ -162,22 +165,11 @@ class InertialFrames:
     def __init__(self, vehicles: int, fields_updated: int) -> None:
         self.vehicles: Final = vehicles
         self._rows = np.zeros((vehicles, _ROW_BYTES), dtype=np.uint8)
-        header = (
-            _MAGIC,
-            _END - _PAYLOAD,
-            0,
-            0,
-            0,
-            SIMULATOR_SYSTEM_ID,
-            SIMULATOR_COMPONENT_ID,
-            _SENSOR,
-            0,
-            0,
-        )
-        self._rows[:, _FIRST:_PAYLOAD] = header
+        source = (SIMULATOR_SYSTEM_ID, SIMULATOR_COMPONENT_ID)
+        self._rows[:, FIRST:PAYLOAD] = (MAGIC, _END - PAYLOAD, 0, 0, 0, *source, _SENSOR, 0, 0)
         self._rows[:, _UPDATED] = fields_updated
-        starts = range(_FIRST, vehicles * _ROW_BYTES, _ROW_BYTES)
-        self._places = [slice(start, start + _END + _CHECKSUM_BYTES - _FIRST) for start in starts]
+        starts = range(FIRST, vehicles * _ROW_BYTES, _ROW_BYTES)
+        self._places = [slice(start, start + _END + CHECKSUM_BYTES - FIRST) for start in starts]
 
     def at(self, time_us: int, accel_frd_m_s2: Array, gyro_frd_rad_s: Array, sequence: int) -> list[bytes]:
         """Whole frames of samples (n, 3) and (n, 3), all with the same time and sequence number."""
@@ -188,17 +180,14 @@ class InertialFrames:
 
 @njit(cache=True)
 def write_inertial(
-    rows: NDArray[np.uint8], time_us: int, sequence: int, accel_frd_m_s2: Array, gyro_frd_rad_s: Array
+    rows: Octets, time_us: int, sequence: int, accel_frd_m_s2: Array, gyro_frd_rad_s: Array
 ) -> None:
-    """Write into frames of HIL_SENSOR, which begin at `_FIRST`, what changes from one to the next."""
+    """Write into frames of HIL_SENSOR, which begin at `frame.FIRST`, what changes from one to the next."""
     for i in range(len(rows)):
         row = rows[i]
-        row[_FIRST + 4] = sequence
-        row[_PAYLOAD:_SAMPLES].view(np.int64)[0] = time_us
+        row[PAYLOAD:_SAMPLES].view(np.int64)[0] = time_us
         samples = row[_SAMPLES:_REST].view(np.float32)
         for axis in range(3):
             samples[axis] = accel_frd_m_s2[i, axis]
             samples[3 + axis] = gyro_frd_rad_s[i, axis]
-        crc = checksum(row, _FIRST + 1, _END, _SENSOR_EXTRA)
-        row[_END] = crc & 0xFF
-        row[_END + 1] = crc >> 8
+        seal(row, sequence, _SENSOR_EXTRA)

@@ -69,7 +69,7 @@ class RunConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     on_vehicle_loss: Literal["continue", "end"] = "continue"
     silence_limit_s: Annotated[float, Meta(gt=0.0, le=120.0)] = 5.0
     """Wall time after which a vehicle that lives but does not answer is given up."""
-    record_rate_hz: Annotated[float, Meta(ge=0.001, le=250.0)] = 50.0
+    record_rate_hz: Annotated[float, Meta(ge=0.001, le=250.0)] = 25.0
     """Rows per simulated second and vehicle in the flight log."""
     epoch_utc: Annotated[datetime, Meta(tz=True)] = datetime(2026, 1, 1, tzinfo=UTC)
     """The date of simulated time 0, which clocks tell; nothing that flies depends on it."""

@@ -19,14 +19,13 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Encoder, Message, Parser
 from autopilot.mavlink.dialect import ESC_STATUS
+from autopilot.mavlink.frame import CHECKSUM_BYTES, HEADER_BYTES, MAGIC
 
 _HEADER = Struct("<BBBBBBBHB")
 """Magic, payload's length, incompatible and compatible flags, sequence, system, component, kind (24 bit)."""
 _CHECKED = Struct("<BBBBBBHB")
 """The header without the magic byte."""
-_MAGIC_BYTE = b"\xfd"
-_HEADER_BYTES, _CHECKSUM_BYTES = _HEADER.size, 2
-_MAGIC = 0xFD
+_MAGIC_BYTE = bytes([MAGIC])
 _FIRST_CHECKED = 1
 HIL_SENSOR: Final[int] = common.MAVLINK_MSG_ID_HIL_SENSOR
 HIL_GPS: Final[int] = common.MAVLINK_MSG_ID_HIL_GPS
@@ -228,20 +227,20 @@ class HilParser(Parser):
         at, size = 0, len(data)
         if not self._buffer:
             # as long as whole, right and unsigned frames of hot kinds follow each other
-            while size - at > _HEADER_BYTES:
+            while size - at > HEADER_BYTES:
                 magic, length, incompatible, _, _, _, _, kind, kind_high = _HEADER.unpack_from(data, at)
-                if magic != _MAGIC or incompatible or kind_high or kind not in self._hot:
+                if magic != MAGIC or incompatible or kind_high or kind not in self._hot:
                     break
                 hot, form = self._hot[kind]
-                begin = at + _HEADER_BYTES
+                begin = at + HEADER_BYTES
                 end = begin + length
-                if length > form.fields.size or size < end + _CHECKSUM_BYTES:
+                if length > form.fields.size or size < end + CHECKSUM_BYTES:
                     break
                 checksum = crc16.mcrf4xx(data[at + _FIRST_CHECKED : end] + form.crc_extra)
                 if data[end] != checksum & 0xFF or data[end + 1] != checksum >> 8:
                     break
                 messages.append(hot.from_payload(data[begin:end] + form.padding[length]))
-                at = end + _CHECKSUM_BYTES
+                at = end + CHECKSUM_BYTES
             if at == size:
                 return messages
         messages += map(self._as_hot, super().push(data[at:]))

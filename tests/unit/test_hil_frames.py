@@ -6,7 +6,7 @@ from fastcrc import crc16
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink import dialect
-from autopilot.mavlink.checksum import checksum
+from autopilot.mavlink.frame import checksum
 from harness import hil_frames
 from harness.hil_frames import InertialFrames, Kind
 

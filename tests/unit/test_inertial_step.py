@@ -113,7 +113,7 @@ OTHERS = {
     "another kind": lambda data: resealed(data, 7, common.MAVLINK_MSG_ID_HIL_GPS),
     "another kind, by its high byte": lambda data: resealed(data, 9, 1),
     "a delivery is announced": lambda data: sensor_like(data, fields_updated=0x3F | 1 << 30),
-    "a compass reading": lambda data: sensor_like(data, fields_updated=0x3F | 0x1C0),
+    "an airspeed": lambda data: sensor_like(data, fields_updated=0x3F | 0x400),
     "no acceleration": lambda data: sensor_like(data, fields_updated=0x38),
     "another sensor set": lambda data: sensor_like(data, id=1),
     "the same time again": lambda data: sensor_like(data, time_usec=_time_us(data) - STEP_US),
@@ -147,6 +147,17 @@ def test_what_is_not_left_alone_is_made(flying):
     before = memory(player.host)
     assert player.host.inertial_step(player.host.put(data)) is not None
     assert memory(player.host) != before
+
+
+@pytest.mark.parametrize("fields", [0x1C0, 0x1A00, 0x1C0 | 0x1A00])
+def test_compass_and_barometer_are_passed_over_until_a_reading_is_due(stream, fields):
+    player = Player(compiled=True)
+    host, data = player.host, until_inertial(player, stream)
+    reading = sensor_like(data, fields_updated=0x3F | fields, abs_pressure=1000.0)
+    host._inertial._moment["aids_us"] = _time_us(data)
+    assert host.inertial_step(host.put(reading)) is None
+    host._inertial._moment["aids_us"] = _time_us(data) + 1
+    assert host.inertial_step(host.put(reading)) is not None
 
 
 def test_while_the_simulator_is_silent_all_is_as_of_the_last_step(stream):
