@@ -19,6 +19,7 @@ from autopilot.navigation.manual import ManualInput
 from autopilot.navigation.setpoints import Navigator
 from autopilot.onboard.beacon import Fix, GpsError
 from autopilot.onboard.common_frame import CommonFrame
+from autopilot.onboard.hearing import Hearing
 from autopilot.onboard.localisation import CooperativeLocalisation, LocalisationModel
 from autopilot.onboard.neighbourhood import Neighbourhood
 from autopilot.onboard.phases import Phase
@@ -122,11 +123,12 @@ def _rehearse_common_frame() -> None:
     localisation = CooperativeLocalisation(
         own=near.own, places_ned_m=np.zeros((len(near.members), 3)), model=LocalisationModel()
     )
-    frame = CommonFrame(near, gps_std_m=1.0)
+    hearing = Hearing(station=0, stations=3, period_us=100_000, gps_std_m=1.0, near=near)
+    frame = CommonFrame(near.members, hearing)
     for row, station in enumerate(near.members.tolist()):
         localisation.on_odometry(row, 1_000, (0.0, float(row), 0.0), (0.0, 0.0, 0.0))
         localisation.located[row] = True
-        frame.hear(station, Fix(1, (0.0, float(row), 0.0)), GpsError((0.0, 0.0, 0.0), 1.0), 1_000)
+        hearing.note_fix(station, Fix(1, (0.0, float(row), 0.0)), GpsError((0.0, 0.0, 0.0), 1.0), 1_000)
     frame.update(2_000, localisation)
 
 

@@ -27,8 +27,8 @@ from autopilot.onboard.common_frame import CommonFrame
 from autopilot.onboard.flight import LOCALISE_TIMEOUT_US, Flight, Situation
 from autopilot.onboard.formation import Level
 from autopilot.onboard.guidance import Guidance
+from autopilot.onboard.hearing import BEGUN_ANEW, REFUSED
 from autopilot.onboard.localisation import CooperativeLocalisation, LocalisationModel, Others
-from autopilot.onboard.motion import Heard
 from autopilot.onboard.neighbourhood import Neighbourhood
 from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.phases import Phase
@@ -112,6 +112,7 @@ class OnboardApp:
         self._traffic = Traffic(
             station=station, stations=len(places), config=config, devices=devices, rng=rng, near=self._near
         )
+        self._hearing = self._traffic.hearing
         self._model = LocalisationModel(
             gps_bias_std_m=config.gps_bias_std_m,
             gps_bias_time_constant_s=config.gps_bias_time_constant_s,
@@ -126,7 +127,7 @@ class OnboardApp:
         self._frame: CommonFrame | None = None
         """None: nobody has a frame of its own, for everybody localises everybody."""
         if self.localisation is not None and not self._near.whole:
-            self._frame = CommonFrame(self._near, gps_std_m=config.gps_bias_std_m)
+            self._frame = CommonFrame(self._near.members, self._hearing)
         self._guidance = Guidance(
             station=station, plan=FormationPlan(places, heading_deg, motion), config=config, near=self._near
         )
@@ -138,10 +139,8 @@ class OnboardApp:
             held=config.hold,
         )
         self._own = OwnState(site=site, gps_delay_s=devices.gps_delay_s)
-        self._heard: dict[int, Heard] = {}
         self._held_limit_us = max(FRESH_US, 5 * config.beacon_period_ms * 1_000)
-        self._held_us: dict[int, int] = {}
-        """When a neighbour last knew its GPS error, which takes distances that hold its position."""
+        self._watched = np.array(self._guidance.layers.watched, np.int64)
         self._now_us = -1
         self._supported = False
         """Whether there is something better than the own GPS to go by."""
@@ -228,29 +227,26 @@ class OnboardApp:
 
     def _on_ranged(self, item: FtmResult, now_us: int) -> None:
         distance = self._traffic.measured(item)
-        if distance is not None and self.localisation is not None:
-            self.localisation.on_distances(self._near.own, (distance,), self._near.rows, now_us=now_us)
+        if distance is None or self.localisation is None:
+            return
+        row = self._near.rows[distance.peer]
+        if row is not None:
+            self.localisation.on_range(
+                self._near.own, row, distance.time_ms * 1_000, distance.distance_m, distance.std_m,
+                now_us=now_us,
+            )  # fmt: skip
 
     def _on_beacon(self, item: Delivery, now_us: int) -> None:
-        beacon = self._traffic.hear(item, now_us)
-        if beacon is None:
+        hearing, localisation = self._hearing, self.localisation
+        heard = hearing.take(item, now_us)
+        if heard == REFUSED or localisation is None:
             return
-        station, fix = beacon.station, beacon.fix
-        start_us = None if beacon.motion_start_ms is None else beacon.motion_start_ms * 1_000
-        self._heard[station] = (beacon.phase, start_us, now_us)
-        if beacon.gps_error is not None:
-            self._held_us[station] = now_us
-            if self._frame is not None and fix is not None:
-                self._frame.hear(station, fix, beacon.gps_error, now_us)
-        row, localisation = self._near.rows[station], self.localisation
-        if localisation is None or row is None:
+        row = self._near.rows[item.source]
+        if row is None:
             return
-        if self._traffic.sender_is_new:
+        if heard == BEGUN_ANEW:
             localisation.restart(row)
-        localisation.on_odometry(row, beacon.time_us, beacon.odometry_ned_m, beacon.vel_ned_m_s)
-        if fix is not None and fix.time_ms * 1_000 <= now_us:
-            self._localise_by(row, fix)
-        localisation.on_distances(row, beacon.distances, self._near.rows, now_us=now_us)
+        localisation.on_beacon(row, hearing.page, self._near.row_numbers, now_us=now_us)
 
     # ---- output
 
@@ -282,7 +278,7 @@ class OnboardApp:
             radio = self._traffic.due(
                 self._own, now_us, now_us + step_us,
                 ranging=self._ranges, variance_m2=self._distance_variance_m2,
-                phase=self.phase, motion_start_ms=self._motion_start_ms, gps_error=self._gps_error,
+                phase=self.phase, motion_start_ms=self._motion_start_ms, gps_error=self._say_gps_error,
             )  # fmt: skip
         self._due_us = self.next_deadline_us()
         return OnboardOutput(mavlink, radio) if mavlink or radio else NOTHING
@@ -303,13 +299,13 @@ class OnboardApp:
     @property
     def bad_beacons(self) -> int:
         """Datagrams that were no beacon, or one that contradicts itself."""
-        return self._traffic.bad_beacons
+        return self._hearing.bad_beacons
 
     def troubles(self) -> dict[str, int]:
         """Counts of what went wrong so far and was coped with."""
         counts = {
             "bad_beacons": self.bad_beacons,
-            "beacons_missed": self._traffic.beacons_missed,
+            "beacons_missed": self._hearing.beacons_missed,
             "commands_refused": self._commands.refusals,
         }
         if self.localisation is not None:
@@ -361,7 +357,7 @@ class OnboardApp:
             ),
             now_us,
         )
-        guidance.agree(now_us, on_station=self.phase is Phase.ON_STATION, neighbours=self._heard)
+        guidance.agree(now_us, on_station=self.phase is Phase.ON_STATION, hearing=self._hearing)
         if own.origin_ned_m is None or not Phase.ARMING <= self.phase <= Phase.YIELDED:
             return []
         if flight.in_formation:
@@ -404,7 +400,7 @@ class OnboardApp:
         range_us = localisation.own_range_us
         supported = (
             bool(localisation.located[localisation.own])
-            and range_us is not None
+            and range_us >= 0
             and now_us - range_us < self._traffic.range_silence_us
         )
         if supported is not self._supported and self._flight.in_air:
@@ -434,13 +430,7 @@ class OnboardApp:
             return True
         if not self._supported:
             return False
-        oldest_us = now_us - self._held_limit_us
-        for station in self._guidance.layers.watched:
-            phase = self._heard[station][0] if station in self._heard else None
-            flies = phase is not None and Phase.TAKE_OFF <= phase < Phase.LANDED
-            if flies and self._held_us.get(station, 0) <= oldest_us:
-                return False
-        return True
+        return not self._watched.size or self._hearing.all_held(self._watched, now_us - self._held_limit_us)
 
     def _shape_std_before_flight_m(self, now_us: int) -> float:
         """Error of the shape that take-off waits for; see `Situation`."""
@@ -465,12 +455,10 @@ class OnboardApp:
             return None
         return self.localisation.distance_variance_m2(row, self._now_us)
 
-    def _gps_error(self) -> GpsError | None:
+    def _say_gps_error(self) -> GpsError | None:
         """What the own receiver's error is estimated to be, for the beacon; None: no distances hold it."""
         if self.localisation is None or not self._supported:
             return None
         if self._frame is not None and self._own.fix is not None:
-            error = self._frame.error(self._own.fix, self.localisation)
-            self._frame.hear(self._station, self._own.fix, error, self._now_us)
-            return error
+            return self._frame.say(self._station, self._own.fix, self.localisation, self._now_us)
         return GpsError(*self.localisation.gps_error(self.localisation.own))

@@ -9,6 +9,8 @@ Odometry is the integral of the autopilot's velocity since the sender started, s
 beacons of a sender is its displacement between them, however many were lost in between. Its down component
 is the autopilot's barometric height.
 
+Who hears beacons by the hundred reads them where they lie (`Page`); `decode` is for all others.
+
 Layout, little-endian, `HEADER_BYTES` + `RANGE_BYTES` per distance (79 + 11 n):
 
     u8 version   u8 station   u8 phase   u8 flags   u8 number of distances
@@ -27,20 +29,38 @@ Times are on the clock that the formation shares. Positions are NED from the sit
 
 import struct
 
+import numpy as np
 from msgspec import Struct
+from numba import njit
+from numpy.typing import NDArray
 
 from autopilot.onboard.phases import Phase
 
 VERSION = 3
+HEADER = np.dtype(
+    [
+        ("version", "u1"), ("station", "u1"), ("phase", "u1"), ("flags", "u1"), ("count", "u1"),
+        ("seq", "<u4"), ("time_us", "<u8"),
+        ("odometry_n_m", "<f4"), ("odometry_e_m", "<f4"), ("odometry_d_m", "<f4"),
+        ("vel_n_m_s", "<f4"), ("vel_e_m_s", "<f4"), ("vel_d_m_s", "<f4"),
+        ("motion_start_ms", "<u4"),
+        ("fix_ms", "<u4"), ("fix_n_m", "<f4"), ("fix_e_m", "<f4"), ("fix_d_m", "<f4"),
+        ("fix_std_h_mm", "<u2"), ("fix_std_v_mm", "<u2"),
+        ("error_n_m", "<f4"), ("error_e_m", "<f4"), ("error_d_m", "<f4"), ("error_std_mm", "<u2"),
+    ]
+)  # fmt: skip
+"""Of a beacon's bytes, for compiled code; numbers lie where the one before ends."""
+RANGE = np.dtype([("peer", "u1"), ("time_ms", "<u4"), ("distance_m", "<f4"), ("std_mm", "<u2")])
+"""Of each distance's."""
 _HEADER = struct.Struct("<BBBBBIQ3f3fII3fHH3fH")
 _RANGE = struct.Struct("<BIfH")
-HEADER_BYTES = _HEADER.size
-RANGE_BYTES = _RANGE.size
+HEADER_BYTES = HEADER.itemsize
+RANGE_BYTES = RANGE.itemsize
 MAX_RANGES = 126
 """Keeps a beacon within the 1472 bytes of UDP payload that fit one Ethernet frame."""
 SEQ_MODULUS = 2**32
-_HAS_START, _HAS_FIX, _HAS_GPS_ERROR = 1, 2, 4
-_FLAGS = _HAS_START | _HAS_FIX | _HAS_GPS_ERROR
+HAS_START, HAS_FIX, HAS_GPS_ERROR = 1, 2, 4
+_FLAGS = HAS_START | HAS_FIX | HAS_GPS_ERROR
 _FAR_M = 1e6
 _FAR2_M2 = _FAR_M**2
 """No honest sender is farther from the site."""
@@ -48,7 +68,13 @@ _FAST2_M2_S2 = 30.0**2
 """No honest sender is faster."""
 _NO_TIME_US = 2**63
 _STD_MAX_M = 65.535
-_PHASES = {int(phase): phase for phase in Phase}
+_LAST_PHASE = max(int(phase) for phase in Phase)
+_MOST_COUNT = 255
+_CAPACITY = HEADER_BYTES + _MOST_COUNT * RANGE_BYTES
+Header = NDArray[np.void]
+"""(1,) of `HEADER`"""
+Ranges = NDArray[np.void]
+"""Of `RANGE`; the first ``count`` of the header's count."""
 
 Vector = tuple[float, float, float]
 
@@ -123,11 +149,11 @@ def encode(beacon: Beacon) -> bytes:
         raise ValueError(f"{len(beacon.distances)} distances do not fit a beacon")
     flags, start_ms, fix, error = 0, 0, _NO_FIX, _NO_ERROR
     if beacon.motion_start_ms is not None:
-        flags, start_ms = flags | _HAS_START, beacon.motion_start_ms
+        flags, start_ms = flags | HAS_START, beacon.motion_start_ms
     if beacon.fix is not None:
-        flags, fix = flags | _HAS_FIX, beacon.fix
+        flags, fix = flags | HAS_FIX, beacon.fix
     if beacon.gps_error is not None:
-        flags, error = flags | _HAS_GPS_ERROR, beacon.gps_error
+        flags, error = flags | HAS_GPS_ERROR, beacon.gps_error
     parts = [
         _HEADER.pack(
             VERSION, beacon.station, beacon.phase, flags, len(beacon.distances),
@@ -142,62 +168,93 @@ def encode(beacon: Beacon) -> bytes:
     return b"".join(parts)
 
 
-def decode(buffer: bytes, *, distances: bool = True) -> Beacon | None:
-    """Beacon in these bytes; None for another version or length, or what no sender would say.
+class Page:
+    """A place for the bytes of one beacon, where compiled code reads them.
 
-    That is a number that cannot be, a phase or flag that does not exist, a distance to itself, and two to the
-    same peer. Without ``distances`` those are not looked at, and none are given.
+    Attributes:
+        header: (1,) and ``ranges`` (255,): what is there now; what is not written over stays from before.
+
     """
-    if (
-        len(buffer) < HEADER_BYTES
-        or buffer[0] != VERSION
-        or len(buffer) != HEADER_BYTES + buffer[4] * RANGE_BYTES
-    ):
-        return None
-    (
-        _, station, phase_value, flags, _, seq, time_us,
-        odo_n, odo_e, odo_d, vel_n, vel_e, vel_d, start_ms,
-        fix_ms, fix_n, fix_e, fix_d, std_h_mm, std_v_mm, err_n, err_e, err_d, err_mm,
-    ) = _HEADER.unpack_from(buffer)  # fmt: skip
-    phase = _PHASES.get(phase_value)
+
+    def __init__(self) -> None:
+        octets = np.zeros(_CAPACITY, np.uint8)
+        self.header: Header = octets[:HEADER_BYTES].view(HEADER)
+        self.ranges: Ranges = octets[HEADER_BYTES:].view(RANGE)
+        self._octets = octets.data
+
+    def put(self, buffer: bytes) -> int:
+        """Put bytes there; returns how many they are, whether or not they had room."""
+        size = len(buffer)
+        if size <= _CAPACITY:
+            self._octets[:size] = buffer
+        return size
+
+
+@njit(cache=True)
+def is_credible(size: int, header_row: Header, ranges: Ranges, with_ranges: bool) -> bool:  # noqa: FBT001
+    """Whether the ``size`` bytes of a `Page` are a beacon.
+
+    They are not with another version or length, and with what no sender would say: a number that cannot be, a
+    phase or flag that does not exist, and in the distances, which are looked at if ``with_ranges``, one to
+    itself and two to the same peer.
+    """
+    header = header_row[0]
+    if size < HEADER_BYTES or header["version"] != VERSION:
+        return False
+    count = np.int64(header["count"])
+    if size != HEADER_BYTES + count * RANGE_BYTES:
+        return False
+    if header["phase"] > _LAST_PHASE or header["flags"] > _FLAGS or header["time_us"] >= _NO_TIME_US:
+        return False
+    odo_n, odo_e = np.float64(header["odometry_n_m"]), np.float64(header["odometry_e_m"])
+    odo_d, fix_d = np.float64(header["odometry_d_m"]), np.float64(header["fix_d_m"])
+    fix_n, fix_e = np.float64(header["fix_n_m"]), np.float64(header["fix_e_m"])
+    err_n, err_e = np.float64(header["error_n_m"]), np.float64(header["error_e_m"])
+    err_d, vel_d = np.float64(header["error_d_m"]), np.float64(header["vel_d_m_s"])
+    vel_n, vel_e = np.float64(header["vel_n_m_s"]), np.float64(header["vel_e_m_s"])
     size2 = (
         odo_n * odo_n + odo_e * odo_e + odo_d * odo_d + fix_n * fix_n + fix_e * fix_e + fix_d * fix_d
         + err_n * err_n + err_e * err_e + err_d * err_d
     )  # fmt: skip
     speed2 = vel_n * vel_n + vel_e * vel_e + vel_d * vel_d
-    if (
-        phase is None
-        or flags > _FLAGS
-        or time_us >= _NO_TIME_US
-        or not (size2 < _FAR2_M2 and speed2 <= _FAST2_M2_S2)  # NaN is below nothing
-    ):
+    if not (size2 < _FAR2_M2 and speed2 <= _FAST2_M2_S2):  # NaN is below nothing
+        return False
+    if not with_ranges:
+        return True
+    for k in range(count):
+        peer = ranges[k]["peer"]
+        if not -_FAR_M < ranges[k]["distance_m"] < _FAR_M or peer == header["station"]:
+            return False
+        for before in range(k):
+            if ranges[before]["peer"] == peer:
+                return False
+    return True
+
+
+def decode(buffer: bytes) -> Beacon | None:
+    """Beacon in these bytes; None for what is none (`is_credible`)."""
+    page = Page()
+    if not is_credible(page.put(buffer), page.header, page.ranges, with_ranges=True):
         return None
-    measured = _distances(buffer, station) if distances else ()
-    if measured is None:
-        return None
+    (
+        _, station, phase, flags, count, seq, time_us,
+        odo_n, odo_e, odo_d, vel_n, vel_e, vel_d, start_ms,
+        fix_ms, fix_n, fix_e, fix_d, std_h_mm, std_v_mm, err_n, err_e, err_d, err_mm,
+    ) = page.header[0].tolist()  # fmt: skip
     fix = None
-    if flags & _HAS_FIX:
+    if flags & HAS_FIX:
         fix = Fix(fix_ms, (fix_n, fix_e, fix_d), std_h_mm * 1e-3 or None, std_v_mm * 1e-3 or None)
     return Beacon(
-        station=station, seq=seq, time_us=time_us, phase=phase,
+        station=station, seq=seq, time_us=time_us, phase=Phase(phase),
         odometry_ned_m=(odo_n, odo_e, odo_d), vel_ned_m_s=(vel_n, vel_e, vel_d),
-        motion_start_ms=start_ms if flags & _HAS_START else None,
+        motion_start_ms=start_ms if flags & HAS_START else None,
         fix=fix,
-        gps_error=GpsError((err_n, err_e, err_d), err_mm * 1e-3) if flags & _HAS_GPS_ERROR else None,
-        distances=measured,
+        gps_error=GpsError((err_n, err_e, err_d), err_mm * 1e-3) if flags & HAS_GPS_ERROR else None,
+        distances=tuple(
+            Distance(peer, time_ms, distance_m, std_mm * 1e-3)
+            for peer, time_ms, distance_m, std_mm in page.ranges[:count].tolist()
+        ),
     )  # fmt: skip
-
-
-def _distances(buffer: bytes, station: int) -> tuple[Distance, ...] | None:
-    """Distances after the header of a beacon of ``station``; None for what no sender would say."""
-    found = []
-    seen = 1 << station
-    for peer, time_ms, distance_m, std_mm in _RANGE.iter_unpack(buffer[HEADER_BYTES:]):
-        if not -_FAR_M < distance_m < _FAR_M or seen >> peer & 1:
-            return None
-        seen |= 1 << peer
-        found.append(Distance(peer, time_ms, distance_m, std_mm * 1e-3))
-    return tuple(found)
 
 
 def _mm(std_m: float) -> int:

@@ -17,18 +17,16 @@ What is wrong counts little: a neighbour that says what the others do not by its
 a receiver with a large error as one whose errors are that large.
 """
 
-from struct import Struct
-
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from autopilot.onboard.beacon import Fix, GpsError
-from autopilot.onboard.kernels import KNOWN, STATES, Array, Times, odometry_at
+from autopilot.onboard.hearing import Hearing, Stations
+from autopilot.onboard.kernels import STATES, Array, Times
 from autopilot.onboard.localisation import SILENCE_US, CooperativeLocalisation
-from autopilot.onboard.neighbourhood import Neighbourhood
+from autopilot.onboard.members import Members
 from autopilot.onboard.receivers import BIAS_SIGMAS
-from autopilot.onboard.tracks import EXTRAPOLATED_S
+from autopilot.onboard.tracks import EXTRAPOLATED_S, KNOWN, Rings, odometry_at
 
 PERIOD_US = 200_000
 """Of a round: beacons come about as often."""
@@ -38,48 +36,35 @@ MISFIT_M = 0.3
 """A neighbour that says otherwise than the others by more counts for less, several times what is usual."""
 FITS = 3
 """Of the weights."""
-_TOLD = Struct("2q5d")
-"""Row of `CommonFrame`'s memory of a UAV: when it was heard, -1 before the first time; the time of its fix;
-the fix and its error, north and east; the variance stated."""
-TOLD = np.dtype([("heard_us", "i8"), ("fix_us", "i8"), ("fix_ne_m", "f8", 2), ("error_ne_m", "f8", 2),
-                 ("variance_m2", "f8")])  # fmt: skip
 Level = tuple[float, float]
-Told = NDArray[np.void]
 
 
 class CommonFrame:
     """One UAV's part in the common frame; positions are site NED.
 
     Args:
-        near: its neighbourhood.
-        gps_std_m: what errors of GPS are taken to be at least, per horizontal axis.
+        members: (N,) the stations of its neighbourhood.
+        hearing: what they and all others say of their fixes.
 
     Attributes:
         shift_ne_m: to be added to the positions that the own localisation has near the own one.
 
     """
 
-    def __init__(self, near: Neighbourhood, *, gps_std_m: float) -> None:
+    def __init__(self, members: Times, hearing: Hearing) -> None:
         self.shift_ne_m: Level = (0.0, 0.0)
-        self._members = near.members
-        self._gps_std_m = gps_std_m
-        self._told: Told = np.zeros(near.stations, TOLD)
-        self._told["heard_us"] = -1
-        self._told_bytes = self._told.view(np.uint8).data
+        self._members = members
+        self._hearing = hearing
         self._due_us = 0
 
-    def hear(self, station: int, fix: Fix, error: GpsError, now_us: int) -> None:
-        """Take what a UAV, the own one too, says of its newest fix."""
-        std_m = max(fix.std_h_m or 0.0, self._gps_std_m)
-        north_m, east_m, _ = fix.pos_ned_m
-        error_n_m, error_e_m, _ = error.ned_m
-        _TOLD.pack_into(
-            self._told_bytes, station * _TOLD.size,
-            now_us, fix.time_ms * 1_000, north_m, east_m, error_n_m, error_e_m, std_m * std_m,
-        )  # fmt: skip
+    def say(self, station: int, fix: Fix, localisation: CooperativeLocalisation, now_us: int) -> GpsError:
+        """Give the error of the newest fix for the beacon, and go by it as all who hear that do."""
+        error = self.error(fix, localisation)
+        self._hearing.note_fix(station, fix, error, now_us)
+        return error
 
     def error(self, fix: Fix, localisation: CooperativeLocalisation) -> GpsError:
-        """Error of a fix of the own receiver in the common frame; for the beacon.
+        """Error of a fix of the own receiver in the common frame.
 
         Horizontally that of this very fix, so that whoever hears both knows where the UAV believes itself.
         """
@@ -98,34 +83,27 @@ class CommonFrame:
         if now_us < self._due_us:
             return
         self._due_us = now_us + PERIOD_US
-        tracks = localisation.tracks
         self.shift_ne_m = play_round(
-            localisation.own, now_us, self._members, self._told, tracks.newest, tracks.newest_us,
-            tracks.times_us, tracks.samples, tracks.pushed, localisation.state, localisation.located,
-            *self.shift_ne_m,
+            localisation.own, now_us, self._members, self._hearing.stations, localisation.members,
+            localisation.tracks.rings, localisation.state, *self.shift_ne_m,
         )  # fmt: skip
 
 
 @njit(cache=True)
 def play_round(
-    own: int, now_us: int, members: Times, told: Told, newest: Array, newest_us: Times, times_us: Times,
-    samples: Array, pushed: Times, state: Array, located: NDArray[np.bool_], shift_n_m: float,
-    shift_e_m: float,
+    own: int, now_us: int, numbers: Times, stations: Stations, members: Members, rings: Rings, state: Array,
+    shift_n_m: float, shift_e_m: float,
 ) -> Level:  # fmt: skip
     """Shift after a round from that before it; unchanged as long as no neighbour says where it is.
 
     Args:
-        own: row of the own UAV among members (N,), whose rows those of what follows but ``told`` are.
+        own: row of the own UAV among those that it localises.
         now_us: when it is done.
-        members: the stations of the neighbourhood.
-        told: (F,) of `TOLD`, what all stations have said.
-        newest: (N, 6) and ``newest_us`` (N,): newest odometry and velocity.
-        newest_us: see there.
-        times_us: (N, L), ``samples`` (N, L, 6) and ``pushed`` (N,): the odometry before.
-        samples: see there.
-        pushed: see there.
+        numbers: (N,) the stations that these are.
+        stations: (F,) of `STATION`, what all have said.
+        members: (N,) of `MEMBER`, and ``rings`` (N,) of `RING`.
+        rings: see there.
         state: (5N,) of the filter.
-        located: (N,)
         shift_n_m: north, and ``shift_e_m`` east.
         shift_e_m: see there.
 
@@ -140,37 +118,44 @@ def play_round(
             if row == own:
                 apart_ne_m[said, 0], apart_ne_m[said, 1] = shift_n_m, shift_e_m
             else:
-                heard = told[members[row]]
-                if heard["heard_us"] < 0 or now_us - heard["heard_us"] > SILENCE_US or not located[row]:
+                heard = stations[numbers[row]]
+                if not _says_where(heard, now_us) or members[row]["located"] == 0:
                     continue
-                known = odometry_at(times_us[row], samples[row], pushed[row], heard["fix_us"], then_ned_m)
-                if known != KNOWN:
+                if odometry_at(rings, row, heard["fix_us"], then_ned_m) != KNOWN:
                     continue
                 for a in range(2):
                     believed_m = heard["fix_ne_m"][a] - heard["error_ne_m"][a]
                     apart_ne_m[said, a] = believed_m - then_ned_m[a] - state[STATES * row + a]
-            age_s = min((now_us - newest_us[row]) * 1e-6, EXTRAPOLATED_S)
+            newest = members[row]["newest"]
+            age_s = min((now_us - members[row]["newest_us"]) * 1e-6, EXTRAPOLATED_S)
             for a in range(2):
-                pos_ne_m[said, a] = newest[row, a] + newest[row, 3 + a] * age_s + state[STATES * row + a]
+                pos_ne_m[said, a] = newest[a] + newest[3 + a] * age_s + state[STATES * row + a]
             said += 1
     if said < 2:
         return shift_n_m, shift_e_m
     shift_n_m, shift_e_m = laid_onto(pos_ne_m[:said], apart_ne_m[:said])
     own_n_m, own_e_m = pos_ne_m[said - 1, 0] + shift_n_m, pos_ne_m[said - 1, 1] + shift_e_m
-    towards_n_m, towards_e_m = to_everybodys_gps(now_us, told, own_n_m, own_e_m)
+    towards_n_m, towards_e_m = to_everybodys_gps(now_us, stations, own_n_m, own_e_m)
     part = PERIOD_US * 1e-6 / ANCHOR_S
     return shift_n_m + part * towards_n_m, shift_e_m + part * towards_e_m
 
 
 @njit(cache=True)
-def to_everybodys_gps(now_us: int, told: Told, own_n_m: float, own_e_m: float) -> Level:
+def _says_where(station: np.void, now_us: int) -> bool:
+    """Whether a station has said of late where it believes itself to be."""
+    said_us: int = station["located_us"]
+    return said_us >= 0 and now_us - said_us <= SILENCE_US
+
+
+@njit(cache=True)
+def to_everybodys_gps(now_us: int, stations: Stations, own_n_m: float, own_e_m: float) -> Level:
     """Way from the own place to where the GPS of everybody heard has it, by the common place and heading."""
-    pos_ne_m, error_ne_m = np.empty((told.size, 2)), np.empty((told.size, 2))
-    weights = np.empty(told.size)
+    pos_ne_m, error_ne_m = np.empty((stations.size, 2)), np.empty((stations.size, 2))
+    weights = np.empty(stations.size)
     count = 0
-    for station in range(told.size):
-        heard = told[station]
-        if heard["heard_us"] < 0 or now_us - heard["heard_us"] > SILENCE_US:
+    for station in range(stations.size):
+        heard = stations[station]
+        if not _says_where(heard, now_us):
             continue
         largest_m2 = 0.0
         for a in range(2):

@@ -11,9 +11,10 @@ from autopilot.config import OnboardConfig
 from autopilot.formation_plan import FormationPlan
 from autopilot.onboard.avoidance import Avoidance
 from autopilot.onboard.formation import Correction, Reference
+from autopilot.onboard.hearing import Hearing
 from autopilot.onboard.layers import HeightLayers
 from autopilot.onboard.localisation import Others
-from autopilot.onboard.motion import Heard, MotionStart
+from autopilot.onboard.motion import MotionStart
 from autopilot.onboard.neighbourhood import Neighbourhood
 from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.wind import WindObserver
@@ -89,10 +90,10 @@ class Guidance:
             down_m + vel_d * age_s - self.down_error_m,
         )
 
-    def agree(self, now_us: int, *, on_station: bool, neighbours: dict[int, Heard]) -> None:
+    def agree(self, now_us: int, *, on_station: bool, hearing: Hearing) -> None:
         """Settle with the others when the motion starts."""
         if self._plan.moves:
-            self.start.update(now_us, on_station=on_station, neighbours=neighbours)
+            self.start.update(now_us, on_station=on_station, neighbours=hearing.neighbours())
 
     def wait(self, own: OwnState, now_us: int) -> Setpoint:
         """Setpoint where the vehicle is, going on vertically as it does: offboard begins smoothly from it."""

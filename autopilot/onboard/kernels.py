@@ -29,6 +29,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from autopilot.onboard.members import Members
+
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 
@@ -37,80 +39,24 @@ BIAS = 3
 """Place of the GPS bias within a UAV's states."""
 STUDENT_NU = 4.0
 """Degrees of freedom of the likelihood: near Gaussian below two sigma, indifferent beyond six."""
-BACK_LIMIT_US = 500_000
-"""How far before the first known odometry it may be extrapolated, by its velocity."""
-
 NEAR_COSINE = 0.87
 """Of 30 degrees: how far the line between two UAVs may turn from the reference's to be taken for it."""
-
-KNOWN, NOT_YET, TOO_OLD = 0, 1, 2
-
-
-@njit(cache=True)
-def odometry_at(times_us: Times, samples: Array, pushed: int, time_us: int, out_ned_m: Array) -> int:
-    """Odometry of one UAV at a time, by cubic Hermite interpolation of a ring of samples.
-
-    times_us (L,), samples (L, 6) position and velocity NED, ``pushed`` samples so far; fills out_ned_m (3,).
-    Returns KNOWN, NOT_YET when the newest sample is older, TOO_OLD when the ring does not reach back far
-    enough.
-    """
-    length = times_us.shape[0]
-    held = min(pushed, length)
-    if held == 0 or time_us > times_us[(pushed - 1) % length]:
-        return NOT_YET
-    for back in range(1, held + 1):
-        k = (pushed - back) % length
-        if times_us[k] <= time_us:
-            if times_us[k] == time_us:
-                out_ned_m[:] = samples[k, :3]
-                return KNOWN
-            after = (k + 1) % length
-            span_s = (times_us[after] - times_us[k]) * 1e-6
-            u = (time_us - times_us[k]) * 1e-6 / span_s
-            for a in range(3):
-                step = samples[after, a] - samples[k, a]
-                start = samples[k, 3 + a] * span_s
-                end = samples[after, 3 + a] * span_s
-                out_ned_m[a] = samples[k, a] + u * (
-                    start + u * (3.0 * step - 2.0 * start - end + u * (start + end - 2.0 * step))
-                )
-            return KNOWN
-    oldest = (pushed - held) % length
-    if pushed > length or times_us[oldest] - time_us > BACK_LIMIT_US:
-        return TOO_OLD
-    back_s = (times_us[oldest] - time_us) * 1e-6
-    for a in range(3):
-        out_ned_m[a] = samples[oldest, a] - samples[oldest, 3 + a] * back_s
-    return KNOWN
-
-
-@njit(cache=True)
-def odometry_between(
-    times_us: Times, samples: Array, pushed: Times, i: int, j: int, time_us: int, out_ned_m: Array
-) -> int:
-    """Odometry of UAV i less that of j at a time; rings times_us (N, L), samples (N, L, 6), pushed (N,)."""
-    far_m = np.empty(3)
-    known = odometry_at(times_us[i], samples[i], pushed[i], time_us, out_ned_m)
-    if known == KNOWN:
-        known = odometry_at(times_us[j], samples[j], pushed[j], time_us, far_m)
-        out_ned_m -= far_m
-    return known
 
 
 @njit(cache=True)
 def predict(
-    state: Array, cov: Array, active: NDArray[np.bool_], drift_m2: float, decay_s: float,
-    height_var_m2: float, height_tau_s: float, bias_var_m2: Array, bias_tau_s: float,
+    state: Array, cov: Array, members: Members, drift_m2: float, decay_s: float, height_var_m2: float,
+    height_tau_s: float, bias_tau_s: float,
 ) -> None:  # fmt: skip
-    """Propagate state (5N,) and cov (5N, 5N).
+    """Propagate state (5N,) and cov (5N, 5N) of ``members`` (N,).
 
     Offsets walk randomly by the variance ``drift_m2``, which costs N additions. The rest, exactly discretised
     Gauss-Markov over ``decay_s`` of time, touches every element and may therefore be done in longer strides:
-    0 leaves it. bias_var_m2 (N,).
+    0 leaves it.
     """
     size = state.shape[0]
-    for j in range(active.shape[0]):
-        if active[j]:
+    for j in range(members.size):
+        if members[j]["active"]:
             cov[STATES * j, STATES * j] += drift_m2
             cov[STATES * j + 1, STATES * j + 1] += drift_m2
     if decay_s <= 0.0:
@@ -118,7 +64,7 @@ def predict(
     height_decay = math.exp(-decay_s / height_tau_s)
     bias_decay = math.exp(-decay_s / bias_tau_s)
     factor = np.ones(size)
-    for j in range(active.shape[0]):
+    for j in range(members.size):
         factor[STATES * j + 2] = height_decay
         factor[STATES * j + BIAS] = bias_decay
         factor[STATES * j + BIAS + 1] = bias_decay
@@ -126,11 +72,11 @@ def predict(
         state[i] *= factor[i]
         for k in range(size):
             cov[i, k] *= factor[i] * factor[k]
-    for j in range(active.shape[0]):
-        if active[j]:
+    for j in range(members.size):
+        if members[j]["active"]:
             base = STATES * j
             for a in range(BIAS, STATES):
-                cov[base + a, base + a] += bias_var_m2[j] * (1.0 - bias_decay * bias_decay)
+                cov[base + a, base + a] += members[j]["bias_var_m2"] * (1.0 - bias_decay * bias_decay)
             cov[base + 2, base + 2] += height_var_m2 * (1.0 - height_decay * height_decay)
 
 

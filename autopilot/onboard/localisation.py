@@ -16,37 +16,44 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from autopilot.onboard.beacon import Distance
+from autopilot.onboard.beacon import Page
 from autopilot.onboard.distances import Distances
-from autopilot.onboard.fixes import FixMean
-from autopilot.onboard.joining import Flags, Joined, Problem, Range, links
-from autopilot.onboard.kernels import BIAS, KNOWN, STATES, Array, fuse_range, predict
-from autopilot.onboard.localisation_model import LocalisationModel
-from autopilot.onboard.receivers import MISFIT_WEIGHT, Receivers, clear
+from autopilot.onboard.intake import (
+    DONE,
+    ELSEWHERE,
+    FILTER,
+    FIRST_MEAN,
+    GPS_STEPPED,
+    LOST,
+    NOT_LOCATED,
+    ODOMETRY_JUMPED,
+    Filter,
+    advance,
+    count_distance,
+    take_beacon,
+    take_fix,
+    take_odometry,
+    use_pending,
+)
+from autopilot.onboard.joining import Flags, Joined, Problem, links
+from autopilot.onboard.kernels import BIAS, STATES, Array
+from autopilot.onboard.localisation_model import CLOCK_TOLERANCE_US, SILENCE_US, LocalisationModel
+from autopilot.onboard.members import new_members
+from autopilot.onboard.receivers import Receivers, clear
 from autopilot.onboard.reference_geometry import ReferenceGeometry, shape_std_m
-from autopilot.onboard.tracks import EXTRAPOLATED_S, Tracks
+from autopilot.onboard.tracks import EXTRAPOLATED_S, KNOWN, Tracks, odometry_at
 from autopilot.onboard.trust import Trust
 from autopilot.onboard.uncertainty import seen_from, variance_between
 from autopilot.types import Vector
 
-__all__ = ["CLOCK_TOLERANCE_US", "CooperativeLocalisation", "LocalisationModel", "Others"]
+__all__ = ["CLOCK_TOLERANCE_US", "SILENCE_US", "CooperativeLocalisation", "LocalisationModel", "Others"]
 
-CLOCK_TOLERANCE_US = 10_000
-"""A time stamp may be this far in the future; beyond, it is wrong."""
-PENDING_LIMIT_US = 1_000_000
-"""A distance whose ends' odometry does not arrive within this is given up."""
-SILENCE_US = 3_000_000
-"""Who has not been heard of for this long is not waited for, and has no part in the geometry."""
-LOST_US = 30_000_000
-"""Who returns after this long is solved for afresh: its odometry has lost half a metre or more, and with so
-much a few distances may be fitted by a mirror image."""
 DECAY_SHARE = 0.01
 """Of the shortest time constant: the stride in which slow errors are propagated."""
 JUMP_SHARE = 0.1
 """Standard deviation of a jump of odometry, by its size."""
-PULLED_STD_M = 1.0
-"""By how much a UAV may be misplaced that has just been found to measure wrongly."""
 GEOMETRY_PERIOD_US = 1_000_000
 """How often it is looked at whether the formation has turned."""
 
@@ -75,13 +82,11 @@ class CooperativeLocalisation:
     Attributes:
         state: (5N,) and ``cov`` (5N, 5N), laid out as `kernels` says.
         located: (N,) bool, whose distances are fused.
+        members: (N,) of `MEMBER`, what is kept of each.
         tracks: everybody's odometry.
-        ranges_used, ranges_downweighted: counters.
-        ranges_too_late: distances for which odometry was no longer known, or not yet for too long.
         restarts: times that a UAV was found to be elsewhere than thought.
         odometry_jumps: times that a UAV's odometry has begun anew, by its own step or as told by `restart`.
         gps_steps: times that a GPS error was found to have changed at once.
-        own_range_us: when the newest fused distance that involves the own UAV was measured, or None.
 
     """
 
@@ -91,56 +96,55 @@ class CooperativeLocalisation:
         self.count = count
         self.state = np.zeros(STATES * count)
         self.cov = np.zeros((STATES * count, STATES * count))
-        self.active = np.zeros(count, bool)
-        self.located = np.zeros(count, bool)
-        self.ranges_used = 0
-        self.ranges_downweighted = 0
-        self.ranges_too_late = 0
+        self.members = members = new_members(count)
+        self.active: Flags = members["active"].view(bool)
+        self.located: Flags = members["located"].view(bool)
         self.restarts = 0
         self.odometry_jumps = 0
         self.gps_steps = 0
-        self.own_range_us: int | None = None
         self._places_ned_m = np.array(places_ned_m, float)
         self._model = model
+        self._model_row = model.row()
         self._drift_m2_s = model.odometry_drift_m_sqrt_s**2
-        self._floor_m2 = model.range_floor_std_m**2
-        self._time_us = 0
-        self._decay_owed_us = 0
-        self._decay_stride_us = int(
+        self._filter: Filter = np.zeros(1, FILTER)
+        self._filter["own"], self._filter["own_range_us"] = own, -1
+        self._filter["decay_stride_us"] = int(
             1e6 * DECAY_SHARE * min(model.gps_bias_time_constant_s, model.height_time_constant_s)
         )
-        self.tracks = Tracks(count)
-        self._receivers = Receivers(count, model)
+        self.tracks = Tracks(members)
+        self._receivers = Receivers(members, model)
         self._distances = Distances(count)
-        self._trust = Trust(count)
+        self._trust = Trust(members)
         self._geometry = ReferenceGeometry(self._places_ned_m)
         self._geometry_due_us = 0
-        self._returned = False
-        """Whether somebody has been heard of again since the geometry was last looked at."""
-        self._distances_hz = 0.0
-        """Of one UAV, either end."""
         self._counted = 0
-        self._scratch_m = np.empty(3)
+
+    def on_beacon(self, row: int, page: Page, rows: NDArray[np.int64], *, now_us: int) -> None:
+        """Take what the beacon on a page says of its sender, and what it has measured.
+
+        ``rows`` (F,) are the indices here of the stations that it names; -1: those that are not here. To be
+        told before that, by `restart`, if the sender has begun anew.
+        """
+        distances = self._distances
+        while True:
+            asked = take_beacon(
+                row, now_us, page.header, page.ranges, rows, self._filter, self._model_row, self.members,
+                self.tracks.rings, self.state, self.cov, distances.pairs, distances.pending, distances.queue,
+            )  # fmt: skip
+            if asked == DONE:
+                return
+            self._do(asked, row)
 
     def on_odometry(
         self, station: int, time_us: int, odometry_ned_m: Sequence[float], vel_ned_m_s: Sequence[float]
     ) -> None:
         """Take odometry of a UAV (north, east integrated velocity, down the barometer's); old is ignored."""
-        silent_us = time_us - self.tracks.newest_us.item(station)
-        if silent_us > SILENCE_US:
-            self._returned = True
-            if silent_us > LOST_US and self.located[station]:
-                self._lose(station)
-        jump = self.tracks.push(station, time_us, odometry_ned_m, vel_ned_m_s)
-        if jump is not None and self.active[station]:
-            # The UAV has not jumped: its odometry has begun anew.
-            self.odometry_jumps += 1
-            self._receivers.drop_fixes(station)
-            self._distances.drop(station)
-            for a, jump_m in enumerate(jump):
-                self._receivers.less_odometry_ned_m[station, a] -= jump_m
-                self.state[STATES * station + a] -= jump_m
-                self.cov[STATES * station + a, STATES * station + a] += (JUMP_SHARE * jump_m) ** 2
+        sample = np.array((*odometry_ned_m, *vel_ned_m_s))
+        while True:
+            asked = take_odometry(self._filter, self.members, self.tracks.rings, station, time_us, sample)
+            if asked == DONE:
+                return
+            self._do(asked, station)
 
     def on_fix(
         self,
@@ -154,19 +158,12 @@ class CooperativeLocalisation:
 
         ``std_h_m`` (per axis) and ``std_v_m`` are what the receiver states; None: nothing.
         """
-        receivers = self._receivers
-        if time_us <= receivers.newest_us[station]:
-            return
-        odometry_m = self._scratch_m
-        if self.tracks.at(station, time_us, odometry_m) != KNOWN:
-            return
-        receivers.newest_us[station] = time_us
-        active = bool(self.active[station])
-        if std_h_m is not None or std_v_m is not None:
-            receivers.take_stated(station, std_h_m or 0.0, std_v_m or 0.0, self.cov, active=active)
-        mean = receivers.add(station, time_us, pos_ned_m, odometry_m.tolist(), at_once=not active)
-        if mean is not None:
-            self._fuse_fixes(station, time_us, mean)
+        asked = take_fix(
+            self._filter, self._model_row, self.members, self.tracks.rings, self.state, self.cov, station,
+            time_us, np.array(pos_ned_m, float), std_h_m or 0.0, std_v_m or 0.0,
+        )  # fmt: skip
+        if asked != DONE:
+            self._do(asked, station)
 
     def on_range(
         self, initiator: int, responder: int, time_us: int, distance_m: float, std_m: float, *, now_us: int
@@ -176,26 +173,33 @@ class CooperativeLocalisation:
         One that is not newer than what is known of the two is ignored, as is one from the future, which would
         hide the right ones that follow, and one of which an end is no UAV of the formation.
         """
-        if responder >= self.count or initiator == responder:
-            return
-        if not self._distances.newest_us[initiator][responder] < time_us <= now_us + CLOCK_TOLERANCE_US:
-            return
-        self._distances.add(initiator, responder, time_us, distance_m, std_m**2 + self._floor_m2)
+        if responder < self.count:
+            variance_m2 = std_m**2 + self._model.range_floor_std_m**2
+            self._distances.add(initiator, responder, time_us, distance_m, variance_m2, now_us=now_us)
 
-    def on_distances(
-        self, initiator: int, distances: Sequence[Distance], rows: Sequence[int | None], *, now_us: int
-    ) -> None:
-        """Take all that a beacon of ``initiator`` tells, as `on_range` does one by one, in less time.
+    def _do(self, asked: int, row: int) -> None:
+        """Do what a UAV's news ask for; see `intake`."""
+        if asked == LOST:
+            self._lose(row)
+        elif asked == ODOMETRY_JUMPED:
+            self._begin_odometry_anew(row)
+        elif asked == FIRST_MEAN:
+            self._activate(row)
+        elif asked == GPS_STEPPED:
+            self.gps_steps += 1
+            self._receivers.learn_anew(row, self.state, self.cov, self._filter["gps_var_m2"].item())
+        else:
+            self._distances.make_room()
 
-        ``rows`` are the indices here of the stations that the distances name; None: those that are not here.
-        """
-        newest_us, stations = self._distances.newest_us[initiator], len(rows)
-        for item in distances:
-            row = rows[item.peer] if item.peer < stations else None
-            if row is not None and newest_us[row] < item.time_ms * 1_000:
-                self.on_range(
-                    initiator, row, item.time_ms * 1_000, item.distance_m, item.std_m, now_us=now_us
-                )
+    def _begin_odometry_anew(self, row: int) -> None:
+        """Make good a step that a UAV has not made: its odometry has begun anew."""
+        self.odometry_jumps += 1
+        self._receivers.drop_fixes(row)
+        self._distances.drop(row)
+        for a, jump_m in enumerate(self._filter["step_ne_m"][0].tolist()):
+            self._receivers.less_odometry_ned_m[row, a] -= jump_m
+            self.state[STATES * row + a] -= jump_m
+            self.cov[STATES * row + a, STATES * row + a] += (JUMP_SHARE * jump_m) ** 2
 
     def restart(self, station: int) -> None:
         """Forget a UAV whose application has begun anew: its odometry counts from elsewhere since.
@@ -208,18 +212,17 @@ class CooperativeLocalisation:
     def update(self, now_us: int) -> None:
         """Use what has become usable by now."""
         due = now_us >= self._geometry_due_us
-        if due or self._returned:
-            self._returned = False
+        if due or self._filter["returned"].item():
+            self._filter["returned"] = 0
             self._geometry.keep(self._members(now_us), self.positions_ned_m(now_us), self.cov)
-        distances = self._distances
-        if distances.pending:
-            distances.pending = [item for item in distances.pending if not self._take(item, now_us)]
-        if distances.held:
+        self._use_pending(now_us)
+        if self._distances.held:
             self._locate(now_us)
         if due:
             self._geometry_due_us = now_us + GEOMETRY_PERIOD_US
-            self._distances_hz = 2e6 * (self.ranges_used - self._counted) / (self.count * GEOMETRY_PERIOD_US)
-            self._counted = self.ranges_used
+            used = self.ranges_used
+            self._filter["distances_hz"] = 2e6 * (used - self._counted) / (self.count * GEOMETRY_PERIOD_US)
+            self._counted = used
             suspects = self._trust.suspects(now_us, np.flatnonzero(self._members(now_us)))
             if suspects:
                 self._try_afresh(suspects, now_us)
@@ -227,6 +230,26 @@ class CooperativeLocalisation:
     def advance(self, now_us: int) -> None:
         """Propagate the covariance to now, for whoever wants to read it."""
         self._advance(now_us, decay=True)
+
+    @property
+    def ranges_used(self) -> int:
+        """Distances that were compared with the estimate."""
+        return int(self._filter["ranges_used"].item())
+
+    @property
+    def ranges_downweighted(self) -> int:
+        """Those of them that fitted badly."""
+        return int(self._filter["ranges_downweighted"].item())
+
+    @property
+    def ranges_too_late(self) -> int:
+        """Distances for which odometry was no longer known, or not yet for too long."""
+        return int(self._filter["ranges_too_late"].item())
+
+    @property
+    def own_range_us(self) -> int:
+        """When the newest fused distance that involves the own UAV was measured; -1: there is none."""
+        return int(self._filter["own_range_us"].item())
 
     def offset_ne_m(self) -> tuple[float, float]:
         """Estimated true position less odometry of the own UAV, north and east."""
@@ -255,7 +278,7 @@ class CooperativeLocalisation:
     def odometry_at(self, station: int, time_us: int) -> Array | None:
         """(3,) odometry of a UAV, NED, at a time of the last seconds; None where it is not known."""
         odometry_ned_m = np.empty(3)
-        known = self.tracks.at(station, time_us, odometry_ned_m) == KNOWN
+        known = odometry_at(self.tracks.rings, station, time_us, odometry_ned_m) == KNOWN
         return odometry_ned_m if known else None
 
     def gps_error(self, station: int) -> tuple[Vector, float]:
@@ -276,8 +299,7 @@ class CooperativeLocalisation:
         """Variance with which the distance to a UAV is known now; None while either end is not located."""
         if not (self.located[self.own] and self.located[peer]):
             return None
-        tracks = self.tracks
-        relative_m2: float = variance_between(self.cov, self.own, peer, tracks.newest, self.state)
+        relative_m2: float = variance_between(self.cov, self.own, peer, self.members, self.state)
         return relative_m2 + self._walked_m2(now_us)
 
     def others(self, now_us: int, *, fresh_us: int) -> Others:
@@ -285,8 +307,8 @@ class CooperativeLocalisation:
         pos_ned_m, std_m, fresh = np.empty((self.count, 3)), np.empty(self.count), np.empty(self.count, bool)
         tracks = self.tracks
         seen_from(
-            self.own, now_us, tracks.newest, tracks.newest_us, EXTRAPOLATED_S, self.state, self.cov,
-            self.located, now_us - fresh_us, self._walked_m2(now_us), pos_ned_m, std_m, fresh,
+            self.own, now_us, self.members, EXTRAPOLATED_S, self.state, self.cov, now_us - fresh_us,
+            self._walked_m2(now_us), pos_ned_m, std_m, fresh,
         )  # fmt: skip
         return Others(pos_ned_m, tracks.newest[:, 3:], std_m, fresh)
 
@@ -312,32 +334,13 @@ class CooperativeLocalisation:
         """What the odometry of two has lost since the filter's time, per axis of their difference."""
         return 2.0e-6 * self._drift_m2_s * max(now_us - self._time_us, 0)
 
-    def _advance(self, time_us: int, *, decay: bool = False) -> float:
-        """Propagate to ``time_us`` if that is news; return how many seconds the filter is ahead of it."""
-        ahead_us = self._time_us - time_us
-        if ahead_us >= 0 and not decay:
-            return ahead_us * 1e-6
-        step_us = max(-ahead_us, 0) if self._time_us else 0
-        self._decay_owed_us += step_us
-        decay_us = self._decay_owed_us if decay or self._decay_owed_us >= self._decay_stride_us else 0
-        self._decay_owed_us -= decay_us
-        model = self._model
-        predict(
-            self.state, self.cov, self.active, self._drift_m2_s * step_us * 1e-6, decay_us * 1e-6,
-            model.height_std_m**2, model.height_time_constant_s,
-            self._receivers.bias_var_m2, model.gps_bias_time_constant_s,
-        )  # fmt: skip
-        self._time_us = max(self._time_us, time_us)
-        return max(ahead_us, 0) * 1e-6
+    def _advance(self, time_us: int, *, decay: bool = False) -> None:
+        """Propagate to ``time_us`` if that is news; see `intake.advance`."""
+        advance(self._filter, self._model_row, self.members, self.state, self.cov, time_us, decay)
 
-    def _fuse_fixes(self, station: int, time_us: int, mean: FixMean) -> None:
-        if not self.active[station]:
-            self._activate(station)
-            return
-        self._advance(time_us)
-        self.gps_steps += self._receivers.fuse(
-            station, mean, self.state, self.cov, self._time_us, located=bool(self.located[station])
-        )
+    @property
+    def _time_us(self) -> int:
+        return int(self._filter["time_us"].item())
 
     def _lose(self, station: int) -> None:
         """Take a UAV out until there are new odometry, GPS and distances of it."""
@@ -360,59 +363,24 @@ class CooperativeLocalisation:
         self._receivers.begin(station, self.state, self.cov)
         self.active[station] = True
 
-    def _take(self, item: Range, now_us: int) -> bool:
-        """Use or hold a distance; False when it must wait for odometry."""
-        i, j = item.initiator, item.responder
-        newest_us = self.tracks.newest_us
-        if item.time_us > newest_us[i] or item.time_us > newest_us[j]:
-            return self._is_too_late(item, now_us)
-        if self.tracks.between(i, j, item.time_us, item.odometry_between_m) != KNOWN:
-            self.ranges_too_late += 1
-            return True
-        if not (self.active[i] and self.active[j]):
-            return self._is_too_late(item, now_us)
-        if self.located[i] and self.located[j]:
-            self._fuse(item)
-        else:
-            self._distances.hold(item, now_us)
-        return True
-
-    def _is_too_late(self, item: Range, now_us: int) -> bool:
-        late = bool(now_us - item.time_us > PENDING_LIMIT_US)
-        self.ranges_too_late += late
-        return late
-
-    def _fuse(self, item: Range) -> None:
-        lag_s = self._advance(item.time_us)
-        # Distances of a UAV that are late together share what its odometry has lost since, and are worth no
-        # more than one of them.
-        late_m2 = self._drift_m2_s * lag_s * (1.0 + self._distances_hz * lag_s)
-        pair = item.initiator, item.responder
-        geometry = self._geometry
-        bend_m, bend_var_m2 = geometry.bend_m.item(pair), geometry.bend_var_m2.item(pair)
-        trust = 0.0 if self._trust.distrusted[item.initiator] else 1.0
-        weight = fuse_range(
-            self.state, self.cov, self.state, geometry.ne_m, item.initiator, item.responder,
-            item.odometry_between_m, item.distance_m - bend_m,
-            item.variance_m2 + 2.0 * late_m2 + bend_var_m2, -1.0, trust,
-        )  # fmt: skip
-        self._count(item, weight, fused=trust > 0.0)
-        self._distances.fused[item.initiator, item.responder] = item
-        if trust > 0.0 and self._trust.distrusted[item.initiator]:
-            # It has been pulled to where its own distances wanted it.
-            for at in range(STATES * item.initiator, STATES * item.initiator + 2):
-                self.cov[at, at] += PULLED_STD_M**2
-        for station in (item.initiator, item.responder):
-            if self._trust.elsewhere(station):
-                self._restart(station)
-
-    def _count(self, item: Range, weight: float, *, fused: bool) -> None:
-        badly = not weight >= MISFIT_WEIGHT
-        self.ranges_used += 1
-        self.ranges_downweighted += badly
-        self._trust.note(item.initiator, item.responder, badly=badly)
-        if fused and not badly and self.own in {item.initiator, item.responder}:
-            self.own_range_us = max(item.time_us, self.own_range_us or 0)
+    def _use_pending(self, now_us: int) -> None:
+        """Use or hold the distances that odometry covers by now."""
+        distances, geometry = self._distances, self._geometry
+        while True:
+            asked = use_pending(
+                now_us, self._filter, self._model_row, self.members, self.tracks.rings, self.state, self.cov,
+                distances.pairs, distances.pending, distances.queue, geometry.ne_m, geometry.bend_m,
+                geometry.bend_var_m2,
+            )  # fmt: skip
+            if asked == DONE:
+                return
+            item = distances.last_pending(self._filter["between_ned_m"][0].copy())
+            if asked == NOT_LOCATED:
+                distances.hold(item, now_us)
+            elif asked == ELSEWHERE:
+                for row in (item.initiator, item.responder):
+                    if self._trust.elsewhere(row):
+                        self._restart(row)
 
     def _locate(self, now_us: int) -> None:
         """Bring in those whose distances have been held, once enough of them are there."""
@@ -430,7 +398,8 @@ class CooperativeLocalisation:
             return
         self._take_in(joined, now_us)
         for item, weight in zip(joined.batch, joined.solution.weights, strict=True):
-            self._count(item, weight, fused=True)
+            ends = item.initiator, item.responder
+            count_distance(self._filter, self.members, *ends, item.time_us, weight, fused=True)
 
     def _try_afresh(self, suspects: set[int], now_us: int) -> None:
         """Solve again for UAVs of whose distances many misfit; without a solution that fits, all stays."""

@@ -11,7 +11,7 @@ it kept them apart, go over to what most of them hold once they hear each other.
 from collections import Counter
 from collections.abc import Mapping
 
-from autopilot.onboard.localisation import CLOCK_TOLERANCE_US, SILENCE_US
+from autopilot.onboard.localisation_model import CLOCK_TOLERANCE_US, SILENCE_US
 from autopilot.onboard.phases import Phase
 
 LEAD_US = 2_000_000

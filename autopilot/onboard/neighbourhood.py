@@ -45,6 +45,7 @@ class Neighbourhood:
         members: (M,) the UAV and its neighbours in the order of their numbers: whom the rows of all arrays
             that are kept of the neighbourhood belong to.
         rows: row of every station; None: it is no member.
+        row_numbers: (N,) the same for compiled code; -1: it is no member.
         own: row of the UAV itself.
         whole: everybody is a member.
         linked: (N, N) as of `linked`.
@@ -60,5 +61,6 @@ class Neighbourhood:
         self.rows: list[int | None] = [None] * self.stations
         for row, member in enumerate(self.members.tolist()):
             self.rows[member] = row
+        self.row_numbers = np.array([-1 if row is None else row for row in self.rows], np.int64)
         self.own = int(np.searchsorted(self.members, station))
         self.whole = len(self.members) == self.stations

@@ -19,6 +19,8 @@ channel slows the policy down instead of filling its queue."""
 GIVE_UP_US = 2_000_000
 """A request without any result is forgotten after this, longer than any driver's time-out."""
 
+Reachable = Callable[[int], bool]
+"""Whether a peer has been heard of lately."""
 VarianceOf = Callable[[int], float | None]
 """Variance in m2 with which the distance to a peer is known without measuring it now; None: it is not."""
 
@@ -39,7 +41,7 @@ class RangingPolicy(Protocol):
     gather_s: float
 
     def due(
-        self, now_us: int, until_us: int, reachable: set[int], variance_m2: VarianceOf | None = None
+        self, now_us: int, until_us: int, reachable: Reachable, variance_m2: VarianceOf | None = None
     ) -> list[tuple[int, int]]:
         """List the requests to hand over in [now, until): (at_us, peer), of peers that are ``reachable``."""
         ...
@@ -119,7 +121,7 @@ class RangingSchedule:
         self,
         now_us: int,
         until_us: int,
-        reachable: set[int],
+        reachable: Reachable,
         variance_m2: VarianceOf | None = None,  # noqa: ARG002  # all are measured
     ) -> list[tuple[int, int]]:
         """List the requests to hand over in [now, until): (at_us, peer), of peers that are ``reachable``."""
@@ -134,7 +136,7 @@ class RangingSchedule:
         requests = []
         while self.next_us < until_us:
             peer = self._peers[self._next]
-            if peer in reachable and peer not in self._outstanding:
+            if reachable(peer) and peer not in self._outstanding:
                 if self._outstanding.full:
                     # The round slips rather than skips; slots lost to a full channel are not made up for in
                     # a burst.

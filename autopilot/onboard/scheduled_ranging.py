@@ -42,7 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from autopilot.config import SESSION_S
-from autopilot.onboard.ranging import Outstanding, VarianceOf
+from autopilot.onboard.ranging import Outstanding, Reachable, VarianceOf
 
 GUARD = 0.125
 """Share of a slot that passes before its session begins, for clocks that disagree."""
@@ -148,7 +148,7 @@ class ScheduledRanging:
         self._resume_us = [_LONG_AGO_US] * stations
 
     def due(
-        self, now_us: int, until_us: int, reachable: set[int], variance_m2: VarianceOf | None = None
+        self, now_us: int, until_us: int, reachable: Reachable, variance_m2: VarianceOf | None = None
     ) -> list[tuple[int, int]]:
         """List the requests to hand over in [now, until): (at_us, peer), of peers that are ``reachable``."""
         if not self._slots:
@@ -160,7 +160,7 @@ class ScheduledRanging:
         while self.next_us < until_us:
             at_us, peer = int(self.next_us), self._slots[self._slot][1]
             if (
-                peer in reachable
+                reachable(peer)
                 and not self._outstanding.full
                 and peer not in self._outstanding
                 and at_us >= self._resume_us[peer]

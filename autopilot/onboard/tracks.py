@@ -1,11 +1,11 @@
 """Everybody's odometry of the last seconds, to ask where they were."""
 
-import struct
-from collections.abc import Sequence
-
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 
-from autopilot.onboard.kernels import Array, odometry_at, odometry_between
+from autopilot.onboard.kernels import Array
+from autopilot.onboard.members import Members
 
 SAMPLES = 64
 """Kept per UAV: `REMEMBERED_S` of the own ones at 30 Hz, six seconds of a neighbour's at 10 Hz."""
@@ -15,72 +15,113 @@ JUMP_M_S2 = 10.0
 """...but for what an acceleration that is over between two samples may come to."""
 EXTRAPOLATED_S = 1.0
 """A neighbour is moved on by its velocity for so long at most."""
-_SAMPLE = struct.Struct("6d")
-"""Of an array's row: written into its memory, for a fifth of the time that assigning it takes."""
+BACK_LIMIT_US = 500_000
+"""How far before the first known odometry it may be extrapolated, by its velocity."""
+RING = np.dtype([("pushed", "i8"), ("times_us", "i8", SAMPLES), ("samples", "f8", (SAMPLES, 6))])
+"""The last samples of a UAV, position and velocity NED, and how many came."""
+Rings = NDArray[np.void]
+"""(N,) of `RING`"""
+KNOWN, NOT_YET, TOO_OLD = 0, 1, 2
+OLD, PUSHED, JUMPED = 0, 1, 2
+
+
+@njit(cache=True)
+def push(members: Members, rings: Rings, row: int, time_us: int, sample: Array, step_ne_m: Array) -> int:
+    """Take a sample (6,) of odometry; OLD: it is not newer than the newest, and ignored.
+
+    JUMPED: the odometry has made a step beside what the velocities explain, and not one of flight, which
+    step_ne_m (2,) is filled with; what came before it is then forgotten. Else PUSHED.
+    """
+    member, ring = members[row], rings[row]
+    before_us, pushed = member["newest_us"], ring["pushed"]
+    if time_us <= before_us:
+        return OLD
+    newest = member["newest"]
+    found = PUSHED
+    if pushed:
+        half_s = 0.5e-6 * (time_us - before_us)
+        for a in range(2):
+            step_ne_m[a] = sample[a] - newest[a] - half_s * (sample[3 + a] + newest[3 + a])
+        if abs(step_ne_m[0]) + abs(step_ne_m[1]) > JUMP_M + JUMP_M_S2 * half_s * half_s:
+            found, pushed = JUMPED, 0
+    slot = pushed % SAMPLES
+    kept = ring["samples"]
+    for a in range(6):
+        newest[a] = kept[slot, a] = sample[a]
+    ring["times_us"][slot] = time_us
+    ring["pushed"] = pushed + 1
+    member["newest_us"] = time_us
+    return found
+
+
+@njit(cache=True)
+def odometry_at(rings: Rings, row: int, time_us: int, out_ned_m: Array) -> int:
+    """Odometry of one UAV at a time, by cubic Hermite interpolation of its samples; fills out_ned_m (3,).
+
+    Returns KNOWN, NOT_YET when the newest sample is older, TOO_OLD when they do not reach back far enough.
+    """
+    ring = rings[row]
+    times_us, samples, pushed = ring["times_us"], ring["samples"], ring["pushed"]
+    held = min(pushed, SAMPLES)
+    if held == 0 or time_us > times_us[(pushed - 1) % SAMPLES]:
+        return NOT_YET
+    for back in range(1, held + 1):
+        k = (pushed - back) % SAMPLES
+        if times_us[k] <= time_us:
+            if times_us[k] == time_us:
+                for a in range(3):
+                    out_ned_m[a] = samples[k, a]
+                return KNOWN
+            after = (k + 1) % SAMPLES
+            span_s = (times_us[after] - times_us[k]) * 1e-6
+            u = (time_us - times_us[k]) * 1e-6 / span_s
+            for a in range(3):
+                step = samples[after, a] - samples[k, a]
+                start = samples[k, 3 + a] * span_s
+                end = samples[after, 3 + a] * span_s
+                out_ned_m[a] = samples[k, a] + u * (
+                    start + u * (3.0 * step - 2.0 * start - end + u * (start + end - 2.0 * step))
+                )
+            return KNOWN
+    oldest = (pushed - held) % SAMPLES
+    if pushed > SAMPLES or times_us[oldest] - time_us > BACK_LIMIT_US:
+        return TOO_OLD
+    back_s = (times_us[oldest] - time_us) * 1e-6
+    for a in range(3):
+        out_ned_m[a] = samples[oldest, a] - samples[oldest, 3 + a] * back_s
+    return KNOWN
+
+
+@njit(cache=True)
+def odometry_between(rings: Rings, i: int, j: int, time_us: int, out_ned_m: Array) -> int:
+    """Odometry (3,) of UAV i less that of j at a time; see `odometry_at`."""
+    far_m = np.empty(3)
+    known = odometry_at(rings, i, time_us, out_ned_m)
+    if known == KNOWN:
+        known = odometry_at(rings, j, time_us, far_m)
+        for a in range(3):
+            out_ned_m[a] -= far_m[a]
+    return known
 
 
 class Tracks:
     """Odometry of N UAVs.
 
     Attributes:
+        rings: (N,) of `RING`.
         newest: (N, 6) position NED, m, and velocity NED, m/s.
         newest_us: (N,) when that was; -1 before the first.
-        times_us, samples, pushed: (N, L), (N, L, 6) and (N,): rings of the last, and how many came.
 
     """
 
-    def __init__(self, count: int) -> None:
-        self.newest = np.zeros((count, 6))
-        self.newest_us = np.full(count, -1, np.int64)
-        self.times_us = np.zeros((count, SAMPLES), np.int64)
-        self.samples = np.zeros((count, SAMPLES, 6))
-        self.pushed = np.zeros(count, np.int64)
-        self._newest_bytes, self._samples_bytes = self.newest.data.cast("B"), self.samples.data.cast("B")
-        self._last: list[tuple[float, ...]] = [()] * count
+    def __init__(self, members: Members) -> None:
+        self.rings: Rings = np.zeros(len(members), RING)
+        self.newest: Array = members["newest"]
+        self.newest_us: NDArray[np.int64] = members["newest_us"]
 
-    def push(
-        self, station: int, time_us: int, odometry_ned_m: Sequence[float], vel_ned_m_s: Sequence[float]
-    ) -> tuple[float, float] | None:
-        """Take a sample; one that is not newer than the newest is ignored.
-
-        Gives the step (north, east) that the odometry has made beside what the velocities explain, if that is
-        none of flight: what came before it is then forgotten.
-        """
-        before_us = self.newest_us.item(station)
-        if time_us <= before_us:
-            return None
-        jump = None
-        pushed = self.pushed.item(station)
-        if pushed:
-            then_n, then_e, _, then_vel_n, then_vel_e, _ = self._last[station]
-            half_s = 0.5e-6 * (time_us - before_us)
-            jump_n = odometry_ned_m[0] - then_n - half_s * (vel_ned_m_s[0] + then_vel_n)
-            jump_e = odometry_ned_m[1] - then_e - half_s * (vel_ned_m_s[1] + then_vel_e)
-            if abs(jump_n) + abs(jump_e) > JUMP_M + JUMP_M_S2 * half_s * half_s:
-                jump, pushed = (jump_n, jump_e), 0
-        slot = pushed % SAMPLES
-        self.times_us[station, slot] = self.newest_us[station] = time_us
-        self._last[station] = sample = (*odometry_ned_m, *vel_ned_m_s)
-        _SAMPLE.pack_into(self._newest_bytes, station * _SAMPLE.size, *sample)
-        _SAMPLE.pack_into(self._samples_bytes, (station * SAMPLES + slot) * _SAMPLE.size, *sample)
-        self.pushed[station] = pushed + 1
-        return jump
-
-    def forget(self, station: int) -> None:
+    def forget(self, row: int) -> None:
         """Forget the odometry of a UAV: what comes next has nothing to do with it."""
-        self.pushed[station] = 0
-
-    def at(self, station: int, time_us: int, out_ned_m: Array) -> int:
-        """Odometry (3,) of a UAV at a time; see `odometry_at`."""
-        return int(
-            odometry_at(
-                self.times_us[station], self.samples[station], self.pushed[station], time_us, out_ned_m
-            )
-        )
-
-    def between(self, i: int, j: int, time_us: int, out_ned_m: Array) -> int:
-        """Odometry (3,) of i less that of j; see `odometry_between`."""
-        return int(odometry_between(self.times_us, self.samples, self.pushed, i, j, time_us, out_ned_m))
+        self.rings["pushed"][row] = 0
 
     def now_ned_m(self, now_us: int) -> Array:
         """(N, 3) odometry now, by the newest velocities."""

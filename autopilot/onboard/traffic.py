@@ -11,22 +11,18 @@ import numpy as np
 from autopilot.config import Devices, OnboardConfig
 from autopilot.onboard import beacon as wire
 from autopilot.onboard.commands import NEVER_US
-from autopilot.onboard.localisation import CLOCK_TOLERANCE_US, SILENCE_US
+from autopilot.onboard.hearing import WAIT_US, Hearing
 from autopilot.onboard.neighbourhood import Neighbourhood
 from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.phases import Phase
 from autopilot.onboard.ranging import RangingPolicy, RangingSchedule, VarianceOf
 from autopilot.onboard.scheduled_ranging import ScheduledRanging
-from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult, Survey, TxItem
+from netsim.wire.messages import Broadcast, FtmRequest, FtmResult, Survey, TxItem
 
 BEACON_JITTER = 0.02
 """Half width of each beacon's random shift, in periods: two UAVs that tick together do not go on doing so."""
 PRIOR_TRIPS = 8
 """How many round trips' evidence the device's stated accuracy is worth beside a session's own few."""
-WAIT_US = 1_000_000
-"""A beacon is received within this after it was due; its number tells when that was."""
-SHIFTS = 2
-"""Beacons by which numbers may be off besides: both ends' random shifts, and a period that is not whole."""
 
 
 class Traffic:
@@ -41,11 +37,8 @@ class Traffic:
         near: to whom it ranges, and of whose beacons it looks at the distances; None: everybody.
 
     Attributes:
+        hearing: what others say.
         range_silence_us: distances older than this are news to nobody.
-        bad_beacons: datagrams that were no beacon, or one that contradicts itself.
-        beacons_heard, beacons_missed: of those that neighbours heard so far have numbered.
-        sender_is_new: the sender of the last beacon heard has begun anew since the one before, and its
-            odometry with it: it has not numbered as many as there were periods in between.
         gather_s: within this each station has ranged to all its peers that can be, one loss included.
 
     """
@@ -60,10 +53,6 @@ class Traffic:
         rng: np.random.Generator,
         near: Neighbourhood | None = None,
     ) -> None:
-        self.bad_beacons = 0
-        self.beacons_heard = 0
-        self.beacons_missed = 0
-        self.sender_is_new = False
         self._station, self._stations = station, stations
         self._trip_std_m = devices.ftm_trip_std_m
         self._rng = rng
@@ -72,47 +61,19 @@ class Traffic:
         self.range_silence_us = self._ranging.silence_us
         self.gather_s = self._ranging.gather_s
         self._distances: dict[int, wire.Distance] = {}
-        self._is_near = [near is None or row is not None for row in (near.rows if near else range(stations))]
-        self._heard: list[tuple[int, int, int] | None] = [None] * stations
-        """Of each station's last beacon: when it was heard, its number, and the time in it."""
         self._seq = 0
         self._beacon_seq = 0
         self._period_us = config.beacon_period_ms * 1_000
-        self._periods_off = WAIT_US / self._period_us + SHIFTS
+        self.hearing = Hearing(
+            station=station, stations=stations, period_us=self._period_us, gps_std_m=config.gps_bias_std_m,
+            near=near,
+        )  # fmt: skip
         self._slot_us: float | None = None
         self._beacon_us = 0
 
     def begin_anew(self) -> None:
         """Number the next beacon so that whoever hears it takes its odometry for a new one."""
         self._beacon_seq = (self._beacon_seq + wire.SEQ_MODULUS // 2) % wire.SEQ_MODULUS
-
-    def hear(self, item: Delivery, now_us: int) -> wire.Beacon | None:
-        """Beacon of a neighbour in a datagram; None, counted, if it holds none that can be believed."""
-        station = item.source
-        beacon = None
-        if station < self._stations and station != self._station:
-            beacon = wire.decode(item.payload, distances=self._is_near[station])
-        if beacon is None or beacon.station != station or beacon.time_us > now_us + CLOCK_TOLERANCE_US:
-            self.bad_beacons += 1
-            return None
-        self.beacons_heard += 1
-        self.sender_is_new = False
-        before = self._heard[station]
-        if before is not None:
-            before_us, before_seq, told_us = before
-            gap = (beacon.seq - before_seq) % wire.SEQ_MODULUS
-            # As many as there were periods, however many were lost: the formation has one beacon period.
-            periods = (now_us - before_us) / self._period_us
-            if abs(gap - periods) <= self._periods_off:
-                if gap > 1:
-                    self.beacons_missed += gap - 1
-            elif beacon.time_us > told_us:
-                self.sender_is_new = True
-            else:  # overtaken by a later one, which has counted it as missed
-                self._heard[station] = (now_us, before_seq, told_us)
-                return beacon
-        self._heard[station] = (now_us, beacon.seq, beacon.time_us)
-        return beacon
 
     def measured(self, item: FtmResult) -> wire.Distance | None:
         """Distance that a session gave, with its error; None if it failed."""
@@ -176,13 +137,10 @@ class Traffic:
                 self._slot_us + self._rng.uniform(-BEACON_JITTER, BEACON_JITTER) * self._period_us
             )
         if ranging and self._ranging.next_us < until_us:
-            reachable = {
-                peer for peer, heard in enumerate(self._heard) if heard and now_us - heard[0] < SILENCE_US
-            }
-            items += [
-                FtmRequest(seq=self._next_seq(), at_us=at_us, peer=peer)
-                for at_us, peer in self._ranging.due(now_us, until_us, reachable, variance_m2)
-            ]
+            requests = self._ranging.due(
+                now_us, until_us, lambda peer: self.hearing.reaches(peer, now_us), variance_m2
+            )
+            items += [FtmRequest(seq=self._next_seq(), at_us=at_us, peer=peer) for at_us, peer in requests]
         return tuple(items)
 
     def next_deadline_us(self, *, ranging: bool) -> int:

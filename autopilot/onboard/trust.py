@@ -8,6 +8,12 @@ A filter can also settle where only a part of them misfits, such as a mirror ima
 
 from collections.abc import Iterable
 
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from autopilot.onboard.members import Members
+
 MEMORY = 30
 """Distances of a UAV, as either end, over which the share of badly fitting ones is averaged."""
 SIDE_MEMORY = 8
@@ -25,46 +31,60 @@ LASTING_LIMIT, LASTING_US = 0.25, 30_000_000
 Blocked lines of sight spoil a share of everybody's."""
 
 
+@njit(cache=True)
+def distrust(members: Members, row: int) -> None:
+    """Leave out what a UAV measures until it fits again."""
+    member = members[row]
+    member["distrusted"] = 1
+    member["measured"] = 1.0
+    member["as_end"] = member["of_it"]
+
+
+@njit(cache=True)
+def note(members: Members, initiator: int, responder: int, badly: bool) -> None:  # noqa: FBT001
+    """Count a distance that has been compared with the estimate."""
+    found = 1.0 if badly else 0.0
+    measurer, measured = members[initiator], members[responder]
+    measurer["measured"] += (found - measurer["measured"]) / SIDE_MEMORY
+    if measurer["distrusted"]:
+        measurer["distrusted"] = measurer["measured"] > TRUST_LIMIT
+        return
+    measured["of_it"] += (found - measured["of_it"]) / SIDE_MEMORY
+    for member in (measurer, measured):
+        member["as_end"] += (found - member["as_end"]) / MEMORY
+    if measurer["measured"] > DISTRUST_LIMIT and measurer["of_it"] < FIT_LIMIT:
+        distrust(members, initiator)
+
+
 class Trust:
     """Running shares of badly fitting distances, per UAV.
 
     Attributes:
-        distrusted: whether the distances that a UAV measures are to be left out.
+        distrusted: (N,) bool, whether the distances that a UAV measures are to be left out.
 
     """
 
-    def __init__(self, count: int) -> None:
-        self.distrusted = [False] * count
-        self._as_end = [0.0] * count
-        self._measured = [0.0] * count
-        self._of_it = [0.0] * count
-        self._since_us: list[int | None] = [None] * count
+    def __init__(self, members: Members) -> None:
+        self.distrusted: NDArray[np.bool_] = members["distrusted"].view(bool)
+        self._members = members
+        self._as_end = members["as_end"]
+        self._since_us: list[int | None] = [None] * len(members)
 
     def note(self, initiator: int, responder: int, *, badly: bool) -> None:
         """Count a distance that has been compared with the estimate."""
-        self._measured[initiator] += (badly - self._measured[initiator]) / SIDE_MEMORY
-        if self.distrusted[initiator]:
-            self.distrusted[initiator] = self._measured[initiator] > TRUST_LIMIT
-            return
-        self._of_it[responder] += (badly - self._of_it[responder]) / SIDE_MEMORY
-        for station in (initiator, responder):
-            self._as_end[station] += (badly - self._as_end[station]) / MEMORY
-        if self._measured[initiator] > DISTRUST_LIMIT and self._of_it[initiator] < FIT_LIMIT:
-            self.distrust(initiator)
+        note(self._members, initiator, responder, badly)
 
-    def distrust(self, station: int) -> None:
+    def distrust(self, row: int) -> None:
         """Leave out what this UAV measures until it fits again."""
-        self.distrusted[station] = True
-        self._measured[station] = 1.0
-        self._as_end[station] = self._of_it[station]
+        distrust(self._members, row)
 
-    def elsewhere(self, station: int) -> bool:
+    def elsewhere(self, row: int) -> bool:
         """Whether a UAV cannot be where it is thought to be."""
-        return self._as_end[station] > ELSEWHERE_LIMIT
+        return bool(self._as_end[row] > ELSEWHERE_LIMIT)
 
     def suspects(self, now_us: int, members: Iterable[int]) -> set[int]:
         """Who of these misfits beside the others, once one of them has done so for `LASTING_US`, anew."""
-        shares = {station: self._as_end[station] for station in members}
+        shares = {station: self._as_end.item(station) for station in members}
         limit = min(shares.values(), default=0.0) + LASTING_LIMIT
         found = {station for station, share in shares.items() if share > limit}
         since_us = [now_us if since is None else since for since in self._since_us]
@@ -74,8 +94,8 @@ class Trust:
         ]
         return found if lasting else set()
 
-    def forget(self, station: int) -> None:
+    def forget(self, row: int) -> None:
         """Begin a UAV afresh."""
-        self._as_end[station] = self._measured[station] = self._of_it[station] = 0.0
-        self.distrusted[station] = False
-        self._since_us[station] = None
+        for name in ("as_end", "measured", "of_it", "distrusted"):
+            self._members[name][row] = 0
+        self._since_us[row] = None

@@ -5,6 +5,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from autopilot.onboard.kernels import STATES, Array, Times
+from autopilot.onboard.members import Members
 
 Flags = NDArray[np.bool_]
 
@@ -24,14 +25,15 @@ def relative_variance(cov: Array, i: int, j: int, line_m: Array) -> float:
 
 
 @njit(cache=True)
-def variance_between(cov: Array, i: int, j: int, newest: Array, state: Array) -> float:
-    """Variance, m^2, of the distance between UAVs i and j, on the line between them.
+def variance_between(cov: Array, i: int, j: int, members: Members, state: Array) -> float:
+    """Variance, m^2, of the distance between UAVs i and j of ``members``, on the line between them.
 
-    newest (N, 6) is their odometry, m, and velocity; state (5N,) and cov (5N, 5N) are the filter's.
+    state (5N,) and cov (5N, 5N) are the filter's.
     """
     line_m = np.empty(3)
+    here, there = members[i]["newest"], members[j]["newest"]
     for a in range(3):
-        line_m[a] = newest[i, a] - newest[j, a] + (state[STATES * i + a] - state[STATES * j + a])
+        line_m[a] = here[a] - there[a] + (state[STATES * i + a] - state[STATES * j + a])
     if line_m[0] == 0.0 and line_m[1] == 0.0 and line_m[2] == 0.0:
         line_m[0] = 1.0
     return relative_variance(cov, i, j, line_m)
@@ -39,20 +41,18 @@ def variance_between(cov: Array, i: int, j: int, newest: Array, state: Array) ->
 
 @njit(cache=True)
 def seen_from(
-    own: int, now_us: int, newest: Array, newest_us: Times, longest_s: float, state: Array, cov: Array,
-    located: Flags, since_us: int, added_m2: float, pos_ned_m: Array, std_m: Array, fresh: Flags,
+    own: int, now_us: int, members: Members, longest_s: float, state: Array, cov: Array, since_us: int,
+    added_m2: float, pos_ned_m: Array, std_m: Array, fresh: Flags,
 ) -> None:  # fmt: skip
     """Where everybody is now and how well that is known from UAV ``own``.
 
     Args:
         own: index of the UAV that looks.
         now_us: to when odometry is moved on.
-        newest: (N, 6) odometry, m, and velocity, m/s, NED, as of newest_us (N,).
-        newest_us: see there.
+        members: (N,) of `MEMBER`.
         longest_s: it is moved on by its velocity for no longer.
         state: (5N,) and ``cov`` (5N, 5N) of the filter.
         cov: see there.
-        located: (N,)
         since_us: who has been heard of since and is located is fresh.
         added_m2: comes to each variance.
         pos_ned_m: (N, 3) filled with positions.
@@ -60,11 +60,13 @@ def seen_from(
         fresh: (N,) filled with who is.
 
     """
-    for j in range(newest.shape[0]):
-        age_s = min((now_us - newest_us[j]) * 1e-6, longest_s)
+    for j in range(members.size):
+        member = members[j]
+        newest = member["newest"]
+        age_s = min((now_us - member["newest_us"]) * 1e-6, longest_s)
         for a in range(3):
-            pos_ned_m[j, a] = newest[j, a] + newest[j, 3 + a] * age_s + state[STATES * j + a]
-        fresh[j] = located[j] and newest_us[j] >= since_us
+            pos_ned_m[j, a] = newest[a] + newest[3 + a] * age_s + state[STATES * j + a]
+        fresh[j] = member["located"] != 0 and member["newest_us"] >= since_us
     relative_stds(cov, own, pos_ned_m, fresh, added_m2, std_m)
 
 

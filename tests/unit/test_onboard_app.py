@@ -362,10 +362,10 @@ def test_the_own_gps_may_be_newer_than_the_odometry():
             early_us = now_us - 4_000
             fix = common.MAVLink_gps_raw_int_message(early_us, 3, lat, lon, 488_000, 150, 250, 0, 0, 10)
             app.on_mavlink(fix, early_us)
-            assert app.localisation._receivers.newest_us[0] < early_us - 1_000  # not yet
+            assert app.localisation.members["fix_us"][0] < early_us - 1_000  # not yet
         app.on_mavlink(common.MAVLink_local_position_ned_message(now_us // 1_000, 0, 0, 0, 0, 0, 0), now_us)
         if k % 6 == 0:
-            assert early_us - 1_000 < app.localisation._receivers.newest_us[0] <= early_us
+            assert early_us - 1_000 < app.localisation.members["fix_us"][0] <= early_us
 
 
 def test_the_estimate_is_of_now():

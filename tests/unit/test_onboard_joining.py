@@ -9,6 +9,7 @@ import pytest
 from autopilot.onboard.joining import Problem, Range, badly_fitting
 from autopilot.onboard.kernels import STATES
 from autopilot.onboard.localisation_model import LocalisationModel
+from autopilot.onboard.members import new_members
 from autopilot.onboard.receivers import Receivers
 from harness.codesign.bounds import aligned_error_m
 
@@ -35,7 +36,7 @@ def drawn(places_ne_m, seed):
     rng = np.random.default_rng(seed)
     count = len(places_ne_m)
     places = np.column_stack((np.asarray(places_ne_m, float), np.full(count, -10.0)))
-    receivers = Receivers(count, MODEL)
+    receivers = Receivers(new_members(count), MODEL)
     receivers.less_odometry_ned_m[:, :2] = rng.normal(0.0, MODEL.gps_bias_std_m, (count, 2))
     state, cov = np.zeros(STATES * count), np.zeros((STATES * count, STATES * count))
     for station in range(count):

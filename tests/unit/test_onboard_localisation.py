@@ -6,9 +6,10 @@ from onboard_world import article_places_ned_m, rms, shape_errors_m
 from scipy.optimize import least_squares
 
 from autopilot.config import REMEMBERED_S
+from autopilot.onboard import beacon as wire
 from autopilot.onboard import kernels
-from autopilot.onboard.beacon import Distance
 from autopilot.onboard.localisation import CooperativeLocalisation, LocalisationModel
+from autopilot.onboard.phases import Phase
 from autopilot.onboard.tracks import SAMPLES
 
 PLACES = article_places_ned_m()
@@ -280,17 +281,68 @@ def test_a_wrong_arrangement_is_noticed_and_solved_afresh():
     assert rms(shape_errors_m(found, case.truth[:, :2])) < 0.15
 
 
+def drawn_beacon(rng, case, row, now_us):
+    """Beacon of a station whose number is its row plus ten: with what is new, old, late and unheard of."""
+    peers = rng.permutation([j for j in range(N + 3) if j != row])[: rng.integers(0, N)]
+    fix_us = now_us - rng.integers(-20, 300) * 1_000
+    jump_m = 3.0 * (rng.random() < 0.02)
+    return wire.Beacon(
+        station=row + 10, seq=0, time_us=int(now_us - rng.integers(0, 150_000)), phase=Phase.JOINING,
+        odometry_ned_m=(row + jump_m, 0.0, PLACES[row, 2]), vel_ned_m_s=(0.0, 0.0, 0.0),
+        fix=None if rng.random() < 0.1 else wire.Fix(
+            int(fix_us) // 1_000, (*(case.truth[row, :2] + case.bias[row]), 0.0),
+            None if rng.random() < 0.5 else 2.5, None if rng.random() < 0.5 else 3.5),
+        distances=tuple(
+            wire.Distance(int(j) + 10, int(now_us - rng.integers(-50_000, 1_500_000)) // 1_000, float(
+                np.linalg.norm(case.truth[row] - case.truth[j % N])), 0.1) for j in peers),
+    )  # fmt: skip
+
+
 def test_what_a_beacon_tells_at_once_is_what_it_tells_one_by_one():
-    one_by_one, at_once = StaticCase(18).run(), StaticCase(18).run()
-    distances = [Distance(peer, 4_990, 8.0 + peer, 0.1) for peer in (0, 2, 3, 200)]
-    for item in distances:
-        one_by_one.on_range(1, item.peer, item.time_ms * 1_000, item.distance_m, item.std_m, now_us=5_000_000)
-    for _ in range(3):
-        at_once.on_distances(1, distances, range(at_once.count), now_us=5_000_000)
-    for filter_ in (one_by_one, at_once):
-        filter_.update(5_000_000)
-    assert at_once.ranges_used == one_by_one.ranges_used == 280 + 3
+    """Eight UAVs are localised of thirteen who are heard of, from 5 s on and over half a minute's silence."""
+    rng, case = np.random.default_rng(18), StaticCase(18)
+    one_by_one, at_once = case.run(), case.run()
+    page, rows = wire.Page(), np.array([*(10 * [-1]), *range(N), *(3 * [-1])])
+    for now_us in (*range(5_100_000, 9_000_000, 30_000), *range(40_000_000, 44_000_000, 30_000)):
+        row = int(rng.integers(1, N))
+        payload = wire.encode(drawn_beacon(rng, case, row, now_us))
+        page.put(payload)
+        at_once.on_beacon(row, page, rows, now_us=now_us)
+        told = wire.decode(payload)
+        one_by_one.on_odometry(row, told.time_us, told.odometry_ned_m, told.vel_ned_m_s)
+        if told.fix is not None and told.fix.time_ms * 1_000 <= now_us:
+            fix = told.fix
+            one_by_one.on_fix(row, fix.time_ms * 1_000, fix.pos_ned_m, fix.std_h_m, fix.std_v_m)
+        for item in told.distances:
+            if item.peer < 10 + N:
+                time_us = item.time_ms * 1_000
+                one_by_one.on_range(row, item.peer - 10, time_us, item.distance_m, item.std_m, now_us=now_us)
+        for filter_ in (one_by_one, at_once):
+            filter_.on_odometry(0, now_us, (0.0, 0.0, PLACES[0, 2]), (0.0, 0.0, 0.0))
+            filter_.update(now_us)
+        assert np.array_equal(at_once.members, one_by_one.members)
+        assert np.array_equal(at_once.cov, one_by_one.cov)
     assert np.array_equal(at_once.state, one_by_one.state)
+    assert at_once.ranges_used == one_by_one.ranges_used > 300
+    assert at_once.ranges_too_late == one_by_one.ranges_too_late > 0
+    assert at_once.odometry_jumps == one_by_one.odometry_jumps > 0
+
+
+def test_however_many_distances_wait_for_odometry_none_is_lost():
+    case = StaticCase(18)
+    filter_ = case.run()
+    before, now_us = filter_.ranges_used, 5_900_000
+    for k in range(100):
+        for i, j in PAIRS:
+            distance_m = float(np.linalg.norm(case.truth[i] - case.truth[j]))
+            filter_.on_range(i, j, 5_001_000 + 1_000 * k, distance_m, RANGE_STD_M, now_us=now_us)
+    filter_.update(now_us)
+    assert filter_.ranges_used == before
+    for j in range(N):
+        filter_.on_odometry(j, now_us, (float(j), 0.0, PLACES[j, 2]), (0.0, 0.0, 0.0))
+    filter_.update(now_us)
+    assert filter_.ranges_used == before + 100 * len(PAIRS)
+    assert filter_.ranges_too_late == 0
 
 
 def test_the_gps_error_is_that_of_the_receiver():

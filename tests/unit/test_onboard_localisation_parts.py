@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from autopilot.onboard import kernels
-from autopilot.onboard.fixes import FixGroup, FixMean
+from autopilot.onboard.members import new_members
+from autopilot.onboard.receivers import add_fix
+from autopilot.onboard.tracks import KNOWN, NOT_YET, SAMPLES, TOO_OLD, Tracks, odometry_at, push
 from autopilot.onboard.trust import Trust
 from autopilot.onboard.uncertainty import bend
 
@@ -13,40 +14,56 @@ PAIRS = [(i, j) for i in range(N) for j in range(N) if i != j]
 
 
 def test_odometry_between_samples_is_exact_for_constant_acceleration():
-    times_us = np.arange(8, dtype=np.int64) * 100_000
-    t = times_us * 1e-6
-    samples = np.column_stack((t**2, -3.0 * t, np.full(8, -5.0), 2.0 * t, np.full(8, -3.0), np.zeros(8)))
-    out = np.empty(3)
+    members, out, step = new_members(2), np.empty(3), np.empty(2)
+    rings = Tracks(members).rings
+
+    def moved(k):
+        t = 0.1 * k
+        return np.array((t**2, -3.0 * t, -5.0, 2.0 * t, -3.0, 0.0))
+
+    for k in range(8):
+        push(members, rings, 1, 100_000 * k, moved(k), step)
     for time_us in (0, 30_000, 100_000, 649_999):
         s = time_us * 1e-6
-        assert kernels.odometry_at(times_us, samples, 8, time_us, out) == kernels.KNOWN
+        assert odometry_at(rings, 1, time_us, out) == KNOWN
         assert out == pytest.approx((s**2, -3.0 * s, -5.0), abs=1e-12)
-    assert kernels.odometry_at(times_us, samples, 8, 700_001, out) == kernels.NOT_YET
-    # The ninth sample takes the first one's slot: what was before the second is forgotten.
-    times_us[0], samples[0] = 800_000, (0.64, -2.4, -5.0, 1.6, -3.0, 0.0)
-    assert kernels.odometry_at(times_us, samples, 9, 50_000, out) == kernels.TOO_OLD
-    assert kernels.odometry_at(times_us, samples, 9, 749_999, out) == kernels.KNOWN
-    assert out == pytest.approx((0.749999**2, -3.0 * 0.749999, -5.0), abs=1e-12)
+    assert odometry_at(rings, 1, 700_001, out) == NOT_YET
+    # One more than are kept takes the first one's slot: what was before the second is forgotten.
+    for k in range(8, SAMPLES + 1):
+        push(members, rings, 1, 100_000 * k, moved(k), step)
+    assert odometry_at(rings, 1, 50_000, out) == TOO_OLD
+    last_s = 0.1 * SAMPLES - 1e-6
+    assert odometry_at(rings, 1, round(1e6 * last_s), out) == KNOWN
+    assert out == pytest.approx((last_s**2, -3.0 * last_s, -5.0), abs=1e-12)
 
 
 def test_the_mean_of_fixes_is_exact_and_dated():
-    group = FixGroup()
+    members = new_members(1)
+
+    def added(time_us, *pos_ned_m, at_once=False):
+        odometry_ned_m = np.full(3, 1.0)
+        return add_fix(members, 0, time_us, np.array(pos_ned_m), odometry_ned_m, at_once)
+
+    def mean():
+        kept = members[0]
+        return (*kept["less_odometry_ned_m"].tolist(), kept["mean_us"], kept["mean_fixes"], kept["span_us"])
+
     for k in range(4):
-        assert group.add(200_000 * k, (1.0 + k, 2.0, 3.0), (1.0, 1.0, 1.0), at_once=False) is None
-    mean = group.add(800_000, (5.0, 2.0, 3.0), (1.0, 1.0, 1.0), at_once=False)
-    assert mean == FixMean((2.0, 1.0, 2.0), 400_000, 5, 800_000)
-    lone = group.add(1_000_000, (1.0, 0.0, 0.0), (0.0, 0.0, 0.0), at_once=True)
-    assert lone == FixMean((1.0, 0.0, 0.0), 1_000_000, 1, 0)
+        assert not added(200_000 * k, 1.0 + k, 2.0, 4.0)
+    assert added(800_000, 5.0, 2.0, 4.0)
+    assert mean() == (2.0, 1.0, 3.0, 400_000, 5, 800_000)
+    assert added(1_000_000, 2.0, 1.0, 1.0, at_once=True)
+    assert mean() == (1.0, 0.0, 0.0, 1_000_000, 1, 0)
 
 
 def test_who_measures_wrongly_is_told_from_who_is_elsewhere():
     """Each pair by both ends, in turn; UAV 3 lies, or stands elsewhere."""
     for elsewhere in (False, True):
-        trust = Trust(N)
+        trust = Trust(new_members(N))
         for _ in range(4):
             for i, j in PAIRS:
                 trust.note(i, j, badly=i == 3 or (elsewhere and j == 3))
-        assert trust.distrusted == [not elsewhere and k == 3 for k in range(N)]
+        assert trust.distrusted.tolist() == [not elsewhere and k == 3 for k in range(N)]
         assert [trust.elsewhere(k) for k in range(N)] == [elsewhere and k == 3 for k in range(N)]
         for _ in range(4):
             for i, j in PAIRS:
@@ -63,7 +80,7 @@ def test_a_part_that_misfits_for_half_a_minute_is_suspect_and_what_spoils_all_is
     rng = np.random.default_rng(1)
     pairs = [(i, j) for i in range(4) for j in range(4) if i != j]
     for blocked in (False, True):
-        trust = Trust(4)
+        trust = Trust(new_members(4))
         for second in range(70):
             for i, j in pairs:
                 trust.note(i, j, badly=rng.random() < 0.4 if blocked else {i, j} == {0, 3})

@@ -15,7 +15,8 @@ def run(schedule, *, until_us, start_us=0, answer_after_us=12_000, reachable=Non
         for item in [item for item in open_sessions if item[0] <= now_us]:
             schedule.on_result(item[1])
             open_sessions.remove(item)
-        due = schedule.due(now_us, now_us + STEP_US, set(range(8)) if reachable is None else reachable)
+        peers = range(8) if reachable is None else reachable
+        due = schedule.due(now_us, now_us + STEP_US, peers.__contains__)
         requests += due
         if answer_after_us is not None:
             open_sessions += [(at_us + answer_after_us, peer) for at_us, peer in due]

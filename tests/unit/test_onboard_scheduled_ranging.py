@@ -53,7 +53,7 @@ def run(schedule, *, until_us, start_us=0, variance_m2=None, reachable=None, ans
         for at_us, peer in [item for item in open_sessions if item[0] <= now_us]:
             schedule.on_result(peer, ended_us=at_us, variance_m2=MEASUREMENT_VAR_M2)
         open_sessions = [item for item in open_sessions if item[0] > now_us]
-        peers = set(range(64)) if reachable is None else reachable
+        peers = (range(64) if reachable is None else reachable).__contains__
         due = schedule.due(now_us, now_us + STEP_US, peers, variance_m2)
         assert all(now_us <= at_us < now_us + STEP_US for at_us, _ in due)
         requests += due
@@ -116,7 +116,7 @@ def test_whatever_the_steps_a_request_lies_in_its_step_and_in_a_slot_of_its_pair
     pairs = stations * (stations - 1) // 2
     for step_us in steps_us:
         before_us = schedule.next_us
-        due = schedule.due(now_us, now_us + step_us, set(range(stations)), lambda _: 1e9)
+        due = schedule.due(now_us, now_us + step_us, range(stations).__contains__, lambda _: 1e9)
         assert schedule.next_us >= now_us + step_us
         assert not due or before_us < now_us + step_us
         for at_us, peer in due:
@@ -133,7 +133,7 @@ def test_whatever_the_steps_a_request_lies_in_its_step_and_in_a_slot_of_its_pair
 
 def test_who_was_away_goes_on_in_the_present_and_not_with_what_was_missed():
     schedule = policy()
-    schedule.due(0, STEP_US, set(range(8)), lambda _: 1e9)
+    schedule.due(0, STEP_US, range(8).__contains__, lambda _: 1e9)
     requests = run(schedule, start_us=60_000_000, until_us=60_112_000, variance_m2=lambda _: 1e9)
     owned = [j for j in range(1, 8) if owner(0, j, 8) == 0]
     assert sorted(peer for _, peer in requests) == owned
@@ -229,7 +229,7 @@ def test_a_peer_that_does_not_answer_is_tried_at_once_and_then_ever_more_seldom(
     schedule, times_us = policy(), []
     cycle_us = 28 * SLOT_US
     for now_us in range(0, 40_000_000, STEP_US):
-        for at_us, peer in schedule.due(now_us, now_us + STEP_US, {1}, lambda _: None):
+        for at_us, peer in schedule.due(now_us, now_us + STEP_US, {1}.__contains__, lambda _: None):
             times_us.append(at_us)
             schedule.on_result(peer, ended_us=at_us)
     gaps = [(b - a) / cycle_us for a, b in itertools.pairwise(times_us)]
@@ -315,7 +315,7 @@ class Channel:
 
     def run(self, begin_s, end_s):
         """Fly on; returns the mean occupancy."""
-        busy_before_us, reachable, ended = self.busy_us, set(range(self.stations)), []
+        busy_before_us, reachable, ended = self.busy_us, range(self.stations).__contains__, []
         for now_us in range(round(begin_s * 1e6), round(end_s * 1e6), STEP_US):
             for at_us, i, j in ended:
                 var_m2 = 1.0 / (1.0 / self.variance_m2(i, j, at_us) + 1.0 / MEASUREMENT_VAR_M2)

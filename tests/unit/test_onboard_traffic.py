@@ -11,11 +11,12 @@ import pytest
 
 from autopilot.config import SESSION_S, Devices, OnboardConfig, Site
 from autopilot.onboard import beacon as wire
+from autopilot.onboard.hearing import BEGUN_ANEW, HEARD, REFUSED, SHIFTS, WAIT_US
 from autopilot.onboard.localisation import SILENCE_US
 from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.phases import Phase
 from autopilot.onboard.scheduled_ranging import CHECK_LATEST_US, CHECK_US, UNKNOWN_PERIOD_US, owner
-from autopilot.onboard.traffic import SHIFTS, WAIT_US, Traffic
+from autopilot.onboard.traffic import Traffic
 from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult, Survey
 
 STATIONS = 200
@@ -60,14 +61,15 @@ def delivery(beacon, *, source=None, received_us=0):
 
 
 def heard(times_and_numbers, *, config=None):
-    """Hear beacons at times in s, of those times: whether each is of a new sender, and the traffic."""
+    """Hear beacons at times in s, of those times: whether each is of a new sender, and the hearing."""
     traffic, new = traffic_of(config=config), []
     for time_s, seq in times_and_numbers:
         now_us = round(time_s * 1e6)
         beacon = beacon_of(1, seq=seq % wire.SEQ_MODULUS, time_us=now_us)
-        assert traffic.hear(delivery(beacon), now_us) is not None
-        new.append(traffic.sender_is_new)
-    return new, traffic
+        found = traffic.hearing.take(delivery(beacon), now_us)
+        assert found in {HEARD, BEGUN_ANEW}
+        new.append(found == BEGUN_ANEW)
+    return new, traffic.hearing
 
 
 def test_a_sender_that_begins_anew_is_told_from_one_whose_beacons_are_lost():
@@ -75,9 +77,9 @@ def test_a_sender_that_begins_anew_is_told_from_one_whose_beacons_are_lost():
     assert heard([(4.0, 39), (25.0, 39 + 210), (225.0, 39 + 2210)])[0] == [False, False, False]
     # Silent from 4 s on; begun anew at 19 s, first heard at 25 s, with fewer numbers, the same, and more.
     for seq in (10, 39, 60):
-        new, traffic = heard([(4.0, 39), (25.0, seq), (25.1, seq + 1)])
+        new, hearing = heard([(4.0, 39), (25.0, seq), (25.1, seq + 1)])
         assert new == [False, True, False]
-        assert traffic.beacons_missed == 0
+        assert hearing.beacons_missed == 0
     # The numbers go round, and do so without a beginning.
     assert heard([(1.0, -2), (1.3, 1), (31.3, 301)])[0] == [False, False, False]
 
@@ -111,18 +113,18 @@ def test_a_beacon_that_waits_for_the_channel_is_of_no_new_sender(period_ms):
         heard_s = max(heard_s, due_s + rng.choice((0.0, 1e-6 * WAIT_US)))
         if rng.uniform() < 0.7:
             sequence.append((heard_s, seq))
-    new, traffic = heard(sequence, config=config)
+    new, hearing = heard(sequence, config=config)
     assert not any(new)
-    assert traffic.beacons_missed == sequence[-1][1] - sequence[0][1] + 1 - len(sequence)
+    assert hearing.beacons_missed == sequence[-1][1] - sequence[0][1] + 1 - len(sequence)
 
 
 def test_a_beacon_that_was_overtaken_is_of_no_new_sender():
-    traffic, new = traffic_of(), []
+    hearing, found = traffic_of().hearing, []
     for now_ms, seq, time_ms in ((1_000, 7, 1_000), (1_200, 9, 1_200), (1_210, 8, 1_100), (1_300, 10, 1_300)):
-        traffic.hear(delivery(beacon_of(1, seq=seq, time_us=1_000 * time_ms)), 1_000 * now_ms)
-        new.append(traffic.sender_is_new)
-    assert not any(new)
-    assert (traffic.beacons_heard, traffic.beacons_missed) == (4, 1)
+        beacon = beacon_of(1, seq=seq, time_us=1_000 * time_ms)
+        found.append(hearing.take(delivery(beacon), 1_000 * now_ms))
+    assert found == 4 * [HEARD]
+    assert (hearing.beacons_heard, hearing.beacons_missed) == (4, 1)
 
 
 def test_a_sender_is_new_beyond_what_waiting_explains_to_either_side():
@@ -148,7 +150,7 @@ class Flight:
         for now_us in range(self.now_us, self.now_us + round(seconds * 1e6), STEP_US):
             if now_us % 100_000 == 0:
                 for station in self.heard:
-                    self.traffic.hear(delivery(beacon_of(station, time_us=now_us)), now_us)
+                    self.traffic.hearing.take(delivery(beacon_of(station, time_us=now_us)), now_us)
             self.traffic.take_survey(Survey(ended_ns=now_us * 1_000, busy_ns=round(busy * now_us * 1_000)))
             own.time_us = now_us
             deadline_us = self.traffic.next_deadline_us(ranging=True)
@@ -207,11 +209,11 @@ def test_the_gps_error_is_asked_for_when_there_is_a_beacon_and_not_in_every_step
 
 def test_what_is_missing_from_the_numbers_heard_has_been_missed():
     numbers = [5, 6, 9, 9, 10, 12]
-    _, traffic = heard((0.1 * seq, seq) for seq in numbers)
-    assert traffic.beacons_missed == 2 + 1  # 7, 8 and 11
-    assert traffic.beacons_heard == len(numbers)
-    traffic.hear(delivery(beacon_of(2, seq=100)), 0)
-    assert traffic.beacons_missed == 3
+    _, hearing = heard((0.1 * seq, seq) for seq in numbers)
+    assert hearing.beacons_missed == 2 + 1  # 7, 8 and 11
+    assert hearing.beacons_heard == len(numbers)
+    hearing.take(delivery(beacon_of(2, seq=100)), 0)
+    assert hearing.beacons_missed == 3
 
 
 @pytest.mark.parametrize(
@@ -224,9 +226,11 @@ def test_what_is_missing_from_the_numbers_heard_has_been_missed():
     ],
 )
 def test_a_beacon_that_contradicts_itself_is_counted_and_not_believed(beacon, source):
-    traffic = traffic_of(0)
-    assert traffic.hear(delivery(beacon, source=source), 0) is None
-    assert (traffic.bad_beacons, traffic.beacons_heard) == (1, 0)
+    hearing = traffic_of(0).hearing
+    before = hearing.stations.copy()
+    assert hearing.take(delivery(beacon, source=source), 0) == REFUSED
+    assert (hearing.bad_beacons, hearing.beacons_heard) == (1, 0)
+    assert np.array_equal(hearing.stations, before)
 
 
 # ---- ranging
@@ -309,7 +313,7 @@ def test_a_failed_session_gives_no_distance_and_a_good_one_its_error():
 
 def test_requests_and_beacons_share_one_rising_number():
     traffic, own, numbers = traffic_of(0, config=SCHEDULED), own_state(), []
-    traffic.hear(delivery(beacon_of(1)), 0)
+    traffic.hearing.take(delivery(beacon_of(1)), 0)
     for now_us in range(0, 2_000_000, STEP_US):
         numbers += [item.seq for item in traffic.due(own, now_us, now_us + STEP_US, ranging=True)]
     assert numbers == list(range(len(numbers)))

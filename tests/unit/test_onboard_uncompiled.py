@@ -3,7 +3,23 @@
 import numpy as np
 import pytest
 
-from autopilot.onboard import avoidance, common_frame, formation, kernels, uncertainty
+from autopilot.onboard import (
+    avoidance,
+    common_frame,
+    distances,
+    formation,
+    hearing,
+    intake,
+    kernels,
+    receivers,
+    tracks,
+    trust,
+    uncertainty,
+)
+from autopilot.onboard import beacon as wire
+from autopilot.onboard.localisation_model import LocalisationModel
+from autopilot.onboard.members import MEMBER
+from autopilot.onboard.phases import Phase
 
 N = 4
 RNG = np.random.default_rng(0)
@@ -26,35 +42,114 @@ def flags():
     return RNG.uniform(size=N) < 0.7
 
 
-def told(count):
-    rows = np.zeros(count, common_frame.TOLD)
-    rows["heard_us"] = RNG.integers(6_000_000, 12_000_000, size=count)
-    rows["fix_us"] = RNG.integers(9_000_000, 10_000_000, size=count)
-    rows["fix_ne_m"], rows["error_ne_m"], rows["variance_m2"] = some(count, 2, size=9.0), some(count, 2), 2.25
+def listed(kind, count):
+    """Rows of a structured array, all of whose numbers are drawn; times of the last second."""
+    rows = np.zeros(count, kind)
+    for name in kind.names:
+        column = rows[name]
+        if column.dtype.kind == "f":
+            column[...] = np.abs(some(*column.shape)) if name.endswith("_m2") else some(*column.shape)
+        elif column.dtype.itemsize == 1:
+            column[...] = RNG.integers(2, size=column.shape)
+        elif name.endswith("_us"):
+            column[...] = RNG.integers(9_000_000, 10_000_000, size=column.shape)
     return rows
+
+
+def rings():
+    rows = listed(tracks.RING, N)
+    rows["pushed"] = RNG.integers(2 * tracks.SAMPLES, size=N)
+    rows["times_us"] = np.sort(rows["times_us"], axis=1)
+    return rows
+
+
+def model():
+    return LocalisationModel().row()
+
+
+def filter_row():
+    row = listed(intake.FILTER, 1)
+    row["own"], row["decay_stride_us"] = 1, 600_000
+    return row
+
+
+def heard_of():
+    """Page of a beacon of station 2, some of which is news; its size comes first."""
+    page = wire.Page()
+    size = page.put(
+        wire.encode(
+            wire.Beacon(
+                station=2, seq=int(RNG.integers(20)), time_us=int(RNG.integers(9_500_000, 10_500_000)),
+                phase=Phase(RNG.integers(9)), odometry_ned_m=tuple(some(3)), vel_ned_m_s=tuple(some(3)),
+                motion_start_ms=None if RNG.integers(2) else 9_000,
+                fix=None if RNG.integers(4) == 0 else
+                    wire.Fix(int(RNG.integers(9_000, 10_500)), tuple(some(3)), 2.0, None),
+                gps_error=None if RNG.integers(2) else wire.GpsError(tuple(some(3)), 1.0),
+                distances=tuple(
+                    wire.Distance(peer, int(RNG.integers(9_000, 10_500)), 9.0 + peer, 0.1)
+                    for peer in (0, 1, 3, 5)),
+            )
+        )
+    )  # fmt: skip
+    return size, page.header, page.ranges
+
+
+def fixed(rows):
+    """Members of whom a mean of fixes is nearly there."""
+    rows["fixes"], rows["mean_fixes"] = 3, 4
+    return rows
+
+
+def waiting():
+    items = listed(distances.PENDING, 6)
+    items["initiator"], items["responder"] = RNG.integers(N, size=6), RNG.integers(N, size=6)
+    return items, np.array([(4, 0, 0)], distances.QUEUE)
+
+
+def listener():
+    """Of station 0, at a beacon each 100 ms."""
+    return np.array([(0, 100_000, 12.0, 2.25, 0, 0, 0)], hearing.LISTENER)
 
 
 CASES = {
     common_frame.laid_onto: lambda: (some(5, 2, size=6.0), some(5, 2, size=0.3)),
-    common_frame.to_everybodys_gps: lambda: (10_000_000, told(7), 1.0, -2.0),
+    common_frame.to_everybodys_gps: lambda: (10_000_000, listed(hearing.STATION, 7), 1.0, -2.0),
     common_frame.play_round: lambda: (
-        2, 10_000_000, np.array((0, 2, 3, 5)), told(7), some(N, 6),
-        RNG.integers(9_900_000, 10_000_000, size=N),
-        np.tile(np.arange(9_000_000, 10_000_000, 125_000), (N, 1)),
-        some(N, 8, 6), np.full(N, 8), some(5 * N), flags(), 0.2, -0.1),
-    kernels.odometry_at: lambda: (
-        np.arange(8) * 33_000, some(8, 6), 8, int(RNG.integers(7 * 33_000)), np.zeros(3)),
+        2, 10_000_000, np.array((0, 2, 3, 5)), listed(hearing.STATION, 7), listed(MEMBER, N), rings(),
+        some(5 * N), 0.2, -0.1),
+    wire.is_credible: lambda: (*heard_of(), True),
+    hearing.hear: lambda: (
+        wire.HEADER_BYTES + 4 * wire.RANGE_BYTES, 2, 10_000_000, *heard_of()[1:], listener(),
+        listed(hearing.STATION, 7)),
+    hearing.all_held: lambda: (listed(hearing.STATION, 7), np.array((0, 2, 3)), 9_500_000),
+    tracks.push: lambda: (
+        listed(MEMBER, N), rings(), 2, int(RNG.integers(9_500_000, 10_500_000)), some(6), np.zeros(2)),
+    tracks.odometry_at: lambda: (rings(), 2, int(RNG.integers(9_000_000, 10_100_000)), np.zeros(3)),
+    tracks.odometry_between: lambda: (rings(), 2, 0, int(RNG.integers(9_000_000, 10_000_000)), np.zeros(3)),
+    receivers.add_fix: lambda: (listed(MEMBER, N), 2, 10_100_000, some(3), some(3), bool(RNG.integers(2))),
+    receivers.take_stated: lambda: (listed(MEMBER, N), 2, 3.0, 4.0, cov(), model()),
+    receivers.rate: lambda: (listed(MEMBER, N), 2, some(5 * N)),
+    trust.note: lambda: (listed(MEMBER, N), 2, 1, bool(RNG.integers(2))),
+    intake.advance: lambda: (
+        filter_row(), model(), listed(MEMBER, N), *filtered(), int(RNG.integers(9_000_000, 11_000_000)),
+        bool(RNG.integers(2))),
+    intake.take_beacon: lambda: (
+        2, 10_000_000, *heard_of()[1:], np.array((0, 1, 2, 3, -1, -1)), filter_row(), model(),
+        fixed(listed(MEMBER, N)), rings(), *filtered(), listed(distances.PAIR, (N, N)), *waiting()),
+    intake.use_pending: lambda: (
+        10_000_000, filter_row(), model(), listed(MEMBER, N), rings(), *filtered(),
+        listed(distances.PAIR, (N, N)), *waiting(), some(N, 2, size=5.0), some(N, N), np.abs(some(N, N))),
     kernels.predict: lambda: (
-        *filtered(), flags(), 0.01, RNG.uniform(0.0, 0.5), 0.04, 100.0, np.full(N, 2.25), 60.0),
+        *filtered(), listed(MEMBER, N), 0.01, RNG.uniform(0.0, 0.5), 0.04, 100.0, 60.0),
     kernels.student_weight: lambda: (RNG.uniform(0.0, 50.0),),
     kernels.fuse_fix: lambda: (*filtered(), 1, some(3), 0.05, 700.0),
     kernels.fuse_range: lambda: (
         *filtered(), some(5 * N), some(N, 2, size=5.0), 0, 2, some(3, size=6.0), 6.0, 0.01, -1.0, 1.0),
     uncertainty.relative_variance: lambda: (cov(), 0, 1, some(3)),
     uncertainty.relative_stds: lambda: (cov(), 0, some(N, 3, size=6.0), flags(), 0.01, np.zeros(N)),
-    uncertainty.variance_between: lambda: (cov(), 0, 1, some(N, 6), some(5 * N)),
+    uncertainty.variance_between: lambda: (cov(), 0, 1, listed(MEMBER, N), some(5 * N)),
     uncertainty.seen_from: lambda: (
-        1, 900_000, some(N, 6), RNG.integers(900_000, size=N), 0.5, *filtered(), flags(), 400_000, 0.01,
+        1, 10_000_000, listed(MEMBER, N), 0.5, *filtered(), 9_500_000, 0.01,
         np.zeros((N, 3)), np.zeros(N), flags()),
     uncertainty.shape_variance: lambda: (some(N, 3, size=6.0), cov(), np.arange(N)),
     uncertainty.bend: lambda: (

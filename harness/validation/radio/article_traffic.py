@@ -101,7 +101,7 @@ class _Talker:
 
     def hear(self, item: RxItem, now_us: int) -> None:
         if isinstance(item, Delivery):
-            self.traffic.hear(item, now_us)
+            self.traffic.hearing.take(item, now_us)
         elif isinstance(item, FtmResult):
             self.traffic.measured(item)
 

@@ -1,0 +1,253 @@
+"""What comes in, on its way into the localisation's filter: beacons, fixes and distances. Compiled.
+
+Most of what comes asks for a few numbers in a few places and nothing else. All that is done here, for what it
+costs is the memory that is touched. The rest, which is seldom, is `localisation`'s: a kernel that comes to it
+says so and stops, and is called again when that has been done.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from autopilot.onboard.beacon import HAS_FIX, Header, Ranges
+from autopilot.onboard.distances import Pairs, Pending, Queue, add_distance
+from autopilot.onboard.kernels import STATES, Array, Times, fuse_range, predict
+from autopilot.onboard.localisation_model import SILENCE_US, Model
+from autopilot.onboard.members import Members
+from autopilot.onboard.receivers import MISFIT_WEIGHT, add_fix, fuse_mean, take_stated
+from autopilot.onboard.tracks import JUMPED, KNOWN, Rings, odometry_at, odometry_between, push
+from autopilot.onboard.trust import ELSEWHERE_LIMIT, note
+
+PENDING_LIMIT_US = 1_000_000
+"""A distance whose ends' odometry does not arrive within this is given up."""
+LOST_US = 30_000_000
+"""Who returns after this long is solved for afresh: its odometry has lost half a metre or more, and with so
+much a few distances may be fitted by a mirror image."""
+PULLED_VAR_M2 = 1.0
+"""By how much a UAV may be misplaced that has just been found to measure wrongly, squared."""
+
+FILTER = np.dtype(
+    [
+        ("own", "i8"),  # row of the UAV that runs it
+        ("time_us", "i8"),
+        ("decay_owed_us", "i8"),  # since slow errors were propagated, and the stride in which they are
+        ("decay_stride_us", "i8"),
+        ("distances_hz", "f8"),  # of one UAV, either end
+        ("own_range_us", "i8"),  # when the newest fused distance of the own UAV was measured; -1: none yet
+        ("returned", "i8"),  # somebody has been heard of again
+        ("step_ne_m", "f8", 2),  # of odometry that has jumped
+        ("gps_var_m2", "f8"),  # see `fuse_mean`
+        ("between_ned_m", "f8", 3),  # odometry between the ends of the last distance looked at
+        ("ranges_used", "i8"),
+        ("ranges_downweighted", "i8"),
+        ("ranges_too_late", "i8"),
+    ]
+)
+"""The filter's numbers beside its state and covariance."""
+Filter = NDArray[np.void]
+"""(1,) of `FILTER`"""
+
+DONE = 0
+LOST, ODOMETRY_JUMPED, FIRST_MEAN, GPS_STEPPED, FULL = 1, 2, 3, 4, 5
+"""What a UAV's news ask for: it was silent for long; its odometry has begun anew; fixes have made a first
+mean; its GPS has made a step; there is no room for its distances."""
+NOT_LOCATED, ELSEWHERE = 6, 7
+"""What a pending distance asks for: an end is not located; one of them cannot be where it is taken to be."""
+
+
+@njit(cache=True)
+def advance(
+    filter_row: Filter, model_row: Model, members: Members, state: Array, cov: Array, time_us: int,
+    decay: bool,  # noqa: FBT001  # numba knows no keyword-only arguments
+) -> float:  # fmt: skip
+    """Propagate the filter to ``time_us`` if that is news; returns how many seconds it is ahead of it.
+
+    Slow errors are propagated in strides, unless ``decay``.
+    """
+    own, model = filter_row[0], model_row[0]
+    ahead_us = own["time_us"] - time_us
+    if ahead_us >= 0 and not decay:
+        return float(ahead_us * 1e-6)
+    step_us = max(-ahead_us, 0) if own["time_us"] else 0
+    own["decay_owed_us"] += step_us
+    decay_us = own["decay_owed_us"] if decay or own["decay_owed_us"] >= own["decay_stride_us"] else 0
+    own["decay_owed_us"] -= decay_us
+    predict(
+        state, cov, members, model["drift_m2_s"] * step_us * 1e-6, decay_us * 1e-6,
+        model["height_var_m2"], model["height_time_constant_s"], model["gps_bias_time_constant_s"],
+    )  # fmt: skip
+    own["time_us"] = max(own["time_us"], time_us)
+    return float(max(ahead_us, 0) * 1e-6)
+
+
+@njit(cache=True)
+def take_odometry(
+    filter_row: Filter, members: Members, rings: Rings, row: int, time_us: int, sample: Array
+) -> int:
+    """Take odometry (6,) of a UAV: DONE, LOST before anything is done, or ODOMETRY_JUMPED after it."""
+    own, member = filter_row[0], members[row]
+    silent_us = time_us - member["newest_us"]
+    if silent_us > SILENCE_US:
+        own["returned"] = 1
+        if silent_us > LOST_US and member["located"]:
+            return LOST
+    jumped = push(members, rings, row, time_us, sample, own["step_ne_m"]) == JUMPED
+    return ODOMETRY_JUMPED if jumped and member["active"] else DONE
+
+
+@njit(cache=True)
+def take_fix(
+    filter_row: Filter, model_row: Model, members: Members, rings: Rings, state: Array, cov: Array, row: int,
+    time_us: int, pos_ned_m: Array, std_h_m: float, std_v_m: float,
+) -> int:  # fmt: skip
+    """Take a GPS position (3,) of a UAV and what its receiver states, 0 being nothing.
+
+    DONE, FIRST_MEAN or GPS_STEPPED. It is used once, and only with odometry of its time.
+    """
+    own, member = filter_row[0], members[row]
+    if time_us <= member["fix_us"]:
+        return DONE
+    odometry_ned_m = np.empty(3)
+    if odometry_at(rings, row, time_us, odometry_ned_m) != KNOWN:
+        return DONE
+    member["fix_us"] = time_us
+    if std_h_m > 0.0 or std_v_m > 0.0:
+        take_stated(members, row, std_h_m, std_v_m, cov, model_row)
+    active = member["active"] != 0
+    if not add_fix(members, row, time_us, pos_ned_m, odometry_ned_m, not active):
+        return DONE
+    if not active:
+        return FIRST_MEAN
+    advance(filter_row, model_row, members, state, cov, time_us, decay=False)
+    own["gps_var_m2"] = fuse_mean(members, row, state, cov, own["time_us"], model_row)
+    return GPS_STEPPED if own["gps_var_m2"] > 0.0 else DONE
+
+
+@njit(cache=True)
+def take_beacon(
+    row: int, now_us: int, header_row: Header, ranges: Ranges, rows: Times, filter_row: Filter,
+    model_row: Model, members: Members, rings: Rings, state: Array, cov: Array, pairs: Pairs,
+    pending: Pending, queue: Queue,
+) -> int:  # fmt: skip
+    """Take all that a credible beacon of a UAV says; what is no news in it is ignored.
+
+    Returns DONE, or what is to be done before it is taken again: LOST, ODOMETRY_JUMPED, FIRST_MEAN,
+    GPS_STEPPED or FULL. ``rows`` (F,) are the rows of all stations, -1 of those that have none.
+    """
+    header = header_row[0]
+    sample, pos_ned_m = np.empty(6), np.empty(3)
+    sample[0], sample[1] = header["odometry_n_m"], header["odometry_e_m"]
+    sample[2], sample[3] = header["odometry_d_m"], header["vel_n_m_s"]
+    sample[4], sample[5] = header["vel_e_m_s"], header["vel_d_m_s"]
+    asked = take_odometry(filter_row, members, rings, row, int(np.int64(header["time_us"])), sample)
+    if asked != DONE:
+        return asked
+    fix_us = int(np.int64(header["fix_ms"])) * 1_000
+    if header["flags"] & HAS_FIX and fix_us <= now_us:
+        pos_ned_m[0], pos_ned_m[1] = header["fix_n_m"], header["fix_e_m"]
+        pos_ned_m[2] = header["fix_d_m"]
+        asked = take_fix(
+            filter_row, model_row, members, rings, state, cov, row, fix_us, pos_ned_m,
+            np.int64(header["fix_std_h_mm"]) * 1e-3, np.int64(header["fix_std_v_mm"]) * 1e-3,
+        )  # fmt: skip
+        if asked != DONE:
+            return asked
+    count = np.int64(header["count"])
+    if queue[0]["count"] + count > pending.size:
+        return FULL
+    floor_m2 = model_row[0]["range_floor_var_m2"]
+    for k in range(count):
+        told = ranges[k]
+        peer = np.int64(told["peer"])
+        responder = rows[peer] if peer < rows.size else -1
+        if responder >= 0:
+            std_m = np.int64(told["std_mm"]) * 1e-3
+            add_distance(
+                pairs, pending, queue, row, responder, int(np.int64(told["time_ms"])) * 1_000,
+                np.float64(told["distance_m"]), std_m * std_m + floor_m2, now_us,
+            )  # fmt: skip
+    return DONE
+
+
+@njit(cache=True)
+def use_pending(
+    now_us: int, filter_row: Filter, model_row: Model, members: Members, rings: Rings, state: Array,
+    cov: Array, pairs: Pairs, pending: Pending, queue: Queue, reference_ne_m: Array, bend_m: Array,
+    bend_var_m2: Array,
+) -> int:  # fmt: skip
+    """Use what has become usable of the distances pending, in the order in which they came.
+
+    Returns DONE, or what the last one that was looked at asks for before it is gone on with: NOT_LOCATED or
+    ELSEWHERE. Geometry as of `reference_geometry`.
+    """
+    own, line = filter_row[0], queue[0]
+    between_ned_m = own["between_ned_m"]
+    while line["done"] < line["count"]:
+        at = line["done"]
+        item = pending[at]
+        i, j, time_us = item["initiator"], item["responder"], item["time_us"]
+        line["done"] = at + 1
+        covered = time_us <= members[i]["newest_us"] and time_us <= members[j]["newest_us"]
+        if covered and odometry_between(rings, i, j, time_us, between_ned_m) != KNOWN:
+            own["ranges_too_late"] += 1
+        elif not (covered and members[i]["active"] and members[j]["active"]):
+            if now_us - time_us > PENDING_LIMIT_US:
+                own["ranges_too_late"] += 1
+            else:
+                pending[line["kept"]] = item
+                line["kept"] += 1
+        elif not (members[i]["located"] and members[j]["located"]):
+            return NOT_LOCATED
+        else:
+            _use(item, filter_row, model_row, members, state, cov, pairs, reference_ne_m, bend_m, bend_var_m2)
+            for end in (i, j):
+                if members[end]["as_end"] > ELSEWHERE_LIMIT:
+                    return ELSEWHERE
+    line["count"] = line["kept"]
+    line["done"] = line["kept"] = 0
+    return DONE
+
+
+@njit(cache=True)
+def _use(
+    item: np.void, filter_row: Filter, model_row: Model, members: Members, state: Array, cov: Array,
+    pairs: Pairs, reference_ne_m: Array, bend_m: Array, bend_var_m2: Array,
+) -> None:  # fmt: skip
+    """Fuse a distance between two who are located, or only judge it if who measured it is not trusted."""
+    own, model = filter_row[0], model_row[0]
+    i, j = item["initiator"], item["responder"]
+    pair, between_ned_m = pairs[i, j], own["between_ned_m"]
+    lag_s = advance(filter_row, model_row, members, state, cov, item["time_us"], decay=False)
+    # Distances of a UAV that are late together share what its odometry has lost since, and are worth no
+    # more than one of them.
+    late_m2 = model["drift_m2_s"] * lag_s * (1.0 + own["distances_hz"] * lag_s)
+    trusted = members[i]["distrusted"] == 0
+    weight = fuse_range(
+        state, cov, state, reference_ne_m, i, j, between_ned_m, item["distance_m"] - bend_m[i, j],
+        item["variance_m2"] + 2.0 * late_m2 + bend_var_m2[i, j], -1.0, 1.0 if trusted else 0.0,
+    )  # fmt: skip
+    count_distance(filter_row, members, i, j, item["time_us"], weight, trusted)
+    pair["fused_us"], pair["distance_m"] = item["time_us"], item["distance_m"]
+    pair["variance_m2"] = item["variance_m2"]
+    for a in range(3):
+        pair["between_ned_m"][a] = between_ned_m[a]
+    if trusted and members[i]["distrusted"]:
+        # It has been pulled to where its own distances wanted it.
+        for at in range(STATES * i, STATES * i + 2):
+            cov[at, at] += PULLED_VAR_M2
+
+
+@njit(cache=True)
+def count_distance(
+    filter_row: Filter, members: Members, initiator: int, responder: int, time_us: int, weight: float,
+    fused: bool,  # noqa: FBT001  # numba knows no keyword-only arguments
+) -> None:  # fmt: skip
+    """Count a distance that has been compared with the estimate and got this weight."""
+    own = filter_row[0]
+    badly = not weight >= MISFIT_WEIGHT
+    own["ranges_used"] += 1
+    if badly:
+        own["ranges_downweighted"] += 1
+    note(members, initiator, responder, badly)
+    if fused and not badly and (own["own"] == initiator or own["own"] == responder):
+        own["own_range_us"] = max(time_us, own["own_range_us"], 0)
