@@ -7,7 +7,7 @@ from netsim.config import RadioConfig
 from netsim.ideal import IdealChannel
 from netsim.kernel import EventQueue
 from netsim.mac.access import DCF, EDCA
-from netsim.mac.jobs import Sender, Upper
+from netsim.mac.jobs import OnGroupFrame, Sender, Upper
 from netsim.mac.radios import Radios
 from netsim.phy.propagation import Links
 from netsim.phy.signals import Transmission
@@ -16,16 +16,16 @@ from netsim.tables import Integers
 
 
 class Channel(Protocol):
-    """The radios of all stations."""
+    """The radios of all stations; frames to all are told to whoever made it, the others to the stations."""
 
     def join(self, station: int, upper: Upper) -> Sender:
-        """Add a station, whose received frames go to ``upper``; they come in the order of their numbers."""
+        """Add a station, whose own frames go to ``upper``; they come in the order of their numbers."""
 
     def busy_ns(self) -> int:
         """Time since the start for which the medium carried at least one signal."""
 
-    def surveyed_ns(self, station: int, /) -> int:
-        """Time since the start for which a station sensed the medium busy or was itself sending."""
+    def surveyed_ns(self) -> list[int]:
+        """Time since the start for which each station sensed the medium busy or was itself sending."""
 
     def frames_sent(self) -> list[int]:
         """Frames that have ended, in the order of `netsim.frames.FrameKind`."""
@@ -44,11 +44,22 @@ def channel_of(
     links: Links,
     stations: int,
     streams: Streams,
+    on_group_frame: OnGroupFrame,
     on_ended: Callable[[Transmission], None] | None,
 ) -> Channel:
-    """Return the channel that the settings ask for; ``on_ended`` is told of every frame that has ended."""
+    """Return the channel that the settings ask for.
+
+    ``on_group_frame`` is told of the frames to all, and ``on_ended`` of every frame that has ended.
+    """
     if config.channel == "ideal":
-        return IdealChannel(config=config, queue=queue, links=links, stations=stations, on_ended=on_ended)
+        return IdealChannel(
+            config=config,
+            queue=queue,
+            links=links,
+            stations=stations,
+            on_group_frame=on_group_frame,
+            on_ended=on_ended,
+        )
     return Radios(
         config=config,
         access=EDCA if config.access == "edca" else dict.fromkeys(EDCA, DCF),
@@ -56,5 +67,6 @@ def channel_of(
         links=links,
         stations=stations,
         streams=streams,
+        on_group_frame=on_group_frame,
         on_ended=on_ended,
     )

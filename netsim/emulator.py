@@ -8,6 +8,7 @@ stations' batches of one step were submitted.
 from collections.abc import Callable, Mapping
 from functools import partial
 from math import isfinite, log10
+from operator import itemgetter
 
 import msgspec
 import numpy as np
@@ -20,7 +21,7 @@ from netsim.ftm.session import FtmRadio, Ranging, lost
 from netsim.ftm.stamps import Clock
 from netsim.ideal import undisturbed
 from netsim.kernel import EventQueue
-from netsim.mac.jobs import Job, Outcome, Reception, Sender
+from netsim.mac.jobs import GroupReception, Job, Outcome, Reception, Sender
 from netsim.mac.rates import datagram_modes
 from netsim.phy.propagation import Links, Trajectories
 from netsim.phy.signals import Transmission
@@ -43,6 +44,9 @@ from netsim.wire.messages import (
 
 NOTHING_PENDING_US = 2**62 // 1000
 Doubles = NDArray[np.float64]
+_Received = tuple[int, int, int, RxItem]
+"""Something that has reached a station: time, source, sequence number, what it is."""
+_ORDER = itemgetter(0, 1, 2)
 
 
 class _Host:
@@ -58,7 +62,8 @@ class _Host:
         if not isinstance(reception.body, bytes):
             self._ftm.on_frame(reception)
         elif not reception.duplicate:
-            self._emulator.deliver(self._index, reception, reception.body)
+            source, seq, end_ns = reception.source, reception.seq, reception.end_ns
+            self._emulator.deliver(self._index, source, seq, end_ns, reception.power_mw, reception.body)
 
 
 class Emulator:
@@ -94,6 +99,7 @@ class Emulator:
             links=self._links,
             stations=stations,
             streams=self._streams,
+            on_group_frame=self._on_group_frame,
             on_ended=on_transmission,
         )
         self._host_jitter = [Uniforms(self._streams.generator(Model.HOST, i)) for i in range(stations)]
@@ -120,7 +126,8 @@ class Emulator:
         self._submitted: list[tuple[int, int, int, TxItem]] = []
         self._ready_ns = [0] * stations
         """By station: when its last item reaches the radio."""
-        self._received: list[tuple[int, int, int, int, RxItem]] = []
+        self._received: list[list[_Received]] = [[] for _ in range(stations)]
+        """By station."""
 
     def _add_station(self, station: int, clocks: list[Clock]) -> None:
         config = self._config
@@ -165,14 +172,14 @@ class Emulator:
         pos_ned_m: Doubles,
         vel_ned_m_s: Doubles,
         q_ned_frd: Doubles | None = None,
-    ) -> list[tuple[int, RxItem]]:
+    ) -> dict[int, list[RxItem]]:
         """Simulate up to and including ``to_us``.
 
         The stations are at ``pos_ned_m`` (n, 3) at ``at_us``, move at ``vel_ned_m_s`` (n, 3) and have the
-        attitudes ``q_ned_frd`` (n, 4), wxyz; without those they are level. Returns (station, item) in order
-        of (time, source, seq, station), where the source of a result is the peer or destination, and then a
-        `Survey` for each vehicle among these stations. Raises ValueError for arrays of another shape or that
-        are not finite, or a time that is past.
+        attitudes ``q_ned_frd`` (n, 4), wxyz; without those they are level. Returns what has reached each
+        station that anything has: items in order of (time, source, seq), where the source of a result is the
+        peer or destination, and then a `Survey` if it is a vehicle. Raises ValueError for arrays of another
+        shape or that are not finite, or a time that is past.
         """
         positions, velocities = (np.asarray(each, dtype=np.float64) for each in (pos_ned_m, vel_ned_m_s))
         for each in (positions, velocities):
@@ -193,15 +200,18 @@ class Emulator:
             self.queue.at(ready_ns, self._on_ready, (station, item))
         self._submitted.clear()
         self.queue.run_until(to_ns)
-        if not self._received:
-            return []
-        self._received.sort(key=lambda entry: entry[:4])
-        received = [(station, item) for _, _, _, station, item in self._received]
-        self._received.clear()
-        for station in sorted({station for station, _ in received if station < self._vehicles}):
-            busy_ns = self._channel.surveyed_ns(station)
-            received.append((station, Survey(ended_ns=to_ns, busy_ns=busy_ns)))
-        return received
+        if not any(self._received):
+            return {}
+        busy_ns = self._channel.surveyed_ns()
+        arrived: dict[int, list[RxItem]] = {}
+        for station, received in enumerate(self._received):
+            if received:
+                received.sort(key=_ORDER)
+                arrived[station] = items = [entry[-1] for entry in received]
+                received.clear()
+                if station < self._vehicles:
+                    items.append(Survey(ended_ns=to_ns, busy_ns=busy_ns[station]))
+        return arrived
 
     @property
     def next_event_us(self) -> int:
@@ -282,17 +292,24 @@ class Emulator:
         self._tally.unicasts[status] += 1
         if station not in self._silent:
             sent = Sent(destination=destination, seq=seq, ended_ns=ended_ns, status=status, attempts=attempts)
-            self._received.append((ended_ns, destination, seq, station, sent))
+            self._received[station].append((ended_ns, destination, seq, sent))
 
-    def deliver(self, station: int, reception: Reception, payload: bytes) -> None:
+    def _on_group_frame(self, heard: GroupReception) -> None:
+        if isinstance(heard.body, bytes):
+            source, seq, payload = heard.source, heard.seq, heard.body
+            for station, end_ns, power_mw in zip(heard.stations, heard.ends_ns, heard.powers_mw, strict=True):
+                self.deliver(station, source, seq, end_ns, power_mw, payload)
+
+    def deliver(
+        self, station: int, source: int, seq: int, end_ns: int, power_mw: float, payload: bytes
+    ) -> None:
         """Put a datagram that has reached a station among its deliveries, unless its host loses it."""
-        if self._host_loses(station):
+        if self._host_losses and self._host_loses(station):
             self._tally.lost_by_hosts += 1
             return
-        source, seq, end_ns = reception.source, reception.seq, reception.end_ns
-        rssi_dbm = 10.0 * log10(reception.power_mw)
+        rssi_dbm = 10.0 * log10(power_mw)
         item = Delivery(source=source, seq=seq, received_ns=end_ns, rssi_dbm=rssi_dbm, payload=payload)
-        self._received.append((end_ns, source, seq, station, item))
+        self._received[station].append((end_ns, source, seq, item))
 
     def _host_loses(self, station: int) -> bool:
         return bool(self._host_losses) and self._host_losses[station].draw() < self._config.drop_fraction
@@ -320,7 +337,7 @@ class Emulator:
             measurements=ranging.measurements,
             retry_after_s=ranging.retry_after_s,
         )
-        self._received.append((ranging.ended_ns, ranging.peer, ranging.seq, ranging.initiator, result))
+        self._received[ranging.initiator].append((ranging.ended_ns, ranging.peer, ranging.seq, result))
 
     # --- the run's side
 

@@ -19,7 +19,7 @@ from netsim.phy.signals import Transmission
 from netsim.record_log import RecordLog
 from netsim.records import frame_log_rows
 from netsim.wire.lockstep import LEAD_US, Advance, Advanced, unpack_rows
-from netsim.wire.messages import RxBatch, RxItem, Station, TxBatch
+from netsim.wire.messages import RxBatch, Station, TxBatch
 
 Doubles = NDArray[np.float64]
 
@@ -190,15 +190,13 @@ class HostedEmulator:
             self._emulator.submit(batch)
         self._emulator.set_extra_attenuation_db(request.extra_attenuation_db)
         self._emulator.set_range_offsets(dict(request.range_offsets_m))
-        arrivals: dict[Station, list[RxItem]] = {}
-        for station, item in self._emulator.advance(
+        arrivals = self._emulator.advance(
             to_us=request.to_us,
             at_us=request.at_us,
             pos_ned_m=motion.pos_ned_m,
             vel_ned_m_s=motion.vel_ned_m_s,
             q_ned_frd=motion.q_ned_frd,
-        ):
-            arrivals.setdefault(station, []).append(item)
+        )
         self._write_logs()
         if self._capture is not None:
             self._capture.settle(1_000 * request.to_us)

@@ -19,7 +19,7 @@ from netsim.config import RadioConfig
 from netsim.frames import ACK_BYTES, GROUP, Frame, FrameKind
 from netsim.kernel import EventQueue
 from netsim.mac.access import SIFS_NS
-from netsim.mac.jobs import Job, Outcome, Reception, Upper
+from netsim.mac.jobs import GroupReception, Job, OnGroupFrame, Outcome, Reception, Upper
 from netsim.mac.station import RESPONSE_TIMEOUT_NS
 from netsim.phy.modes import response_mode, response_ns
 from netsim.phy.propagation import Links
@@ -45,9 +45,12 @@ class IdealChannel:
         queue: EventQueue,
         links: Links,
         stations: int,
+        on_group_frame: OnGroupFrame,
         on_ended: Callable[[Transmission], None] | None,
     ) -> None:
         self.queue = queue
+        self.on_group_frame = on_group_frame
+        self._stations = stations
         self._on_ended = on_ended
         self._book = FrameBook(stations)
         self._links = links
@@ -82,9 +85,9 @@ class IdealChannel:
         """Nothing ever keeps anybody waiting."""
         return 0
 
-    def surveyed_ns(self, _station: int, /) -> int:
+    def surveyed_ns(self) -> list[int]:
         """Nor does any station find it busy."""
-        return 0
+        return [0] * self._stations
 
     def start(self, frame: Frame) -> Transmission:
         """Put a frame on the air now."""
@@ -106,10 +109,17 @@ class IdealChannel:
         transmission.delivered.append(station)
         return radio
 
-    def reach_all(self, transmission: Transmission) -> "list[IdealRadio]":
-        """Radios in range of a group frame."""
-        reached = [self.reach(transmission, i) for i in range(len(self._radios)) if i != transmission.source]
-        return [radio for radio in reached if radio is not None]
+    def tell_all(self, transmission: Transmission) -> None:
+        """Have a frame to all received by those in range of it."""
+        frame = transmission.frame
+        others = (i for i in range(self._stations) if i != transmission.source)
+        stations = [i for i in others if self.reach(transmission, i) is not None]
+        if stations:
+            ends_ns = [transmission.end_ns + transmission.delay_ns(i) for i in stations]
+            powers_mw = [transmission.power_mw(i) for i in stations]
+            self.on_group_frame(
+                GroupReception(frame.source, frame.seq, frame.body, stations, ends_ns, powers_mw)
+            )
 
 
 class _Exchange:
@@ -188,8 +198,7 @@ class IdealRadio:
 
     def _on_group_ended(self, ended: tuple[Job, Transmission]) -> None:
         job, transmission = ended
-        for radio in self._channel.reach_all(transmission):
-            radio.take(transmission, duplicate=False)
+        self._channel.tell_all(transmission)
         job.done(job, Outcome.SENT)
         self._channel.note_end(transmission)
 

@@ -138,10 +138,11 @@ DETECT, END_FRAME, LOOK_FOR_UNUSED, ON_UNUSED, END_BURST = range(6, 11)
 
 # --- calls to Python
 
-FRAME, DONE, FAILED, FRAME_ENDED = range(4)
-"""A data or action frame has reached whom it is for (detail: again); a job has ended (detail: its outcome, in
-the order of `netsim.mac.jobs.Outcome`); an attempt whose mode was chosen was not acknowledged; a frame has
-ended everywhere."""
+FRAME, GROUP_FRAME, DONE, FAILED, FRAME_ENDED = range(5)
+"""A data or action frame has reached the one station that it is for (detail: again); one to all has reached
+those whose fates say so (detail: its row of signals); a job has ended (detail: its outcome, in the order of
+`netsim.mac.jobs.Outcome`); an attempt whose mode was chosen was not acknowledged; a frame has ended
+everywhere."""
 SENT, ACKNOWLEDGED, RETRY_LIMIT, EXPIRED = range(4)
 
 # --- what becomes of a frame: at a station, and in the end where it was meant to arrive
@@ -380,8 +381,8 @@ class Tables(NamedTuple):
 
 def _shapes(numbers: Integers) -> list[tuple[int, int]]:
     n, k, event_rows, job_rows, signal_rows = numbers[: SIGNAL_ROWS + 1].tolist()
-    # most calls that one event makes: every job ends, every station hears a frame
-    call_rows = job_rows + 2 * n + 8
+    # most calls that one event makes: every job ends, every station's exchange fails, a frame is heard
+    call_rows = job_rows + n + 8
     return [
         (n, STATION_COLUMNS), (n * k, QUEUE_COLUMNS), (4, n), (n, n * KINDS), (n, 3), (1, KINDS), (n, n),
         (n, n), (n, BUDGET_COLUMNS), (n, n), (n, n), (MODES, MODE_COLUMNS), (MODES, 1 + RATIOS), (1, LEVELS),

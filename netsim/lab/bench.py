@@ -52,9 +52,9 @@ class Bench:
         self.emulator.submit(TxBatch(station=station, now_us=self.now_us, items=items))
 
     def run(self, until_us: int) -> list[tuple[int, RxItem]]:
-        """Simulate up to a time; returns (station, item) in order of arrival."""
-        items = self.emulator.advance(
+        """Simulate up to a time; returns (station, item) by station and in order of arrival."""
+        arrived = self.emulator.advance(
             to_us=until_us, at_us=self.now_us, pos_ned_m=self._places_ned_m, vel_ned_m_s=self._still
         )
         self.now_us = until_us
-        return items
+        return [(station, item) for station, items in arrived.items() for item in items]

@@ -38,6 +38,19 @@ class Reception(NamedTuple):
     """The same has been received before."""
 
 
+class GroupReception(NamedTuple):
+    """A datagram to all as those have received it who did: lists are by receiver."""
+
+    source: int
+    seq: int
+    """The host's number of it."""
+    body: object
+    stations: list[int]
+    ends_ns: list[int]
+    """At their antennas."""
+    powers_mw: list[float]
+
+
 class Job:
     """One frame to be delivered, by as many transmissions as it takes."""
 
@@ -106,7 +119,11 @@ class Sender(Protocol):
 
 
 class Upper(Protocol):
-    """Who gets the frames that are for a station or for everybody."""
+    """Who gets the frames that are for a station."""
 
     def on_frame(self, reception: Reception) -> None:
         """Take a data or action frame."""
+
+
+OnGroupFrame = Callable[[GroupReception], None]
+"""Takes a frame to all, for all who have received it."""

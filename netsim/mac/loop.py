@@ -4,16 +4,18 @@
 in which it happens: what the layers above make of it then comes behind all that the event itself has caused.
 """
 
+import numpy as np
 from numba import njit
 
 from netsim import tables as t
 from netsim.borrowed import borrowed
 from netsim.events import drop_next, is_off
+from netsim.frames import GROUP
 from netsim.mac import station as mac
 from netsim.mac.channel import contend, is_full, on_deadline
-from netsim.phy import medium
+from netsim.phy import medium, sensing
 from netsim.phy.path_loss import Doubles
-from netsim.tables import Air, end_signal
+from netsim.tables import Air, Integers, end_signal
 
 # Why `run` comes back.
 REACHED, TELLS, WANTS_BUDGET, WANTS_MODE, WANTS_DRAWS, WANTS_ROOM = range(6)
@@ -147,6 +149,8 @@ def _act(
 @njit(cache=True)
 def _end_frame(air: Air, frame: int) -> None:
     medium.settle(air, frame)
+    if t.signals(air, frame)[t.TO] == GROUP:
+        mac.hand_up_to_all(air, frame)
     for r in range(air[t.STATIONS]):
         if t.ends(air, t.FATES)[r] != t.ABSENT:
             mac.on_end(air, frame, r)
@@ -187,6 +191,15 @@ def start_burst(air: Air, burst: int) -> None:
 def release(air: Air, frame: int) -> None:
     """Let go of a frame whose end has been told."""
     end_signal(air, frame)
+
+
+@njit(cache=True)
+def surveyed_ns(air: Air, at_ns: int) -> Integers:
+    """Time up to ``at_ns``, which is now, for which each station, (n,), sensed the medium busy or sent."""
+    busy_ns = np.empty(air[t.STATIONS], np.int64)
+    for r in range(len(busy_ns)):
+        busy_ns[r] = sensing.surveyed_ns(t.stations(air, r), at_ns)
+    return busy_ns
 
 
 @njit(cache=True)

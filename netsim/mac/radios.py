@@ -16,7 +16,7 @@ from netsim.frames import Frame, FrameKind
 from netsim.kernel import NEVER_NS, EventQueue
 from netsim.mac import loop
 from netsim.mac.access import AccessParameters
-from netsim.mac.jobs import Job, Outcome, Reception, Upper
+from netsim.mac.jobs import GroupReception, Job, OnGroupFrame, Outcome, Reception, Upper
 from netsim.phy.errors import error_model
 from netsim.phy.fading import RicianFading
 from netsim.phy.interferers import Interferer
@@ -24,7 +24,6 @@ from netsim.phy.medium import PREAMBLE_SINR
 from netsim.phy.modes import PhyMode, phy_mode, response_mode
 from netsim.phy.path_loss import Doubles
 from netsim.phy.propagation import LinkRow, thermal_noise_mw
-from netsim.phy.sensing import surveyed_ns
 from netsim.phy.signals import Transmission
 from netsim.streams import Model, Streams, Uniforms
 from netsim.tables import Air, Integers
@@ -69,12 +68,14 @@ class Radios:
         links: LinkBudgets,
         stations: int,
         streams: Streams,
+        on_group_frame: OnGroupFrame,
         on_ended: Callable[[Transmission], None] | None = None,
     ) -> None:
         self._config = config
         self._queue = queue
         self._links = links
         self._streams = streams
+        self._on_group_frame = on_group_frame
         self._on_ended = on_ended
         self._stations = stations
         parameters = list(dict.fromkeys(access.values()))
@@ -231,9 +232,10 @@ class Radios:
         """Time up to now for which the medium carried at least one signal."""
         return self._head[t.BUSY_NS] - max(0, self._head[t.BUSY_UNTIL_NS] - self._queue.now_ns)
 
-    def surveyed_ns(self, station: int) -> int:
-        """Time up to now for which a station sensed the medium busy or was itself sending."""
-        return int(surveyed_ns(self._tables.stations[station], self._queue.now_ns))
+    def surveyed_ns(self) -> list[int]:
+        """Time up to now for which each station sensed the medium busy or was itself sending."""
+        surveyed: list[int] = loop.surveyed_ns(self._air, self._queue.now_ns).tolist()
+        return surveyed
 
     def frames_sent(self) -> list[int]:
         """Frames by kind."""
@@ -269,20 +271,21 @@ class Radios:
         if self._links.version != self._links_version:
             self._links_version = self._links.version
             self._tables.budgets[:, t.BUDGET_UNTIL] = -1
-        why = loop.run(self._air, self._fading_block, until_ns, until_order)
+        while (why := loop.run(self._air, self._fading_block, until_ns, until_order)) != loop.REACHED:
+            queue.now_ns, queue.scheduled = head[t.NOW], head[t.SCHEDULED]
+            if why == loop.WANTS_BUDGET:
+                self._have_budget(head[t.WANTED], queue.now_ns)
+            elif why == loop.TELLS:
+                self._tell()
+                return False
+            elif why == loop.WANTS_MODE:
+                self._choose_mode(head[t.DUE])
+                return False
+            else:
+                self._make_ready()
+                head = self._head  # of new tables, if they had to grow
         queue.scheduled = head[t.SCHEDULED]
-        if why == loop.REACHED:
-            return True
-        queue.now_ns = head[t.NOW]
-        if why == loop.TELLS:
-            self._tell()
-        elif why == loop.WANTS_BUDGET:
-            self._have_budget(head[t.WANTED], queue.now_ns)
-        elif why == loop.WANTS_MODE:
-            self._choose_mode(head[t.DUE])
-        else:
-            self._make_ready()
-        return False
+        return True
 
     def _make_ready(self) -> None:
         """Have draws, and room for what an event may add, and the clock right."""
@@ -375,10 +378,28 @@ class Radios:
             if what == t.FRAME:
                 reception = _received(call, power_mw, job)
                 self._uppers[call[t.CALL_STATION]].on_frame(reception)
+            elif what == t.GROUP_FRAME:
+                self._tell_all(job, call[t.CALL_DETAIL])
             elif what == t.FRAME_ENDED:
                 self._tell_ended(job)
             elif job is not None:
                 self._tell_sender(job, call, power_mw)
+
+    def _tell_all(self, job: Job | None, frame: int) -> None:
+        """Tell of a frame to all that has just ended."""
+        seq, body = (0, None) if job is None else (job.seq, job.body)
+        tables = self._tables
+        signal = tables.signals[frame].tolist()
+        stations = (tables.ends[t.FATES] == t.RECEIVED).nonzero()[0]
+        ends_ns, powers_mw = (
+            signal[t.END] + tables.delays_ns[frame, stations],
+            tables.powers_mw[frame, stations],
+        )
+        self._on_group_frame(
+            GroupReception(
+                signal[t.SOURCE], seq, body, stations.tolist(), ends_ns.tolist(), powers_mw.tolist()
+            )
+        )
 
     def _tell_sender(self, job: Job, call: list[int], power_mw: float) -> None:
         if call[t.CALL] == t.FAILED:
@@ -444,14 +465,14 @@ def _received(call: list[int], power_mw: float, job: Job | None) -> Reception:
 
 
 def _draw_ahead(stations: Integers, column: int, draws: Doubles, streams: list[Uniforms]) -> None:
-    """Fill up the draws of those that have few left."""
-    for station, stream in enumerate(streams):
-        used = int(stations[station, column])
-        if used > t.BLOCK_DRAWS - t.LEAST_DRAWS:
-            left = t.BLOCK_DRAWS - used
-            draws[station, :left] = draws[station, used:].copy()
-            draws[station, left:] = stream.take(used)
-            stations[station, column] = 0
+    """Fill up the draws of those that have used most of theirs."""
+    used_by = stations[:, column]
+    for station in (used_by > t.BLOCK_DRAWS // 2).nonzero()[0].tolist():
+        used = int(used_by[station])
+        left = t.BLOCK_DRAWS - used
+        draws[station, :left] = draws[station, used:].copy()
+        draws[station, left:] = streams[station].take(used)
+        used_by[station] = 0
 
 
 class Station:

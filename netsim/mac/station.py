@@ -309,12 +309,8 @@ def on_end(air: Air, frame: int, station: int) -> None:
     row, fate = t.stations(air, station), t.ends(air, t.FATES)[station]
     if t.ends(air, t.UPSETS)[station] and row[t.PLANNED]:
         freeze(air, station, air[t.NOW])
-    if fate == t.RECEIVED:
-        to = t.signals(air, frame)[t.TO]
-        if to == station:
-            _receive_own(air, frame, station)
-        elif to == GROUP:
-            _hand_up(air, frame, station, 0)
+    if fate == t.RECEIVED and t.signals(air, frame)[t.TO] == station:
+        _receive_own(air, frame, station)
     if fate != t.MISSED and row[t.TIMED_OUT]:
         _fail_exchange(air, station)
     on_air_changed(air, station)
@@ -378,6 +374,16 @@ def _receive_own(air: Air, frame: int, station: int) -> None:
         again = t.last_sequences(air, station)[source * t.KINDS + kind] == sequence
         t.last_sequences(air, station)[source * t.KINDS + kind] = sequence
         _hand_up(air, frame, station, int(again))
+
+
+@njit(cache=True)
+def hand_up_to_all(air: Air, frame: int) -> None:
+    """Have whoever is above the MACs told of a frame to all that has ended, if anybody has received it."""
+    for fate in t.ends(air, t.FATES):
+        if fate == t.RECEIVED:
+            i = call(air, t.GROUP_FRAME, t.NOTHING, t.signals(air, frame)[t.JOB])
+            t.calls(air, i)[t.CALL_DETAIL] = frame
+            return
 
 
 @njit(cache=True)

@@ -4,6 +4,8 @@ Versioned, typed, MessagePack on the wire.
 
 Decoding never raises: bytes that are no message of this version give None, and the caller counts them.
 Times are simulated: integer microseconds (``_us``) at the host's side, nanoseconds (``_ns``) on the air.
+
+Items are nothing to Python's collector of cycles (``gc=False``): they hold numbers, texts and bytes.
 """
 
 from typing import Annotated, TypeVar
@@ -24,7 +26,7 @@ TimeNs = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Seq = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 
 
-class Broadcast(Struct, frozen=True, kw_only=True, array_like=True, tag="b"):
+class Broadcast(Struct, frozen=True, kw_only=True, array_like=True, gc=False, tag="b"):
     """One UDP datagram to every station in range."""
 
     seq: Seq
@@ -34,7 +36,7 @@ class Broadcast(Struct, frozen=True, kw_only=True, array_like=True, tag="b"):
     payload: Annotated[bytes, Meta(max_length=MAX_PAYLOAD_BYTES)]
 
 
-class FtmRequest(Struct, frozen=True, kw_only=True, array_like=True, tag="f"):
+class FtmRequest(Struct, frozen=True, kw_only=True, array_like=True, gc=False, tag="f"):
     """Ask the driver to range to a peer; exactly one `FtmResult` with this ``seq`` comes back."""
 
     seq: Seq
@@ -42,7 +44,7 @@ class FtmRequest(Struct, frozen=True, kw_only=True, array_like=True, tag="f"):
     peer: Station
 
 
-class Unicast(Struct, frozen=True, kw_only=True, array_like=True, tag="u"):
+class Unicast(Struct, frozen=True, kw_only=True, array_like=True, gc=False, tag="u"):
     """One UDP datagram to one station; exactly one `Sent` with this ``seq`` comes back."""
 
     seq: Seq
@@ -69,7 +71,7 @@ class TxBatch(Struct, frozen=True, kw_only=True, array_like=True):
     """Another batch of the same step follows."""
 
 
-class Delivery(Struct, frozen=True, kw_only=True, array_like=True, tag="d"):
+class Delivery(Struct, frozen=True, kw_only=True, array_like=True, gc=False, tag="d"):
     """A datagram that reached this station."""
 
     source: Station
@@ -81,7 +83,7 @@ class Delivery(Struct, frozen=True, kw_only=True, array_like=True, tag="d"):
     payload: bytes
 
 
-class FtmResult(Struct, frozen=True, kw_only=True, array_like=True, tag="r"):
+class FtmResult(Struct, frozen=True, kw_only=True, array_like=True, gc=False, tag="r"):
     """What the driver reports of one ranging session, at the initiator."""
 
     peer: Station
@@ -108,7 +110,7 @@ class FtmResult(Struct, frozen=True, kw_only=True, array_like=True, tag="r"):
     """If rejected: for how long the responder does not want to be asked again."""
 
 
-class Sent(Struct, frozen=True, kw_only=True, array_like=True, tag="s"):
+class Sent(Struct, frozen=True, kw_only=True, array_like=True, gc=False, tag="s"):
     """What became of a `Unicast`, at its sender."""
 
     destination: Station
@@ -121,7 +123,7 @@ class Sent(Struct, frozen=True, kw_only=True, array_like=True, tag="s"):
     """Transmissions of the frame, RTS not counted."""
 
 
-class Survey(Struct, frozen=True, kw_only=True, array_like=True, tag="v"):
+class Survey(Struct, frozen=True, kw_only=True, array_like=True, gc=False, tag="v"):
     """How occupied this station has found the channel, as the busy-time counter of a driver tells it."""
 
     ended_ns: TimeNs

@@ -8,7 +8,7 @@ from netsim.config import Mode, RadioConfig
 from netsim.frames import GROUP, FrameKind
 from netsim.kernel import EventQueue
 from netsim.mac.access import DCF, AccessParameters
-from netsim.mac.jobs import Job, Outcome, Reception
+from netsim.mac.jobs import GroupReception, Job, Outcome, Reception
 from netsim.mac.radios import Radios
 from netsim.mac.rates import RateControl
 from netsim.phy.modes import phy_mode
@@ -85,6 +85,7 @@ class Air:
             links=self.links,
             stations=stations,
             streams=streams,
+            on_group_frame=self._on_group_frame,
             on_ended=self.transmissions.append,
         )
         self.stations = [
@@ -128,6 +129,11 @@ class Air:
         order = sorted(self.transmissions, key=lambda t: (t.start_ns, t.source))
         assert all(t.start_ns % 1_000 == 0 for t in order)
         return [(t.start_ns // 1_000, t.end_ns // 1_000, t.source, t.frame.kind.value) for t in order]
+
+    def _on_group_frame(self, heard: GroupReception) -> None:
+        assert min(heard.powers_mw) > 0.0
+        assert len(heard.stations) == len(heard.ends_ns) == len(heard.powers_mw)
+        self.arrivals += [(station, heard.source, False) for station in heard.stations]
 
 
 class _Upper:

@@ -87,6 +87,7 @@ class FtmAir:
             links=LossyLinks(stations, unheard_us or {}, round(distance_m / 0.299792458)),
             stations=stations,
             streams=streams,
+            on_group_frame=lambda _: None,
             on_ended=self.transmissions.append,
         )
         clocks = [Clock(ftm.clock_ppm, streams.generator(Model.CLOCK, i)) for i in range(stations)]

@@ -70,13 +70,15 @@ class Swarm:
             places, velocities = self.places, np.zeros_like(self.places)
             if self._motion is not None:
                 places, velocities = self._motion(1e-6 * self.now_us)
-            for station, item in self.emulator.advance(
+            by_station = self.emulator.advance(
                 to_us=self.now_us + STEP_US, at_us=self.now_us, pos_ned_m=places, vel_ned_m_s=velocities
-            ):
-                if isinstance(item, Survey):
-                    self.surveys.append((station, item))
-                else:
-                    arrived.append((station, item))
+            )
+            for station, items in by_station.items():
+                for item in items:
+                    if isinstance(item, Survey):
+                        self.surveys.append((station, item))
+                    else:
+                        arrived.append((station, item))
             self.now_us += STEP_US
         self.received += arrived
         return arrived

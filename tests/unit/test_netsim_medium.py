@@ -75,6 +75,7 @@ class Channel:
             links=links or Powers(stations, powers_dbm or {}, delay_ns),
             stations=stations,
             streams=Streams(np.random.SeedSequence(seed)),
+            on_group_frame=self._hear,
             on_ended=self.ended.append,
         )
         self.listeners = [Listener() for _ in range(stations)]
@@ -91,6 +92,10 @@ class Channel:
             frame_bytes=frame_bytes,
         )
         self.queue.at(1_000 * at_us, self.radios.transmit, frame)
+
+    def _hear(self, heard):
+        for station, end_ns in zip(heard.stations, heard.ends_ns, strict=True):
+            self.listeners[station].received.append((heard.source, end_ns / 1_000))
 
     def row(self, station):
         return stations(self.radios.air, station)

@@ -44,12 +44,14 @@ def record(scenario: Scenario, seconds: float) -> list[Step]:
     emulator, step_us = emulator_of(scenario), scenario.run.step_us
     places_ned_m = scenario.places_ned_m()
     talkers = [_Talker(scenario, i, places_ned_m[i]) for i in range(scenario.agents)]
-    arrived: list[list[tuple[int, RxItem]]] = [[], []]
+    arrived: list[dict[int, list[RxItem]]] = [{}, {}]
     steps = []
     for number in range(round(1e6 * seconds / step_us)):
         now_us = number * step_us
-        for station, item in arrived.pop(0):  # an interval's deliveries are seen two steps after it began
-            talkers[station].hear(item, now_us)
+        # an interval's deliveries are seen two steps after it began
+        for station, heard in arrived.pop(0).items():
+            for item in heard:
+                talkers[station].hear(item, now_us)
         batches = tuple(
             TxBatch(station=i, now_us=now_us, items=items)
             for i, talker in enumerate(talkers)
@@ -69,8 +71,8 @@ def record(scenario: Scenario, seconds: float) -> list[Step]:
     return steps
 
 
-def advance(emulator: Emulator, step: Step) -> list[tuple[int, RxItem]]:
-    """Hand a step's items over and simulate it; returns what arrived, as (station, item)."""
+def advance(emulator: Emulator, step: Step) -> dict[int, list[RxItem]]:
+    """Hand a step's items over and simulate it; returns what has reached each station."""
     for batch in step.batches:
         emulator.submit(batch)
     return emulator.advance(

@@ -21,7 +21,7 @@ from harness.validation.radio.saturation_section import MODES
 from netsim.kernel import EventQueue
 from netsim.lab.saturation import WARM_UP_US, saturate
 from netsim.wire.lockstep import pack_rows, unpack_rows
-from netsim.wire.messages import RxBatch, RxItem, TxBatch, decode, encode
+from netsim.wire.messages import RxBatch, TxBatch, decode, encode
 
 WIFI_LAB = Path(__file__).parents[3] / "scripts" / "wifi_lab.py"
 PAYLOAD_BYTES = 1000
@@ -197,10 +197,7 @@ def _play_messages(scenario: Scenario, steps: Sequence[_Packed]) -> None:
             vel_ned_m_s=vel_ned_m_s,
             q_ned_frd=q_ned_frd,
         )
-        by_station: dict[int, list[RxItem]] = {}
-        for station, item in advance(emulator, step):
-            by_station.setdefault(station, []).append(item)
-        for station, items in by_station.items():
+        for station, items in advance(emulator, step).items():
             encode(RxBatch(station=station, release_us=packed.to_us, items=tuple(items)))
         emulator.take_frames()
         emulator.take_sessions()
