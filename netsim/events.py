@@ -2,6 +2,7 @@
 
 from numba import njit
 
+from netsim import columns as c
 from netsim import tables as t
 from netsim.tables import Air
 
@@ -9,15 +10,15 @@ from netsim.tables import Air
 @njit(cache=True)
 def _comes_before(air: Air, i: int, j: int) -> bool:
     one, other = t.events(air, i), t.events(air, j)
-    if one[t.AT] != other[t.AT]:
-        return bool(one[t.AT] < other[t.AT])
-    return bool(one[t.ORDER] < other[t.ORDER])
+    if one[c.AT] != other[c.AT]:
+        return bool(one[c.AT] < other[c.AT])
+    return bool(one[c.ORDER] < other[c.ORDER])
 
 
 @njit(cache=True)
 def _swap(air: Air, i: int, j: int) -> None:
     one, other = t.events(air, i), t.events(air, j)
-    for column in range(t.EVENT_COLUMNS):
+    for column in range(c.EVENT_COLUMNS):
         one[column], other[column] = other[column], one[column]
 
 
@@ -33,24 +34,24 @@ def schedule(
     fourth: int = 0,
 ) -> int:
     """Have an event come; returns its order, which no other has."""
-    air[t.SCHEDULED] += 1
-    i = air[t.EVENTS]
-    air[t.EVENTS] = i + 1
+    air[c.SCHEDULED] += 1
+    i = air[c.EVENTS]
+    air[c.EVENTS] = i + 1
     event = t.events(air, i)
-    event[t.AT], event[t.ORDER], event[t.WHAT], event[t.ABOUT] = at_ns, air[t.SCHEDULED], what, about
-    event[t.FURTHER], event[t.FURTHER + 1] = first, second
-    event[t.FURTHER + 2], event[t.FURTHER + 3] = third, fourth
+    event[c.AT], event[c.ORDER], event[c.WHAT], event[c.ABOUT] = at_ns, air[c.SCHEDULED], what, about
+    event[c.FURTHER], event[c.FURTHER + 1] = first, second
+    event[c.FURTHER + 2], event[c.FURTHER + 3] = third, fourth
     while i and _comes_before(air, i, (i - 1) // 2):
         _swap(air, i, (i - 1) // 2)
         i = (i - 1) // 2
-    return int(air[t.SCHEDULED])
+    return int(air[c.SCHEDULED])
 
 
 @njit(cache=True)
 def drop_next(air: Air) -> None:
     """Take the next event out."""
-    count = air[t.EVENTS] - 1
-    air[t.EVENTS] = count
+    count = air[c.EVENTS] - 1
+    air[c.EVENTS] = count
     _swap(air, 0, count)
     i = 0
     while 2 * i + 1 < count:
@@ -67,11 +68,11 @@ def drop_next(air: Air) -> None:
 def is_off(air: Air) -> bool:
     """Whether the next event has been taken back: who waited for it waits for another, or for none."""
     event = t.events(air, 0)
-    what, about, order = event[t.WHAT], event[t.ABOUT], event[t.ORDER]
-    if what == t.ON_ACCESS:
-        return bool(t.queues(air, about)[t.ACCESS] != order)
-    if what == t.ON_DEADLINE:
-        return bool(t.queues(air, about)[t.DEADLINE] != order)
-    if what == t.ON_TIMEOUT:
-        return bool(t.stations(air, about)[t.TIMEOUT] != order)
+    what, about, order = event[c.WHAT], event[c.ABOUT], event[c.ORDER]
+    if what == c.ON_ACCESS:
+        return bool(t.queues(air, about)[c.ACCESS] != order)
+    if what == c.ON_DEADLINE:
+        return bool(t.queues(air, about)[c.DEADLINE] != order)
+    if what == c.ON_TIMEOUT:
+        return bool(t.stations(air, about)[c.TIMEOUT] != order)
     return False

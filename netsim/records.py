@@ -7,12 +7,14 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from netsim.columns import COLLIDED, DELIVERED, LOST, RECORD_COLUMNS
 from netsim.frames import GROUP, FrameKind
 from netsim.ftm.session import Ranging
 from netsim.logs import FRAME_LOG
-from netsim.mac.radios import KINDS, MODE_NAMES
+from netsim.mac.beginning import MODE_NAMES
+from netsim.mac.observed import KINDS
 from netsim.phy.signals import Transmission
-from netsim.tables import COLLIDED, DELIVERED, LOST, RECORD_COLUMNS, Integers
+from netsim.tables import Integers
 
 
 class FrameRecord(NamedTuple):

@@ -18,6 +18,7 @@ is `netsim.mac.station`'s.
 
 from numba import njit
 
+from netsim import columns as c
 from netsim import tables as t
 from netsim.events import schedule
 from netsim.kernel import NEVER_NS
@@ -31,93 +32,93 @@ from netsim.tables import Air, call, draw_backoff
 def push(air: Air, q: int, job: int) -> None:
     """Add a job behind all others of a queue."""
     queue = t.queues(air, q)
-    t.jobs(air, job)[t.NEXT_JOB] = t.NOTHING
-    if queue[t.FIRST] == t.NOTHING:
-        queue[t.FIRST] = job
+    t.jobs(air, job)[c.NEXT_JOB] = c.NOTHING
+    if queue[c.FIRST] == c.NOTHING:
+        queue[c.FIRST] = job
     else:
-        t.jobs(air, queue[t.LAST])[t.NEXT_JOB] = job
-    queue[t.LAST] = job
-    t.stations(air, q // air[t.CATEGORIES])[t.HELD] += 1
+        t.jobs(air, queue[c.LAST])[c.NEXT_JOB] = job
+    queue[c.LAST] = job
+    t.stations(air, q // air[c.CATEGORIES])[c.HELD] += 1
 
 
 @njit(cache=True)
 def give_up(air: Air, q: int, outcome: int) -> None:
     """End the first job of a queue."""
     queue = t.queues(air, q)
-    job = queue[t.FIRST]
-    queue[t.FIRST] = t.jobs(air, job)[t.NEXT_JOB]
-    t.stations(air, q // air[t.CATEGORIES])[t.HELD] -= 1
-    if queue[t.FIRST] == t.NOTHING:
+    job = queue[c.FIRST]
+    queue[c.FIRST] = t.jobs(air, job)[c.NEXT_JOB]
+    t.stations(air, q // air[c.CATEGORIES])[c.HELD] -= 1
+    if queue[c.FIRST] == c.NOTHING:
         unwatch(air, q)
     _tell_done(air, q, job, outcome)
 
 
 @njit(cache=True)
 def _tell_done(air: Air, q: int, job: int, outcome: int) -> None:
-    i = call(air, t.DONE, q // air[t.CATEGORIES], job)
-    t.calls(air, i)[t.CALL_DETAIL] = outcome
-    t.calls(air, i)[t.CALL_SOURCE] = t.NOTHING
+    i = call(air, c.DONE, q // air[c.CATEGORIES], job)
+    t.calls(air, i)[c.CALL_DETAIL] = outcome
+    t.calls(air, i)[c.CALL_SOURCE] = c.NOTHING
 
 
 @njit(cache=True)
 def drop_expired(air: Air, q: int) -> None:
     """End the jobs at the head of a queue whose lifetime is over or that are wanted no more."""
     queue = t.queues(air, q)
-    while queue[t.FIRST] != t.NOTHING:
-        job = t.jobs(air, queue[t.FIRST])
-        if job[t.JOB_EXPIRES] > air[t.NOW] and not job[t.JOB_CANCELLED]:
+    while queue[c.FIRST] != c.NOTHING:
+        job = t.jobs(air, queue[c.FIRST])
+        if job[c.JOB_EXPIRES] > air[c.NOW] and not job[c.JOB_CANCELLED]:
             break
-        give_up(air, q, t.EXPIRED)
+        give_up(air, q, c.EXPIRED)
 
 
 @njit(cache=True)
 def is_full(air: Air, station: int) -> bool:
     """Whether a station can take no frame, those gone whose lifetime is over."""
-    if t.stations(air, station)[t.HELD] >= air[t.QUEUE_FRAMES]:
-        k = air[t.CATEGORIES]
+    if t.stations(air, station)[c.HELD] >= air[c.QUEUE_FRAMES]:
+        k = air[c.CATEGORIES]
         for q in range(station * k, station * k + k):
-            if t.queues(air, q)[t.IN_USE] and q != t.stations(air, station)[t.CURRENT]:
+            if t.queues(air, q)[c.IN_USE] and q != t.stations(air, station)[c.CURRENT]:
                 drop_expired(air, q)
-    return bool(t.stations(air, station)[t.HELD] >= air[t.QUEUE_FRAMES])
+    return bool(t.stations(air, station)[c.HELD] >= air[c.QUEUE_FRAMES])
 
 
 @njit(cache=True)
 def watch(air: Air, q: int, expires_ns: int) -> None:
     """Look for frames whose lifetime is over at that time, which is before any other that is planned."""
-    t.queues(air, q)[t.DEADLINE_AT] = expires_ns
-    t.queues(air, q)[t.DEADLINE] = schedule(air, max(expires_ns, air[t.NOW]), t.ON_DEADLINE, q)
+    t.queues(air, q)[c.DEADLINE_AT] = expires_ns
+    t.queues(air, q)[c.DEADLINE] = schedule(air, max(expires_ns, air[c.NOW]), c.ON_DEADLINE, q)
 
 
 @njit(cache=True)
 def unwatch(air: Air, q: int) -> None:
     """Look no more."""
-    t.queues(air, q)[t.DEADLINE] = 0
-    t.queues(air, q)[t.DEADLINE_AT] = NEVER_NS
+    t.queues(air, q)[c.DEADLINE] = 0
+    t.queues(air, q)[c.DEADLINE_AT] = NEVER_NS
 
 
 @njit(cache=True)
 def on_deadline(air: Air, q: int) -> None:
     """End the frames whose lifetime is over, all but the one that is being exchanged."""
     unwatch(air, q)
-    queue, station = t.queues(air, q), t.stations(air, q // air[t.CATEGORIES])
-    spared = queue[t.FIRST] if station[t.CURRENT] == q else t.NOTHING
+    queue, station = t.queues(air, q), t.stations(air, q // air[c.CATEGORIES])
+    spared = queue[c.FIRST] if station[c.CURRENT] == q else c.NOTHING
     next_ns = NEVER_NS
-    before, job = t.NOTHING, queue[t.FIRST]
-    while job != t.NOTHING:
-        behind, expires_ns = t.jobs(air, job)[t.NEXT_JOB], t.jobs(air, job)[t.JOB_EXPIRES]
-        if expires_ns > air[t.NOW]:
+    before, job = c.NOTHING, queue[c.FIRST]
+    while job != c.NOTHING:
+        behind, expires_ns = t.jobs(air, job)[c.NEXT_JOB], t.jobs(air, job)[c.JOB_EXPIRES]
+        if expires_ns > air[c.NOW]:
             next_ns = min(next_ns, expires_ns)
-        if expires_ns > air[t.NOW] or job == spared:
+        if expires_ns > air[c.NOW] or job == spared:
             before = job
         else:
-            if before == t.NOTHING:
-                queue[t.FIRST] = behind
+            if before == c.NOTHING:
+                queue[c.FIRST] = behind
             else:
-                t.jobs(air, before)[t.NEXT_JOB] = behind
-            station[t.HELD] -= 1
-            _tell_done(air, q, job, t.EXPIRED)
+                t.jobs(air, before)[c.NEXT_JOB] = behind
+            station[c.HELD] -= 1
+            _tell_done(air, q, job, c.EXPIRED)
         job = behind
-    queue[t.LAST] = before
+    queue[c.LAST] = before
     if next_ns < NEVER_NS:
         watch(air, q, next_ns)
 
@@ -129,9 +130,9 @@ def on_deadline(air: Air, q: int) -> None:
 def _back_off(air: Air, q: int) -> None:
     """Draw a new backoff, uniform in 0..CW slots."""
     queue = t.queues(air, q)
-    draw = draw_backoff(air, q // air[t.CATEGORIES])
-    queue[t.BACKOFF] = int(draw * (queue[t.WINDOW] + 1))
-    queue[t.FRESH] = 0
+    draw = draw_backoff(air, q // air[c.CATEGORIES])
+    queue[c.BACKOFF] = int(draw * (queue[c.WINDOW] + 1))
+    queue[c.FRESH] = 0
 
 
 @njit(cache=True)
@@ -140,7 +141,7 @@ def succeeded(air: Air, q: int) -> None:
 
     So after a success, and after a frame was given up at its retry limit (10.3.3).
     """
-    t.queues(air, q)[t.WINDOW] = t.queues(air, q)[t.WINDOW_LEAST]
+    t.queues(air, q)[c.WINDOW] = t.queues(air, q)[c.WINDOW_LEAST]
     _back_off(air, q)
 
 
@@ -150,25 +151,25 @@ def fail(air: Air, q: int) -> None:
 
     The retry limit or the lifetime may end its frame.
     """
-    job = t.queues(air, q)[t.FIRST]
-    t.jobs(air, job)[t.JOB_FAILURES] += 1
-    if t.jobs(air, job)[t.JOB_FAILURES] > t.jobs(air, job)[t.JOB_RETRIES]:
+    job = t.queues(air, q)[c.FIRST]
+    t.jobs(air, job)[c.JOB_FAILURES] += 1
+    if t.jobs(air, job)[c.JOB_FAILURES] > t.jobs(air, job)[c.JOB_RETRIES]:
         succeeded(air, q)
-        give_up(air, q, t.RETRY_LIMIT)
+        give_up(air, q, c.RETRY_LIMIT)
         return
-    t.queues(air, q)[t.WINDOW] = min(2 * t.queues(air, q)[t.WINDOW] + 1, t.queues(air, q)[t.WINDOW_MOST])
+    t.queues(air, q)[c.WINDOW] = min(2 * t.queues(air, q)[c.WINDOW] + 1, t.queues(air, q)[c.WINDOW_MOST])
     _back_off(air, q)
-    if t.jobs(air, job)[t.JOB_EXPIRES] <= air[t.NOW]:
-        give_up(air, q, t.EXPIRED)
+    if t.jobs(air, job)[c.JOB_EXPIRES] <= air[c.NOW]:
+        give_up(air, q, c.EXPIRED)
 
 
 @njit(cache=True)
 def freeze(air: Air, station: int, from_ns: int) -> None:
     """Stop all backoffs, as the medium is sensed busy from then on; an access until then goes ahead."""
-    t.stations(air, station)[t.PLANNED] = 0
-    k = air[t.CATEGORIES]
+    t.stations(air, station)[c.PLANNED] = 0
+    k = air[c.CATEGORIES]
     for q in range(station * k, station * k + k):
-        if t.queues(air, q)[t.IN_USE]:
+        if t.queues(air, q)[c.IN_USE]:
             _freeze_queue(air, q, from_ns)
 
 
@@ -176,18 +177,18 @@ def freeze(air: Air, station: int, from_ns: int) -> None:
 def _freeze_queue(air: Air, q: int, from_ns: int) -> None:
     """Turn the slots that have passed into a smaller backoff."""
     queue = t.queues(air, q)
-    if queue[t.ACCESS]:
-        if queue[t.ACCESS_AT] <= from_ns:
+    if queue[c.ACCESS]:
+        if queue[c.ACCESS_AT] <= from_ns:
             return
-        queue[t.ACCESS] = 0
-        if queue[t.FRESH]:
+        queue[c.ACCESS] = 0
+        if queue[c.FRESH]:
             _back_off(air, q)
-            queue[t.BASE] = NEVER_NS
+            queue[c.BASE] = NEVER_NS
             return
-    if queue[t.BACKOFF] and from_ns >= queue[t.BASE]:
-        passed_slots = (from_ns - queue[t.BASE]) // SLOT_NS + queue[t.AHEAD]
-        queue[t.BACKOFF] = max(0, queue[t.BACKOFF] - passed_slots)
-    queue[t.BASE] = NEVER_NS
+    if queue[c.BACKOFF] and from_ns >= queue[c.BASE]:
+        passed_slots = (from_ns - queue[c.BASE]) // SLOT_NS + queue[c.AHEAD]
+        queue[c.BACKOFF] = max(0, queue[c.BACKOFF] - passed_slots)
+    queue[c.BASE] = NEVER_NS
 
 
 # --- accesses
@@ -196,19 +197,19 @@ def _freeze_queue(air: Air, q: int, from_ns: int) -> None:
 @njit(cache=True)
 def contend(air: Air, station: int, q: int, job: int) -> None:
     """Queue a frame, and plan its access if it is the first."""
-    queue, now = t.queues(air, q), air[t.NOW]
-    queue[t.IN_USE] = 1
-    first = queue[t.FIRST] == t.NOTHING
+    queue, now = t.queues(air, q), air[c.NOW]
+    queue[c.IN_USE] = 1
+    first = queue[c.FIRST] == c.NOTHING
     push(air, q, job)
-    if t.jobs(air, job)[t.JOB_EXPIRES] < queue[t.DEADLINE_AT]:
-        watch(air, q, t.jobs(air, job)[t.JOB_EXPIRES])
-    if not first or t.stations(air, station)[t.CURRENT] == q:
+    if t.jobs(air, job)[c.JOB_EXPIRES] < queue[c.DEADLINE_AT]:
+        watch(air, q, t.jobs(air, job)[c.JOB_EXPIRES])
+    if not first or t.stations(air, station)[c.CURRENT] == q:
         return
     busy = _is_busy(air, station)
-    remaining_ns = queue[t.BACKOFF] * SLOT_NS
-    if remaining_ns == 0 or (not busy and now >= queue[t.BASE] + remaining_ns):
-        queue[t.BACKOFF] = 0
-        queue[t.FRESH] = not busy
+    remaining_ns = queue[c.BACKOFF] * SLOT_NS
+    if remaining_ns == 0 or (not busy and now >= queue[c.BASE] + remaining_ns):
+        queue[c.BACKOFF] = 0
+        queue[c.FRESH] = not busy
         if busy:
             _back_off(air, q)
     resume(air, station)
@@ -216,100 +217,100 @@ def contend(air: Air, station: int, q: int, job: int) -> None:
 
 @njit(cache=True)
 def _is_busy(air: Air, station: int) -> bool:
-    now, row = air[t.NOW], t.stations(air, station)
+    now, row = air[c.NOW], t.stations(air, station)
     return bool(
-        row[t.CURRENT] != t.NOTHING
-        or row[t.BUSY_FROM] + CCA_NS < now < row[t.BUSY_UNTIL]
-        or now < row[t.RESERVED_UNTIL]
-        or now < row[t.SENDING_UNTIL]
+        row[c.CURRENT] != c.NOTHING
+        or row[c.BUSY_FROM] + CCA_NS < now < row[c.BUSY_UNTIL]
+        or now < row[c.RESERVED_UNTIL]
+        or now < row[c.SENDING_UNTIL]
     )
 
 
 @njit(cache=True)
 def resume(air: Air, station: int) -> None:
     """Plan each queue's next access from what is known of the medium; what changes that calls again."""
-    now, row = air[t.NOW], t.stations(air, station)
-    if row[t.CURRENT] != t.NOTHING or row[t.SENDING_UNTIL] > now or row[t.DEAF]:
+    now, row = air[c.NOW], t.stations(air, station)
+    if row[c.CURRENT] != c.NOTHING or row[c.SENDING_UNTIL] > now or row[c.DEAF]:
         return
-    idle_ns = row[t.BUSY_UNTIL]
+    idle_ns = row[c.BUSY_UNTIL]
     unsensed = False
     # what NAV covers holds back no plan, and so no frame that comes meanwhile
-    if idle_ns > now and idle_ns > row[t.RESERVED_UNTIL]:
+    if idle_ns > now and idle_ns > row[c.RESERVED_UNTIL]:
         # a busy period that the station cannot have sensed yet does not hold it back
-        unsensed = now <= row[t.BUSY_FROM] + CCA_NS
+        unsensed = now <= row[c.BUSY_FROM] + CCA_NS
         if not unsensed:
             return
-        idle_ns = row[t.IDLE_BEFORE]
-    idle_ns = max(idle_ns, row[t.SENDING_UNTIL], row[t.RESERVED_UNTIL], row[t.WAIT_UNTIL])
-    if row[t.BROKEN]:
-        idle_ns = max(idle_ns, row[t.BROKEN] + EIFS_EXTRA_NS)
-    row[t.PLANNED] = 1
-    k = air[t.CATEGORIES]
+        idle_ns = row[c.IDLE_BEFORE]
+    idle_ns = max(idle_ns, row[c.SENDING_UNTIL], row[c.RESERVED_UNTIL], row[c.WAIT_UNTIL])
+    if row[c.BROKEN]:
+        idle_ns = max(idle_ns, row[c.BROKEN] + EIFS_EXTRA_NS)
+    row[c.PLANNED] = 1
+    k = air[c.CATEGORIES]
     for q in range(station * k, station * k + k):
         queue = t.queues(air, q)
         # if it is unsensed, the slots before that busy period were counted when it froze the backoff
-        frozen = queue[t.BACKOFF] and queue[t.BASE] == NEVER_NS
-        if queue[t.IN_USE] and not (unsensed and frozen):
-            _plan(air, q, idle_ns + queue[t.AIFS])
+        frozen = queue[c.BACKOFF] and queue[c.BASE] == NEVER_NS
+        if queue[c.IN_USE] and not (unsensed and frozen):
+            _plan(air, q, idle_ns + queue[c.AIFS])
     if unsensed:
-        freeze(air, station, row[t.BUSY_FROM] + CCA_NS)
+        freeze(air, station, row[c.BUSY_FROM] + CCA_NS)
 
 
 @njit(cache=True)
 def _plan(air: Air, q: int, base_ns: int) -> None:
     """Plan one queue's access to a medium that falls or has fallen idle, from ``base_ns`` on."""
     queue = t.queues(air, q)
-    queue[t.BASE] = base_ns
-    if queue[t.FIRST] == t.NOTHING:
+    queue[c.BASE] = base_ns
+    if queue[c.FIRST] == c.NOTHING:
         return
-    access_ns = max(base_ns + queue[t.BACKOFF] * SLOT_NS, air[t.NOW])
-    if not queue[t.ACCESS] or queue[t.ACCESS_AT] != access_ns:
-        queue[t.ACCESS_AT] = access_ns
-        queue[t.ACCESS] = schedule(air, access_ns, t.ON_ACCESS, q)
+    access_ns = max(base_ns + queue[c.BACKOFF] * SLOT_NS, air[c.NOW])
+    if not queue[c.ACCESS] or queue[c.ACCESS_AT] != access_ns:
+        queue[c.ACCESS_AT] = access_ns
+        queue[c.ACCESS] = schedule(air, access_ns, c.ON_ACCESS, q)
 
 
 @njit(cache=True)
 def win(air: Air, q: int) -> int:
-    """Have a queue get the access that it planned; returns the queue that does, or `netsim.tables.NOTHING`.
+    """Have a queue get the access that it planned; returns the queue that does, or `netsim.columns.NOTHING`.
 
     It may be another of the same station, before which it has to stand back.
     """
-    queue, now = t.queues(air, q), air[t.NOW]
-    queue[t.ACCESS] = 0
-    k = air[t.CATEGORIES]
+    queue, now = t.queues(air, q), air[c.NOW]
+    queue[c.ACCESS] = 0
+    k = air[c.CATEGORIES]
     station = q // k
     row = t.stations(air, station)
-    if row[t.CURRENT] != t.NOTHING or row[t.SENDING_UNTIL] > now:
-        queue[t.BASE] = NEVER_NS
-        return t.NOTHING
+    if row[c.CURRENT] != c.NOTHING or row[c.SENDING_UNTIL] > now:
+        queue[c.BASE] = NEVER_NS
+        return c.NOTHING
     drop_expired(air, q)
-    if queue[t.FIRST] == t.NOTHING:
+    if queue[c.FIRST] == c.NOTHING:
         resume(air, station)
-        return t.NOTHING
+        return c.NOTHING
     winner = _collide_inside(air, station, q)
-    row[t.CURRENT] = winner
-    t.queues(air, winner)[t.BACKOFF] = 0
-    t.queues(air, winner)[t.FRESH] = 0
+    row[c.CURRENT] = winner
+    t.queues(air, winner)[c.BACKOFF] = 0
+    t.queues(air, winner)[c.FRESH] = 0
     return winner
 
 
 @njit(cache=True)
 def _collide_inside(air: Air, station: int, q: int) -> int:
     """Of queues that would send at one time the first in priority does; the others have collided."""
-    k = air[t.CATEGORIES]
-    winner = t.NOTHING
+    k = air[c.CATEGORIES]
+    winner = c.NOTHING
     for rival in range(station * k, station * k + k):
         queue = t.queues(air, rival)
-        if rival != q and not (queue[t.ACCESS] and queue[t.ACCESS_AT] <= air[t.NOW]):
+        if rival != q and not (queue[c.ACCESS] and queue[c.ACCESS_AT] <= air[c.NOW]):
             continue
         drop_expired(air, rival)
-        if queue[t.FIRST] == t.NOTHING:
+        if queue[c.FIRST] == c.NOTHING:
             continue
-        queue[t.ACCESS] = 0
-        if winner == t.NOTHING:
+        queue[c.ACCESS] = 0
+        if winner == c.NOTHING:
             winner = rival
-            t.stations(air, station)[t.CURRENT] = winner
+            t.stations(air, station)[c.CURRENT] = winner
         else:
-            queue[t.BASE] = NEVER_NS
+            queue[c.BASE] = NEVER_NS
             fail(air, rival)
     return winner

@@ -7,6 +7,7 @@ in which it happens: what the layers above make of it then comes behind all that
 import numpy as np
 from numba import njit
 
+from netsim import columns as c
 from netsim import tables as t
 from netsim.borrowed import borrowed
 from netsim.events import drop_next, is_off
@@ -19,8 +20,8 @@ from netsim.tables import Air, Integers, end_signal
 
 # Why `run` comes back.
 REACHED, TELLS, WANTS_BUDGET, WANTS_MODE, WANTS_DRAWS, WANTS_ROOM = range(6)
-"""It is through; has calls to be told; lacks the link budget of the station `netsim.tables.WANTED`, which
-sends now; the mode of the next frame of the queue `netsim.tables.DUE`; draws; free rows."""
+"""It is through; has calls to be told; lacks the link budget of the station `netsim.columns.WANTED`, which
+sends now; the mode of the next frame of the queue `netsim.columns.DUE`; draws; free rows."""
 
 
 @njit(cache=True)
@@ -31,7 +32,7 @@ def run(air: Air, fading: Doubles, until_ns: int, until_order: int) -> int:
     """
     air, fading = borrowed(air), borrowed(fading)
     while True:
-        if air[t.DUE] != t.NOTHING:
+        if air[c.DUE] != c.NOTHING:
             lack = _begin_due(air, fading)
         elif _next_is_due(air, until_ns, until_order):
             lack = _run_next(air, fading)
@@ -39,44 +40,44 @@ def run(air: Air, fading: Doubles, until_ns: int, until_order: int) -> int:
             return REACHED
         if lack != REACHED:
             return lack
-        if air[t.CALLS] and air[t.DUE] == t.NOTHING:
+        if air[c.CALLS] and air[c.DUE] == c.NOTHING:
             return TELLS
 
 
 @njit(cache=True)
 def _next_is_due(air: Air, until_ns: int, until_order: int) -> bool:
     """Whether there is an event before a time and an order, those taken back gone."""
-    while air[t.EVENTS] and is_off(air):
+    while air[c.EVENTS] and is_off(air):
         drop_next(air)
-    if not air[t.EVENTS]:
+    if not air[c.EVENTS]:
         return False
     event = t.events(air, 0)
-    return bool(event[t.AT] < until_ns or (event[t.AT] == until_ns and event[t.ORDER] <= until_order))
+    return bool(event[c.AT] < until_ns or (event[c.AT] == until_ns and event[c.ORDER] <= until_order))
 
 
 @njit(cache=True)
 def _run_next(air: Air, fading: Doubles) -> int:
     """Run the next event, unless it lacks something, which is returned."""
     event = t.events(air, 0)
-    what, about = event[t.WHAT], event[t.ABOUT]
-    air[t.NOW] = event[t.AT]
-    if air[t.DRAWS_LOW]:
+    what, about = event[c.WHAT], event[c.ABOUT]
+    air[c.NOW] = event[c.AT]
+    if air[c.DRAWS_LOW]:
         return WANTS_DRAWS
     if (
-        air[t.FREE_SIGNAL] == t.NOTHING
-        or air[t.EVENTS] + spare_events(air) > air[t.EVENT_ROWS]
-        or air[t.RECORDS] == t.RECORD_ROWS
+        air[c.FREE_SIGNAL] == c.NOTHING
+        or air[c.EVENTS] + spare_events(air) > air[c.EVENT_ROWS]
+        or air[c.RECORDS] == c.RECORD_ROWS
     ):
         return WANTS_ROOM
-    if what in (t.SEND_JOB, t.SEND_FRAME):
+    if what in (c.SEND_JOB, c.SEND_FRAME):
         sender = mac.sender(air, what, about)
-        if sender == t.NOTHING:
+        if sender == c.NOTHING:
             drop_next(air)
             return REACHED
         if _lacks_budget(air, sender):
             return WANTS_BUDGET
-    first, second = event[t.FURTHER], event[t.FURTHER + 1]
-    third, fourth = event[t.FURTHER + 2], event[t.FURTHER + 3]
+    first, second = event[c.FURTHER], event[c.FURTHER + 1]
+    third, fourth = event[c.FURTHER + 2], event[c.FURTHER + 3]
     drop_next(air)
     _act(air, fading, what, about, first, second, third, fourth)
     return REACHED
@@ -85,16 +86,16 @@ def _run_next(air: Air, fading: Doubles) -> int:
 @njit(cache=True)
 def _begin_due(air: Air, fading: Doubles) -> int:
     """Begin the exchange that is due, unless it lacks something, which is returned."""
-    q = air[t.DUE]
+    q = air[c.DUE]
     if mac.lacks_mode(air, q):
         return WANTS_MODE
     if mac.has_time(air, q):
-        if _lacks_budget(air, q // air[t.CATEGORIES]):
+        if _lacks_budget(air, q // air[c.CATEGORIES]):
             return WANTS_BUDGET
         mac.begin(air, fading, q)
     else:
         mac.leave(air, q)
-    air[t.DUE] = t.NOTHING
+    air[c.DUE] = c.NOTHING
     return REACHED
 
 
@@ -104,14 +105,14 @@ def _lacks_budget(air: Air, sender: int) -> bool:
 
     It holds for a while from then on, so it is never asked for ahead, nor for what may come to nothing.
     """
-    air[t.WANTED] = sender
-    return bool(air[t.NOW] > t.budgets(air, sender)[t.BUDGET_UNTIL])
+    air[c.WANTED] = sender
+    return bool(air[c.NOW] > t.budgets(air, sender)[c.BUDGET_UNTIL])
 
 
 @njit(cache=True)
 def spare_events(air: Air) -> int:
     """Events that one event schedules at most: an access and a deadline of every queue, an answer."""
-    return int(air[t.STATIONS] * (2 * air[t.CATEGORIES] + 2) + 8)
+    return int(air[c.STATIONS] * (2 * air[c.CATEGORIES] + 2) + 8)
 
 
 @njit(cache=True)
@@ -119,46 +120,46 @@ def _act(
     air: Air, fading: Doubles, what: int, about: int, first: int, second: int, third: int, fourth: int
 ) -> None:
     """Do what an event is."""
-    if what == t.END_FRAME:
+    if what == c.END_FRAME:
         _end_frame(air, about)
-    elif what == t.DETECT:
+    elif what == c.DETECT:
         medium.find(air, about)
-    elif what == t.ON_ACCESS:
+    elif what == c.ON_ACCESS:
         mac.on_access(air, about)
-    elif what == t.SEND_FRAME:
+    elif what == c.SEND_FRAME:
         mac.send_frame(air, fading, about, first, second, third, fourth)
-    elif what == t.SEND_JOB:
+    elif what == c.SEND_JOB:
         mac.send_job(air, fading, about)
-    elif what == t.START_EXCHANGE:
+    elif what == c.START_EXCHANGE:
         mac.have_due(air, about)
-    elif what == t.ON_TIMEOUT:
+    elif what == c.ON_TIMEOUT:
         mac.on_timeout(air, about)
-    elif what == t.ON_DEADLINE:
+    elif what == c.ON_DEADLINE:
         on_deadline(air, about)
-    elif what == t.LOOK_FOR_UNUSED:
+    elif what == c.LOOK_FOR_UNUSED:
         medium.look_for_unused(air, about)
-    elif what == t.ON_UNUSED:
+    elif what == c.ON_UNUSED:
         if medium.drop_reservation(air, about, first, second):
             mac.on_unused(air, about)
-    elif what == t.END_BURST:
+    elif what == c.END_BURST:
         medium.end_burst(air, about)
-        for r in range(air[t.STATIONS]):
+        for r in range(air[c.STATIONS]):
             mac.on_air_changed(air, r)
 
 
 @njit(cache=True)
 def _end_frame(air: Air, frame: int) -> None:
     medium.settle(air, frame)
-    if t.signals(air, frame)[t.TO] == GROUP:
+    if t.signals(air, frame)[c.TO] == GROUP:
         mac.hand_up_to_all(air, frame)
-    for r in range(air[t.STATIONS]):
-        if t.ends(air, t.FATES)[r] != t.ABSENT:
+    for r in range(air[c.STATIONS]):
+        if t.ends(air, c.FATES)[r] != c.ABSENT:
             mac.on_end(air, frame, r)
     medium.conclude(air, frame)
     mac.on_sent(air, frame)
-    if air[t.OBSERVED]:
-        t.call(air, t.FRAME_ENDED, t.signals(air, frame)[t.SOURCE], t.signals(air, frame)[t.JOB])
-        air[t.ENDED] = frame
+    if air[c.OBSERVED]:
+        t.call(air, c.FRAME_ENDED, t.signals(air, frame)[c.SOURCE], t.signals(air, frame)[c.JOB])
+        air[c.ENDED] = frame
     else:
         end_signal(air, frame)
 
@@ -167,9 +168,29 @@ def _end_frame(air: Air, frame: int) -> None:
 
 
 @njit(cache=True)
-def enqueue(air: Air, station: int, q: int, job: int) -> bool:
-    """Have a station take a job, which is a row of jobs; False if its queues are full or it is silent."""
-    if t.stations(air, station)[t.DEAF] or is_full(air, station):
+def enqueue(
+    air: Air,
+    q: int,
+    job: int,
+    kind: int,
+    to: int,
+    mode: int,
+    frame_bytes: int,
+    expires_ns: int,
+    retries: int,
+    rts: int,
+    adapts: int,
+    seq: int,
+    cancelled: int,
+) -> bool:
+    """Have a queue take a job, a free row of jobs; False if its station's queues are full or it is silent."""
+    row = t.jobs(air, job)
+    row[:] = 0
+    row[c.NEXT_JOB], row[c.JOB_KIND], row[c.JOB_TO], row[c.JOB_MODE] = c.NOTHING, kind, to, mode
+    row[c.JOB_BYTES], row[c.JOB_EXPIRES], row[c.JOB_RETRIES] = frame_bytes, expires_ns, retries
+    row[c.JOB_RTS], row[c.JOB_ADAPTS], row[c.JOB_SEQ], row[c.JOB_CANCELLED] = rts, adapts, seq, cancelled
+    station = q // air[c.CATEGORIES]
+    if t.stations(air, station)[c.DEAF] or is_full(air, station):
         return False
     contend(air, station, q, job)
     return True
@@ -196,7 +217,7 @@ def release(air: Air, frame: int) -> None:
 @njit(cache=True)
 def surveyed_ns(air: Air, at_ns: int) -> Integers:
     """Time up to ``at_ns``, which is now, for which each station, (n,), sensed the medium busy or sent."""
-    busy_ns = np.empty(air[t.STATIONS], np.int64)
+    busy_ns = np.empty(air[c.STATIONS], np.int64)
     for r in range(len(busy_ns)):
         busy_ns[r] = sensing.surveyed_ns(t.stations(air, r), at_ns)
     return busy_ns
@@ -205,8 +226,8 @@ def surveyed_ns(air: Air, at_ns: int) -> Integers:
 @njit(cache=True)
 def next_ns(air: Air, never_ns: int) -> int:
     """Time of the next event, or ``never_ns``."""
-    while air[t.EVENTS]:
+    while air[c.EVENTS]:
         if not is_off(air):
-            return int(t.events(air, 0)[t.AT])
+            return int(t.events(air, 0)[c.AT])
         drop_next(air)
     return never_ns

@@ -19,13 +19,15 @@ The functions are compiled and work on `netsim.tables.Air`.
 
 from numba import njit
 
+from netsim import columns as c
 from netsim import tables as t
 from netsim.events import schedule
 from netsim.frames import ACK_BYTES, CTS_BYTES, GROUP, RTS_BYTES
 from netsim.mac.access import CCA_NS, SIFS_NS, SLOT_NS
+from netsim.mac.airtime import answer_ns, cts_ns, data_ns, duration_ns, exchange_ns
 from netsim.mac.channel import drop_expired, fail, freeze, give_up, resume, succeeded, unwatch, win
 from netsim.phy import medium
-from netsim.phy.modes import NON_HT_PREAMBLE_NS, SERVICE_AND_TAIL_BITS, SYMBOL_NS, VHT_DELIMITER_BYTES
+from netsim.phy.modes import NON_HT_PREAMBLE_NS
 from netsim.phy.path_loss import Doubles
 from netsim.tables import Air, call, take_signal
 
@@ -38,70 +40,28 @@ HEARD_WITHIN_NS = 1_000_000_000
 IDLE, AWAITING_CTS, SENDING, AWAITING_ACK = range(4)
 
 
-# --- how long frames take
-
-
-@njit(cache=True)
-def duration_ns(air: Air, mode: int, frame_bytes: int) -> int:
-    """Air time of a frame: see `netsim.phy.modes.PhyMode.duration_ns`."""
-    length = frame_bytes + VHT_DELIMITER_BYTES * t.modes(air, mode)[t.VHT]
-    symbols = -(-(SERVICE_AND_TAIL_BITS + 8 * length) // t.modes(air, mode)[t.BITS_PER_SYMBOL])
-    return int(t.modes(air, mode)[t.PREAMBLE] + SYMBOL_NS * symbols)
-
-
-@njit(cache=True)
-def _answer_ns(air: Air, job: int) -> int:
-    """Time from the end of a job's frame to the end of its ACK."""
-    if t.jobs(air, job)[t.JOB_TO] == GROUP:
-        return 0
-    mode = t.modes(air, t.jobs(air, job)[t.JOB_MODE])[t.RESPONSE_MODE]
-    return int(SIFS_NS + duration_ns(air, mode, ACK_BYTES))
-
-
-@njit(cache=True)
-def _data_ns(air: Air, job: int) -> int:
-    """Time from the beginning of a job's frame to the end of its ACK."""
-    mode, frame_bytes = t.jobs(air, job)[t.JOB_MODE], t.jobs(air, job)[t.JOB_BYTES]
-    return duration_ns(air, mode, frame_bytes) + _answer_ns(air, job)
-
-
-@njit(cache=True)
-def _cts_ns(air: Air) -> int:
-    mode = t.modes(air, air[t.CONTROL_MODE])[t.RESPONSE_MODE]
-    return duration_ns(air, mode, CTS_BYTES)
-
-
-@njit(cache=True)
-def _exchange_ns(air: Air, job: int) -> int:
-    """Time that the exchange of a job takes from its RTS or its frame on."""
-    if not t.jobs(air, job)[t.JOB_RTS]:
-        return _data_ns(air, job)
-    rts_ns = duration_ns(air, air[t.CONTROL_MODE], RTS_BYTES)
-    return rts_ns + SIFS_NS + _cts_ns(air) + SIFS_NS + _data_ns(air, job)
-
-
 # --- the own exchange
 
 
 @njit(cache=True)
 def sender(air: Air, what: int, about: int) -> int:
-    """Give the station that sends at an event now; `netsim.tables.NOTHING` if it cannot any more.
+    """Give the station that sends at an event now; `netsim.columns.NOTHING` if it cannot any more.
 
     The event is the frame itself of an exchange, or one that is nobody's job. Since it was planned a station
     may have given up the one, and fallen silent or begun to send another instead of the other.
     """
-    if what == t.SEND_JOB:
-        return about // air[t.CATEGORIES] if _may_send(air, about) else t.NOTHING
+    if what == c.SEND_JOB:
+        return about // air[c.CATEGORIES] if _may_send(air, about) else c.NOTHING
     row = t.stations(air, about)
-    return t.NOTHING if row[t.DEAF] or row[t.SENDING_UNTIL] > air[t.NOW] else about
+    return c.NOTHING if row[c.DEAF] or row[c.SENDING_UNTIL] > air[c.NOW] else about
 
 
 @njit(cache=True)
 def on_access(air: Air, q: int) -> None:
     """Have the exchange of the queue that gets the access which ``q`` has planned be due."""
     winner = win(air, q)
-    if winner != t.NOTHING:
-        t.stations(air, winner // air[t.CATEGORIES])[t.TXOP_END] = air[t.NOW] + t.queues(air, winner)[t.TXOP]
+    if winner != c.NOTHING:
+        t.stations(air, winner // air[c.CATEGORIES])[c.TXOP_END] = air[c.NOW] + t.queues(air, winner)[c.TXOP]
         have_due(air, winner)
 
 
@@ -109,19 +69,19 @@ def on_access(air: Air, q: int) -> None:
 def have_due(air: Air, q: int) -> None:
     """Have the exchange of a queue's first job begin now, if the queue may still send and has one."""
     if _may_send(air, q):
-        air[t.DUE], air[t.CHOSEN] = q, 0
+        air[c.DUE], air[c.CHOSEN] = q, 0
 
 
 @njit(cache=True)
 def _may_send(air: Air, q: int) -> bool:
-    may = t.stations(air, q // air[t.CATEGORIES])[t.CURRENT] == q
-    return bool(may and t.queues(air, q)[t.FIRST] != t.NOTHING)
+    may = t.stations(air, q // air[c.CATEGORIES])[c.CURRENT] == q
+    return bool(may and t.queues(air, q)[c.FIRST] != c.NOTHING)
 
 
 @njit(cache=True)
 def lacks_mode(air: Air, q: int) -> bool:
     """Whether the mode of a queue's next frame has to be chosen before its exchange begins."""
-    return bool(t.jobs(air, t.queues(air, q)[t.FIRST])[t.JOB_ADAPTS] and not air[t.CHOSEN])
+    return bool(t.jobs(air, t.queues(air, q)[c.FIRST])[c.JOB_ADAPTS] and not air[c.CHOSEN])
 
 
 @njit(cache=True)
@@ -131,61 +91,61 @@ def has_time(air: Air, q: int) -> bool:
     In a mode that has been chosen just now it may not end within the TXOP any more: then it has to wait for
     its own.
     """
-    txop_end_ns, queue = t.stations(air, q // air[t.CATEGORIES])[t.TXOP_END], t.queues(air, q)
-    goes_on = air[t.NOW] > txop_end_ns - queue[t.TXOP]  # the TXOP has begun before
-    late = air[t.CHOSEN] and goes_on and air[t.NOW] + _exchange_ns(air, queue[t.FIRST]) > txop_end_ns
+    txop_end_ns, queue = t.stations(air, q // air[c.CATEGORIES])[c.TXOP_END], t.queues(air, q)
+    goes_on = air[c.NOW] > txop_end_ns - queue[c.TXOP]  # the TXOP has begun before
+    late = air[c.CHOSEN] and goes_on and air[c.NOW] + exchange_ns(air, queue[c.FIRST]) > txop_end_ns
     return not late
 
 
 @njit(cache=True)
 def begin(air: Air, fading: Doubles, q: int) -> None:
     """Begin the exchange of a queue's first job: see `lacks_mode` and `has_time`."""
-    station, job = q // air[t.CATEGORIES], t.queues(air, q)[t.FIRST]
-    target = _rts_target(air, station, job) if t.jobs(air, job)[t.JOB_RTS] else t.NOTHING
-    if target == t.NOTHING:
+    station, job = q // air[c.CATEGORIES], t.queues(air, q)[c.FIRST]
+    target = _rts_target(air, station, job) if t.jobs(air, job)[c.JOB_RTS] else c.NOTHING
+    if target == c.NOTHING:
         send_job(air, fading, q)
         return
-    t.stations(air, station)[t.PHASE] = AWAITING_CTS
-    rts = _frame(air, t.RTS, station, target, air[t.CONTROL_MODE], RTS_BYTES)
-    cts_ns = _cts_ns(air)
-    t.signals(air, rts)[t.NAV] = SIFS_NS + cts_ns + SIFS_NS + _data_ns(air, job)
-    t.signals(air, rts)[t.LAPSE] = 2 * SIFS_NS + cts_ns + NON_HT_PREAMBLE_NS + 2 * SLOT_NS
+    t.stations(air, station)[c.PHASE] = AWAITING_CTS
+    rts = _frame(air, c.RTS, station, target, air[c.CONTROL_MODE], RTS_BYTES)
+    answered_ns = SIFS_NS + cts_ns(air)
+    t.signals(air, rts)[c.NAV] = answered_ns + SIFS_NS + data_ns(air, job)
+    t.signals(air, rts)[c.LAPSE] = answered_ns + SIFS_NS + NON_HT_PREAMBLE_NS + 2 * SLOT_NS
     _send(air, fading, rts)
     _await_answer(air, station, rts)
 
 
 @njit(cache=True)
 def _rts_target(air: Air, station: int, job: int) -> int:
-    if t.jobs(air, job)[t.JOB_TO] != GROUP:
-        return int(t.jobs(air, job)[t.JOB_TO])
-    oldest_ns = air[t.NOW] - HEARD_WITHIN_NS
-    return medium.loudest(air, station, oldest_ns, t.jobs(air, job)[t.JOB_FAILURES])
+    if t.jobs(air, job)[c.JOB_TO] != GROUP:
+        return int(t.jobs(air, job)[c.JOB_TO])
+    oldest_ns = air[c.NOW] - HEARD_WITHIN_NS
+    return medium.loudest(air, station, oldest_ns, t.jobs(air, job)[c.JOB_FAILURES])
 
 
 @njit(cache=True)
 def send_job(air: Air, fading: Doubles, q: int) -> None:
     """Send the frame itself of a queue's exchange, which may send: see `sender`."""
-    station = q // air[t.CATEGORIES]
+    station = q // air[c.CATEGORIES]
     row, queue = t.stations(air, station), t.queues(air, q)
-    which = queue[t.FIRST]
+    which = queue[c.FIRST]
     job = t.jobs(air, which)
-    if job[t.JOB_ATTEMPTS] == 0:
-        row[t.SEQUENCE] += 1
-        job[t.JOB_SEQUENCE] = row[t.SEQUENCE]
-    nav_ns = _answer_ns(air, which)
-    if queue[t.TXOP] and job[t.NEXT_JOB] != t.NOTHING:
-        next_ns = SIFS_NS + _exchange_ns(air, job[t.NEXT_JOB])
-        if air[t.NOW] + _data_ns(air, which) + next_ns <= row[t.TXOP_END]:
+    if job[c.JOB_ATTEMPTS] == 0:
+        row[c.SEQUENCE] += 1
+        job[c.JOB_SEQUENCE] = row[c.SEQUENCE]
+    nav_ns = answer_ns(air, which)
+    if queue[c.TXOP] and job[c.NEXT_JOB] != c.NOTHING:
+        next_ns = SIFS_NS + exchange_ns(air, job[c.NEXT_JOB])
+        if air[c.NOW] + data_ns(air, which) + next_ns <= row[c.TXOP_END]:
             nav_ns += next_ns
-    frame = _frame(air, job[t.JOB_KIND], station, job[t.JOB_TO], job[t.JOB_MODE], job[t.JOB_BYTES])
+    frame = _frame(air, job[c.JOB_KIND], station, job[c.JOB_TO], job[c.JOB_MODE], job[c.JOB_BYTES])
     sent = t.signals(air, frame)
-    sent[t.NAV] = nav_ns
-    sent[t.SEQ], sent[t.FRAME_SEQUENCE], sent[t.JOB] = job[t.JOB_SEQ], job[t.JOB_SEQUENCE], which
-    job[t.JOB_ATTEMPTS] += 1
-    job[t.JOB_SENT_AT] = air[t.NOW]
-    row[t.PHASE] = SENDING if job[t.JOB_TO] == GROUP else AWAITING_ACK
+    sent[c.NAV] = nav_ns
+    sent[c.SEQ], sent[c.FRAME_SEQUENCE], sent[c.JOB] = job[c.JOB_SEQ], job[c.JOB_SEQUENCE], which
+    job[c.JOB_ATTEMPTS] += 1
+    job[c.JOB_SENT_AT] = air[c.NOW]
+    row[c.PHASE] = SENDING if job[c.JOB_TO] == GROUP else AWAITING_ACK
     _send(air, fading, frame)
-    if job[t.JOB_TO] != GROUP:
+    if job[c.JOB_TO] != GROUP:
         _await_answer(air, station, frame)
 
 
@@ -194,60 +154,60 @@ def _frame(air: Air, kind: int, source: int, to: int, mode: int, frame_bytes: in
     """Make a frame that begins now, with what all have."""
     row = take_signal(air)
     frame = t.signals(air, row)
-    frame[t.SOURCE], frame[t.TO], frame[t.KIND] = source, to, kind
-    frame[t.MODE], frame[t.BYTES] = mode, frame_bytes
-    frame[t.START] = air[t.NOW]
-    frame[t.END] = frame[t.START] + duration_ns(air, mode, frame_bytes)
-    frame[t.NAV] = frame[t.LAPSE] = frame[t.SEQ] = frame[t.FRAME_SEQUENCE] = 0
-    frame[t.JOB] = t.NOTHING
+    frame[c.SOURCE], frame[c.TO], frame[c.KIND] = source, to, kind
+    frame[c.MODE], frame[c.BYTES] = mode, frame_bytes
+    frame[c.START] = air[c.NOW]
+    frame[c.END] = frame[c.START] + duration_ns(air, mode, frame_bytes)
+    frame[c.NAV] = frame[c.LAPSE] = frame[c.SEQ] = frame[c.FRAME_SEQUENCE] = 0
+    frame[c.JOB] = c.NOTHING
     return row
 
 
 @njit(cache=True)
 def _send(air: Air, fading: Doubles, frame: int) -> None:
-    freeze(air, t.signals(air, frame)[t.SOURCE], air[t.NOW])
+    freeze(air, t.signals(air, frame)[c.SOURCE], air[c.NOW])
     on_busy(air, frame, medium.start(air, fading, frame))
 
 
 @njit(cache=True)
 def on_busy(air: Air, signal: int, count: int) -> None:
     """Have those freeze their backoffs to whom the medium falls busy with a signal: the first of ``told``."""
-    for r in t.ends(air, t.TOLD)[:count]:
-        if t.stations(air, r)[t.PLANNED]:
-            freeze(air, r, t.signals(air, signal)[t.START] + t.delays_ns(air, signal)[r] + CCA_NS)
+    for r in t.ends(air, c.TOLD)[:count]:
+        if t.stations(air, r)[c.PLANNED]:
+            freeze(air, r, t.signals(air, signal)[c.START] + t.delays_ns(air, signal)[r] + CCA_NS)
 
 
 @njit(cache=True)
 def _await_answer(air: Air, station: int, frame: int) -> None:
-    t.stations(air, station)[t.TIMED_OUT] = 0
-    at_ns = t.signals(air, frame)[t.END] + RESPONSE_TIMEOUT_NS
-    t.stations(air, station)[t.TIMEOUT] = schedule(air, at_ns, t.ON_TIMEOUT, station)
+    t.stations(air, station)[c.TIMED_OUT] = 0
+    at_ns = t.signals(air, frame)[c.END] + RESPONSE_TIMEOUT_NS
+    t.stations(air, station)[c.TIMEOUT] = schedule(air, at_ns, c.ON_TIMEOUT, station)
 
 
 @njit(cache=True)
 def _stop_waiting(air: Air, station: int) -> None:
-    t.stations(air, station)[t.TIMED_OUT] = 0
-    t.stations(air, station)[t.TIMEOUT] = 0
+    t.stations(air, station)[c.TIMED_OUT] = 0
+    t.stations(air, station)[c.TIMEOUT] = 0
 
 
 @njit(cache=True)
 def _succeed(air: Air, station: int, outcome: int, end_ns: int) -> None:
     """End the exchange at ``end_ns``, and begin the next one of the same TXOP if it fits."""
-    q = t.stations(air, station)[t.CURRENT]
-    if q == t.NOTHING:
+    q = t.stations(air, station)[c.CURRENT]
+    if q == c.NOTHING:
         return
     _stop_waiting(air, station)
     give_up(air, q, outcome)
-    if not (t.queues(air, q)[t.TXOP] and _goes_on(air, station, q, end_ns + SIFS_NS)):
+    if not (t.queues(air, q)[c.TXOP] and _goes_on(air, station, q, end_ns + SIFS_NS)):
         leave(air, q)
 
 
 @njit(cache=True)
 def leave(air: Air, q: int) -> None:
     """Let others contend after a success."""
-    station = q // air[t.CATEGORIES]
-    t.stations(air, station)[t.CURRENT] = t.NOTHING
-    t.stations(air, station)[t.PHASE] = IDLE
+    station = q // air[c.CATEGORIES]
+    t.stations(air, station)[c.CURRENT] = c.NOTHING
+    t.stations(air, station)[c.PHASE] = IDLE
     succeeded(air, q)
     resume(air, station)
 
@@ -256,35 +216,35 @@ def leave(air: Air, q: int) -> None:
 def _goes_on(air: Air, station: int, q: int, start_ns: int) -> bool:
     """Have the next exchange of a TXOP begin at ``start_ns`` if there is one and it ends within the limit."""
     queue = t.queues(air, q)
-    queue[t.WINDOW] = queue[t.WINDOW_LEAST]
+    queue[c.WINDOW] = queue[c.WINDOW_LEAST]
     drop_expired(air, q)
-    job = queue[t.FIRST]
-    if job == t.NOTHING:
+    job = queue[c.FIRST]
+    if job == c.NOTHING:
         return False
     # what has no mode yet is looked at when it has one
     if (
-        not t.jobs(air, job)[t.JOB_ADAPTS]
-        and start_ns + _exchange_ns(air, job) > t.stations(air, station)[t.TXOP_END]
+        not t.jobs(air, job)[c.JOB_ADAPTS]
+        and start_ns + exchange_ns(air, job) > t.stations(air, station)[c.TXOP_END]
     ):
         return False
-    t.stations(air, station)[t.PHASE] = SENDING
-    schedule(air, start_ns, t.START_EXCHANGE, q)
+    t.stations(air, station)[c.PHASE] = SENDING
+    schedule(air, start_ns, c.START_EXCHANGE, q)
     return True
 
 
 @njit(cache=True)
 def _fail_exchange(air: Air, station: int) -> None:
     row = t.stations(air, station)
-    q = row[t.CURRENT]
-    if q == t.NOTHING:
+    q = row[c.CURRENT]
+    if q == c.NOTHING:
         return
-    job = t.queues(air, q)[t.FIRST]
-    if row[t.PHASE] == AWAITING_ACK and t.jobs(air, job)[t.JOB_ADAPTS]:
-        call(air, t.FAILED, station, job)
+    job = t.queues(air, q)[c.FIRST]
+    if row[c.PHASE] == AWAITING_ACK and t.jobs(air, job)[c.JOB_ADAPTS]:
+        call(air, c.FAILED, station, job)
     _stop_waiting(air, station)
-    row[t.CURRENT] = t.NOTHING
-    row[t.PHASE] = IDLE
-    row[t.WAIT_UNTIL] = air[t.NOW]
+    row[c.CURRENT] = c.NOTHING
+    row[c.PHASE] = IDLE
+    row[c.WAIT_UNTIL] = air[c.NOW]
     fail(air, q)
     resume(air, station)
 
@@ -292,10 +252,10 @@ def _fail_exchange(air: Air, station: int) -> None:
 @njit(cache=True)
 def on_timeout(air: Air, station: int) -> None:
     """Have an exchange fail whose answer has not begun in time."""
-    t.stations(air, station)[t.TIMEOUT] = 0
-    if t.stations(air, station)[t.LOCK] != t.NOTHING:
+    t.stations(air, station)[c.TIMEOUT] = 0
+    if t.stations(air, station)[c.LOCK] != c.NOTHING:
         # a frame has begun in time: whether it is the answer shows at its end
-        t.stations(air, station)[t.TIMED_OUT] = 1
+        t.stations(air, station)[c.TIMED_OUT] = 1
     else:
         _fail_exchange(air, station)
 
@@ -306,12 +266,12 @@ def on_timeout(air: Air, station: int) -> None:
 @njit(cache=True)
 def on_end(air: Air, frame: int, station: int) -> None:
     """Have a station act on a frame that has ended, of which the medium knows what has become."""
-    row, fate = t.stations(air, station), t.ends(air, t.FATES)[station]
-    if t.ends(air, t.UPSETS)[station] and row[t.PLANNED]:
-        freeze(air, station, air[t.NOW])
-    if fate == t.RECEIVED and t.signals(air, frame)[t.TO] == station:
+    row, fate = t.stations(air, station), t.ends(air, c.FATES)[station]
+    if t.ends(air, c.UPSETS)[station] and row[c.PLANNED]:
+        freeze(air, station, air[c.NOW])
+    if fate == c.RECEIVED and t.signals(air, frame)[c.TO] == station:
         _receive_own(air, frame, station)
-    if fate != t.MISSED and row[t.TIMED_OUT]:
+    if fate != c.MISSED and row[c.TIMED_OUT]:
         _fail_exchange(air, station)
     on_air_changed(air, station)
 
@@ -319,26 +279,26 @@ def on_end(air: Air, frame: int, station: int) -> None:
 @njit(cache=True)
 def on_air_changed(air: Air, station: int) -> None:
     """Have a station that has no plan make one, if it can."""
-    if not t.stations(air, station)[t.PLANNED]:
+    if not t.stations(air, station)[c.PLANNED]:
         resume(air, station)
 
 
 @njit(cache=True)
 def on_unused(air: Air, station: int) -> None:
     """Have a station make its plan anew after a reservation has fallen."""
-    if t.stations(air, station)[t.PLANNED]:
-        freeze(air, station, air[t.NOW])
+    if t.stations(air, station)[c.PLANNED]:
+        freeze(air, station, air[c.NOW])
     resume(air, station)
 
 
 @njit(cache=True)
 def on_sent(air: Air, frame: int) -> None:
     """Have a station go on whose frame has ended everywhere."""
-    station = t.signals(air, frame)[t.SOURCE]
+    station = t.signals(air, frame)[c.SOURCE]
     row = t.stations(air, station)
-    if row[t.PHASE] == SENDING and t.signals(air, frame)[t.KIND] not in (t.CTS, t.ACK):
-        _succeed(air, station, t.SENT, t.signals(air, frame)[t.END])
-    elif row[t.TIMED_OUT] and row[t.LOCK] == t.NOTHING:
+    if row[c.PHASE] == SENDING and t.signals(air, frame)[c.KIND] not in (c.CTS, c.ACK):
+        _succeed(air, station, c.SENT, t.signals(air, frame)[c.END])
+    elif row[c.TIMED_OUT] and row[c.LOCK] == c.NOTHING:
         # to answer somebody it has given up the frame that might have been its own answer
         _fail_exchange(air, station)
     else:
@@ -347,53 +307,53 @@ def on_sent(air: Air, frame: int) -> None:
 
 @njit(cache=True)
 def _receive_own(air: Air, frame: int, station: int) -> None:
-    row, kind = t.stations(air, station), t.signals(air, frame)[t.KIND]
-    source = t.signals(air, frame)[t.SOURCE]
-    end_ns = t.signals(air, frame)[t.END] + t.delays_ns(air, frame)[station]
-    if kind == t.CTS:
-        if row[t.PHASE] == AWAITING_CTS and row[t.CURRENT] != t.NOTHING:
+    row, kind = t.stations(air, station), t.signals(air, frame)[c.KIND]
+    source = t.signals(air, frame)[c.SOURCE]
+    end_ns = t.signals(air, frame)[c.END] + t.delays_ns(air, frame)[station]
+    if kind == c.CTS:
+        if row[c.PHASE] == AWAITING_CTS and row[c.CURRENT] != c.NOTHING:
             _stop_waiting(air, station)
-            row[t.PHASE] = SENDING
-            schedule(air, end_ns + SIFS_NS, t.SEND_JOB, row[t.CURRENT])
-    elif kind == t.ACK:
-        if row[t.PHASE] == AWAITING_ACK and row[t.CURRENT] != t.NOTHING:
-            done = air[t.CALLS]
-            _succeed(air, station, t.ACKNOWLEDGED, end_ns)
-            t.calls(air, done)[t.CALL_SOURCE] = source
-            t.calls(air, done)[t.CALL_START] = t.signals(air, frame)[t.START]
-            t.calls(air, done)[t.CALL_END] = end_ns
+            row[c.PHASE] = SENDING
+            schedule(air, end_ns + SIFS_NS, c.SEND_JOB, row[c.CURRENT])
+    elif kind == c.ACK:
+        if row[c.PHASE] == AWAITING_ACK and row[c.CURRENT] != c.NOTHING:
+            done = air[c.CALLS]
+            _succeed(air, station, c.ACKNOWLEDGED, end_ns)
+            t.calls(air, done)[c.CALL_SOURCE] = source
+            t.calls(air, done)[c.CALL_START] = t.signals(air, frame)[c.START]
+            t.calls(air, done)[c.CALL_END] = end_ns
             t.calls_mw(air, done)[0] = t.powers_mw(air, frame)[station]
-    elif kind == t.RTS:
+    elif kind == c.RTS:
         # NAV holds back the answer, unless it is the same station that set it (10.22.2.4)
-        free = row[t.RESERVED_UNTIL] <= end_ns or row[t.RESERVED_BY] == source
-        if free and row[t.CURRENT] == t.NOTHING:
+        free = row[c.RESERVED_UNTIL] <= end_ns or row[c.RESERVED_BY] == source
+        if free and row[c.CURRENT] == c.NOTHING:
             _answer(air, frame, end_ns, station)
     else:
         _answer(air, frame, end_ns, station)
-        sequence = t.signals(air, frame)[t.FRAME_SEQUENCE]
-        again = t.last_sequences(air, station)[source * t.KINDS + kind] == sequence
-        t.last_sequences(air, station)[source * t.KINDS + kind] = sequence
+        sequence = t.signals(air, frame)[c.FRAME_SEQUENCE]
+        again = t.last_sequences(air, station)[source * c.KINDS + kind] == sequence
+        t.last_sequences(air, station)[source * c.KINDS + kind] = sequence
         _hand_up(air, frame, station, int(again))
 
 
 @njit(cache=True)
 def hand_up_to_all(air: Air, frame: int) -> None:
     """Have whoever is above the MACs told of a frame to all that has ended, if anybody has received it."""
-    for fate in t.ends(air, t.FATES):
-        if fate == t.RECEIVED:
-            i = call(air, t.GROUP_FRAME, t.NOTHING, t.signals(air, frame)[t.JOB])
-            t.calls(air, i)[t.CALL_DETAIL] = frame
+    for fate in t.ends(air, c.FATES):
+        if fate == c.RECEIVED:
+            i = call(air, c.GROUP_FRAME, c.NOTHING, t.signals(air, frame)[c.JOB])
+            t.calls(air, i)[c.CALL_DETAIL] = frame
             return
 
 
 @njit(cache=True)
 def _hand_up(air: Air, frame: int, station: int, again: int) -> None:
     """Have whoever is above the MAC told of a frame; ``again`` is 1 if it has been received before."""
-    i = call(air, t.FRAME, station, t.signals(air, frame)[t.JOB])
-    t.calls(air, i)[t.CALL_DETAIL] = again
-    t.calls(air, i)[t.CALL_SOURCE] = t.signals(air, frame)[t.SOURCE]
-    t.calls(air, i)[t.CALL_START] = t.signals(air, frame)[t.START]
-    t.calls(air, i)[t.CALL_END] = t.signals(air, frame)[t.END] + t.delays_ns(air, frame)[station]
+    i = call(air, c.FRAME, station, t.signals(air, frame)[c.JOB])
+    t.calls(air, i)[c.CALL_DETAIL] = again
+    t.calls(air, i)[c.CALL_SOURCE] = t.signals(air, frame)[c.SOURCE]
+    t.calls(air, i)[c.CALL_START] = t.signals(air, frame)[c.START]
+    t.calls(air, i)[c.CALL_END] = t.signals(air, frame)[c.END] + t.delays_ns(air, frame)[station]
     t.calls_mw(air, i)[0] = t.powers_mw(air, frame)[station]
 
 
@@ -403,14 +363,14 @@ def _hand_up(air: Air, frame: int, station: int, again: int) -> None:
 @njit(cache=True)
 def _answer(air: Air, frame: int, end_ns: int, station: int) -> None:
     """Have a CTS or ACK follow a frame that has ended here at ``end_ns``."""
-    mode = t.modes(air, t.signals(air, frame)[t.MODE])[t.RESPONSE_MODE]
-    if t.signals(air, frame)[t.KIND] == t.RTS:
-        what, frame_bytes = t.CTS, CTS_BYTES
+    mode = t.modes(air, t.signals(air, frame)[c.MODE])[c.RESPONSE_MODE]
+    if t.signals(air, frame)[c.KIND] == c.RTS:
+        what, frame_bytes = c.CTS, CTS_BYTES
     else:
-        what, frame_bytes = t.ACK, ACK_BYTES
-    nav_ns = max(0, t.signals(air, frame)[t.NAV] - SIFS_NS - duration_ns(air, mode, frame_bytes))
-    to = t.signals(air, frame)[t.SOURCE]
-    schedule(air, end_ns + SIFS_NS, t.SEND_FRAME, station, to, what * t.MODES + mode, frame_bytes, nav_ns)
+        what, frame_bytes = c.ACK, ACK_BYTES
+    nav_ns = max(0, t.signals(air, frame)[c.NAV] - SIFS_NS - duration_ns(air, mode, frame_bytes))
+    to = t.signals(air, frame)[c.SOURCE]
+    schedule(air, end_ns + SIFS_NS, c.SEND_FRAME, station, to, what * c.MODES + mode, frame_bytes, nav_ns)
 
 
 @njit(cache=True)
@@ -421,8 +381,8 @@ def send_frame(
 
     ``what`` is its kind times the number of modes, and its mode.
     """
-    frame = _frame(air, what // t.MODES, station, to, what % t.MODES, frame_bytes)
-    t.signals(air, frame)[t.NAV] = nav_ns
+    frame = _frame(air, what // c.MODES, station, to, what % c.MODES, frame_bytes)
+    t.signals(air, frame)[c.NAV] = nav_ns
     _send(air, fading, frame)
 
 
@@ -433,18 +393,18 @@ def send_frame(
 def silence(air: Air, station: int) -> None:
     """End a station for good: nothing is sent, answered or heard any more."""
     row = t.stations(air, station)
-    row[t.DEAF] = 1
-    row[t.LOCK] = t.NOTHING
-    freeze(air, station, air[t.NOW] - 1)
+    row[c.DEAF] = 1
+    row[c.LOCK] = c.NOTHING
+    freeze(air, station, air[c.NOW] - 1)
     _stop_waiting(air, station)
-    row[t.CURRENT] = t.NOTHING
-    k = air[t.CATEGORIES]
+    row[c.CURRENT] = c.NOTHING
+    k = air[c.CATEGORIES]
     for q in range(station * k, station * k + k):
-        if not t.queues(air, q)[t.IN_USE]:
+        if not t.queues(air, q)[c.IN_USE]:
             continue
         unwatch(air, q)
-        while t.queues(air, q)[t.FIRST] != t.NOTHING:
-            job = t.queues(air, q)[t.FIRST]
+        while t.queues(air, q)[c.FIRST] != c.NOTHING:
+            job = t.queues(air, q)[c.FIRST]
             # a group frame that is still here though it was sent is on the air, and is completed
-            gone = t.jobs(air, job)[t.JOB_TO] == GROUP and t.jobs(air, job)[t.JOB_ATTEMPTS] > 0
-            give_up(air, q, t.SENT if gone else t.EXPIRED)
+            gone = t.jobs(air, job)[c.JOB_TO] == GROUP and t.jobs(air, job)[c.JOB_ATTEMPTS] > 0
+            give_up(air, q, c.SENT if gone else c.EXPIRED)

@@ -22,6 +22,7 @@ from math import inf
 
 from numba import njit
 
+from netsim import columns as c
 from netsim import tables as t
 from netsim.events import schedule
 from netsim.frames import GROUP
@@ -47,26 +48,26 @@ def start(air: Air, fading: Doubles, frame: int) -> int:
 
     The sender's link budget holds. Told are the stations at which the medium falls busy.
     """
-    now = air[t.NOW]
+    now = air[c.NOW]
     sent = t.signals(air, frame)
-    source = sent[t.SOURCE]
+    source = sent[c.SOURCE]
     powers_mw, delays_ns = t.powers_mw(air, frame), t.delays_ns(air, frame)
     powers_mw[:] = t.budgets_mw(air, source)
     delays_ns[:] = t.budget_delays_ns(air, source)
     if len(fading):
         fade(fading, source, now, powers_mw)
-    air[t.STARTED] += 1
-    sent[t.NUMBER] = air[t.STARTED]
-    sent[t.LONGEST_DELAY] = t.budgets(air, source)[t.BUDGET_DELAY]
+    air[c.STARTED] += 1
+    sent[c.NUMBER] = air[c.STARTED]
+    sent[c.LONGEST_DELAY] = t.budgets(air, source)[c.BUDGET_DELAY]
     _overlap(air, frame)
-    for k in range(air[t.BURSTS]):
+    for k in range(air[c.BURSTS]):
         _add_overlap(air, frame, t.on_air(air, BURSTS)[k])
-    t.on_air(air, FRAMES)[air[t.ACTIVE]] = frame
-    air[t.ACTIVE] += 1
-    begin_sending(t.stations(air, source), now, sent[t.END])
-    told = _radiate(air, frame, t.levels_mw(air, 0)[t.SENSED_MW])
-    schedule(air, now + PREAMBLE_DETECTION_NS, t.DETECT, frame)
-    schedule(air, sent[t.END] + sent[t.LONGEST_DELAY], t.END_FRAME, frame)
+    t.on_air(air, FRAMES)[air[c.ACTIVE]] = frame
+    air[c.ACTIVE] += 1
+    begin_sending(t.stations(air, source), now, sent[c.END])
+    told = _radiate(air, frame, t.levels_mw(air, 0)[c.SENSED_MW])
+    schedule(air, now + PREAMBLE_DETECTION_NS, c.DETECT, frame)
+    schedule(air, sent[c.END] + sent[c.LONGEST_DELAY], c.END_FRAME, frame)
     return told
 
 
@@ -76,24 +77,24 @@ def start_burst(air: Air, burst: int) -> int:
     signal = t.signals(air, burst)
     _overlap(air, burst)
     bursts = t.on_air(air, BURSTS)
-    for other in bursts[: air[t.BURSTS]]:
-        if t.signals(air, other)[t.SOURCE] != signal[t.SOURCE]:
+    for other in bursts[: air[c.BURSTS]]:
+        if t.signals(air, other)[c.SOURCE] != signal[c.SOURCE]:
             _add_overlap(air, burst, other)
-    bursts[air[t.BURSTS]] = burst
-    air[t.BURSTS] += 1
+    bursts[air[c.BURSTS]] = burst
+    air[c.BURSTS] += 1
     told = _radiate(air, burst, inf)
     # what overlaps it matters only now; kept, each burst would keep all before it
-    for other in t.overlaps(air, burst)[: signal[t.OVERLAPS]]:
+    for other in t.overlaps(air, burst)[: signal[c.OVERLAPS]]:
         let_go(air, other)
-    signal[t.OVERLAPS] = 0
-    schedule(air, signal[t.END] + signal[t.LONGEST_DELAY], t.END_BURST, burst)
+    signal[c.OVERLAPS] = 0
+    schedule(air, signal[c.END] + signal[c.LONGEST_DELAY], c.END_BURST, burst)
     return told
 
 
 @njit(cache=True)
 def end_burst(air: Air, burst: int) -> None:
     """Take a burst off the air."""
-    air[t.BURSTS] = _remove(t.on_air(air, BURSTS), air[t.BURSTS], burst)
+    air[c.BURSTS] = _remove(t.on_air(air, BURSTS), air[c.BURSTS], burst)
     end_signal(air, burst)
 
 
@@ -111,19 +112,19 @@ def _remove(rows: Integers, count: int, row: int) -> int:
 @njit(cache=True)
 def _overlap(air: Air, signal: int) -> None:
     """Note the frames that a signal which begins now is on the air with, and it with them."""
-    for other in t.on_air(air, FRAMES)[: air[t.ACTIVE]]:
+    for other in t.on_air(air, FRAMES)[: air[c.ACTIVE]]:
         frame = t.signals(air, other)
-        if frame[t.END] + frame[t.LONGEST_DELAY] > air[t.NOW]:
+        if frame[c.END] + frame[c.LONGEST_DELAY] > air[c.NOW]:
             _add_overlap(air, signal, other)
             _add_overlap(air, other, signal)
 
 
 @njit(cache=True)
 def _add_overlap(air: Air, signal: int, other: int) -> None:
-    count = t.signals(air, signal)[t.OVERLAPS]
+    count = t.signals(air, signal)[c.OVERLAPS]
     t.overlaps(air, signal)[count] = other
-    t.signals(air, signal)[t.OVERLAPS] = count + 1
-    t.signals(air, other)[t.HOLDERS] += 1
+    t.signals(air, signal)[c.OVERLAPS] = count + 1
+    t.signals(air, other)[c.HOLDERS] += 1
 
 
 @njit(cache=True)
@@ -133,26 +134,26 @@ def _radiate(air: Air, which: int, sensed_mw: float) -> int:
     Returns how many are told: those to which the medium falls busy, but for what a reservation covers.
     """
     signal = t.signals(air, which)
-    start_ns, end_ns = signal[t.START], signal[t.END]
-    if end_ns > air[t.BUSY_UNTIL_NS]:
-        air[t.BUSY_NS] += end_ns - max(start_ns, air[t.BUSY_UNTIL_NS])
-        air[t.BUSY_UNTIL_NS] = end_ns
+    start_ns, end_ns = signal[c.START], signal[c.END]
+    if end_ns > air[c.BUSY_UNTIL_NS]:
+        air[c.BUSY_NS] += end_ns - max(start_ns, air[c.BUSY_UNTIL_NS])
+        air[c.BUSY_UNTIL_NS] = end_ns
     count = 0
-    told = t.ends(air, t.TOLD)
+    told = t.ends(air, c.TOLD)
     powers_mw, delays_ns = t.powers_mw(air, which), t.delays_ns(air, which)
-    energy_mw = t.levels_mw(air, 0)[t.ENERGY_MW]
-    for r in range(air[t.STATIONS]):
+    energy_mw = t.levels_mw(air, 0)[c.ENERGY_MW]
+    for r in range(air[c.STATIONS]):
         row = t.stations(air, r)
-        if r == signal[t.SOURCE] or row[t.DEAF]:
+        if r == signal[c.SOURCE] or row[c.DEAF]:
             continue
         arrival_ns, until_ns = start_ns + delays_ns[r], end_ns + delays_ns[r]
         if powers_mw[r] < sensed_mw:
-            if signal[t.OVERLAPS] == 0 and powers_mw[r] < energy_mw:
+            if signal[c.OVERLAPS] == 0 and powers_mw[r] < energy_mw:
                 continue
             until_ns = energy_until_ns(air, which, r, arrival_ns, until_ns)
             if until_ns == 0:
                 continue
-        if occupy(row, arrival_ns, until_ns) and row[t.BUSY_UNTIL] > row[t.RESERVED_UNTIL]:
+        if occupy(row, arrival_ns, until_ns) and row[c.BUSY_UNTIL] > row[c.RESERVED_UNTIL]:
             told[count] = r
             count += 1
     return count
@@ -168,28 +169,28 @@ def find(air: Air, frame: int) -> None:
     sent = t.signals(air, frame)
     powers_mw, delays_ns, locks_mw = t.powers_mw(air, frame), t.delays_ns(air, frame), t.locks_mw(air, 0)
     levels_mw = t.levels_mw(air, 0)
-    for r in range(air[t.STATIONS]):
+    for r in range(air[c.STATIONS]):
         row = t.stations(air, r)
-        arrival_ns = sent[t.START] + delays_ns[r]
+        arrival_ns = sent[c.START] + delays_ns[r]
         if (
-            r == sent[t.SOURCE]
-            or powers_mw[r] < levels_mw[t.PREAMBLE_MW]
-            or row[t.SENDING_UNTIL] > arrival_ns
-            or row[t.DEAF]
+            r == sent[c.SOURCE]
+            or powers_mw[r] < levels_mw[c.PREAMBLE_MW]
+            or row[c.SENDING_UNTIL] > arrival_ns
+            or row[c.DEAF]
         ):
             continue
-        if sent[t.OVERLAPS]:
+        if sent[c.OVERLAPS]:
             floor_mw = _floor_mw(air, frame, r, arrival_ns)
-            if powers_mw[r] < PREAMBLE_SINR * (levels_mw[t.NOISE_MW] + floor_mw):
+            if powers_mw[r] < PREAMBLE_SINR * (levels_mw[c.NOISE_MW] + floor_mw):
                 continue
-            if row[t.LOCK] != t.NOTHING and (
+            if row[c.LOCK] != c.NOTHING and (
                 powers_mw[r] < CAPTURE_RATIO * locks_mw[r]
-                or arrival_ns > row[t.LOCK_ARRIVED] + CAPTURE_WINDOW_NS
+                or arrival_ns > row[c.LOCK_ARRIVED] + CAPTURE_WINDOW_NS
             ):
                 continue
-        row[t.LOCK] = sent[t.NUMBER]
-        row[t.LOCK_ARRIVED] = arrival_ns
-        row[t.LOCKED] = air[t.NOW]
+        row[c.LOCK] = sent[c.NUMBER]
+        row[c.LOCK_ARRIVED] = arrival_ns
+        row[c.LOCKED] = air[c.NOW]
         locks_mw[r] = powers_mw[r]
 
 
@@ -198,12 +199,12 @@ def _floor_mw(air: Air, frame: int, r: int, arrival_ns: int) -> float:
     """Power of all other signals at ``r`` that were there at some time since a frame's arrival."""
     sent = t.signals(air, frame)
     floor_mw = 0.0
-    for k in t.overlaps(air, frame)[: sent[t.OVERLAPS]]:
+    for k in t.overlaps(air, frame)[: sent[c.OVERLAPS]]:
         other, delay_ns = t.signals(air, k), t.delays_ns(air, k)[r]
         if (
-            other[t.SOURCE] != r
-            and other[t.START] + delay_ns < arrival_ns + air[t.NOW] - sent[t.START]
-            and other[t.END] + delay_ns > arrival_ns
+            other[c.SOURCE] != r
+            and other[c.START] + delay_ns < arrival_ns + air[c.NOW] - sent[c.START]
+            and other[c.END] + delay_ns > arrival_ns
         ):
             floor_mw += t.powers_mw(air, k)[r]
     return floor_mw
@@ -218,29 +219,29 @@ def settle(air: Air, frame: int) -> None:
     nothing is drawn for one that is certain to survive. Upset are stations whose plans cannot stay: it was an
     error, the end of EIFS, a longer reservation.
     """
-    air[t.ACTIVE] = _remove(t.on_air(air, FRAMES), air[t.ACTIVE], frame)
+    air[c.ACTIVE] = _remove(t.on_air(air, FRAMES), air[c.ACTIVE], frame)
     sent, powers_mw = t.signals(air, frame), t.powers_mw(air, frame)
-    fates, notes, upsets = t.ends(air, t.FATES), t.ends(air, t.NOTES), t.ends(air, t.UPSETS)
-    doubtful_mw = inf if sent[t.OVERLAPS] else clean_mw(air, sent[t.MODE])
-    for r in range(air[t.STATIONS]):
+    fates, notes, upsets = t.ends(air, c.FATES), t.ends(air, c.NOTES), t.ends(air, c.UPSETS)
+    doubtful_mw = inf if sent[c.OVERLAPS] else clean_mw(air, sent[c.MODE])
+    for r in range(air[c.STATIONS]):
         row = t.stations(air, r)
-        notes[r], upsets[r] = t.NOT_MEANT, 0
-        if r == sent[t.SOURCE] or row[t.DEAF]:
-            fates[r] = t.ABSENT
+        notes[r], upsets[r] = c.NOT_MEANT, 0
+        if r == sent[c.SOURCE] or row[c.DEAF]:
+            fates[r] = c.ABSENT
             continue
         draw = -1.0
-        if row[t.LOCK] != sent[t.NUMBER]:
-            fates[r] = t.MISSED
+        if row[c.LOCK] != sent[c.NUMBER]:
+            fates[r] = c.MISSED
         else:
-            fates[r] = t.RECEIVED
+            fates[r] = c.RECEIVED
             if powers_mw[r] < doubtful_mw:
                 survival = among_others(air, frame, r)
                 if survival < 1.0:
                     draw = draw_reception(air, r)
                     if draw >= survival:
-                        fates[r] = t.BROKE
+                        fates[r] = c.BROKE
             upsets[r] = _take_note(air, frame, r, fates[r])
-        if sent[t.TO] in (r, GROUP):
+        if sent[c.TO] in (r, GROUP):
             notes[r] = _judge(air, frame, r, fates[r], draw)
 
 
@@ -248,37 +249,37 @@ def settle(air: Air, frame: int) -> None:
 def _take_note(air: Air, frame: int, r: int, fate: int) -> bool:
     """Have a station that was locked on to a frame take note of how it ended; True if that upsets a plan."""
     row, sent = t.stations(air, r), t.signals(air, frame)
-    end_here_ns = sent[t.END] + t.delays_ns(air, frame)[r]
-    row[t.LOCK] = t.NOTHING
-    if fate == t.BROKE:
-        row[t.BROKEN] = end_here_ns
+    end_here_ns = sent[c.END] + t.delays_ns(air, frame)[r]
+    row[c.LOCK] = c.NOTHING
+    if fate == c.BROKE:
+        row[c.BROKEN] = end_here_ns
         return True
-    upset = row[t.BROKEN] != 0
-    row[t.BROKEN] = 0
-    is_answer = sent[t.KIND] in (t.CTS, t.ACK)
+    upset = row[c.BROKEN] != 0
+    row[c.BROKEN] = 0
+    is_answer = sent[c.KIND] in (c.CTS, c.ACK)
     # whom it is not for keeps the medium reserved
-    if r != sent[t.TO] and sent[t.NAV] and end_here_ns + sent[t.NAV] > row[t.RESERVED_UNTIL]:
-        row[t.RESERVED_UNTIL] = end_here_ns + sent[t.NAV]
-        row[t.RESERVED_BY] = sent[t.TO] if is_answer else sent[t.SOURCE]
+    if r != sent[c.TO] and sent[c.NAV] and end_here_ns + sent[c.NAV] > row[c.RESERVED_UNTIL]:
+        row[c.RESERVED_UNTIL] = end_here_ns + sent[c.NAV]
+        row[c.RESERVED_BY] = sent[c.TO] if is_answer else sent[c.SOURCE]
         upset = True
     if not is_answer:
-        t.heard_ns(air, r)[sent[t.SOURCE]] = end_here_ns
-        t.heard_mw(air, r)[sent[t.SOURCE]] = t.powers_mw(air, frame)[r]
+        t.heard_ns(air, r)[sent[c.SOURCE]] = end_here_ns
+        t.heard_mw(air, r)[sent[c.SOURCE]] = t.powers_mw(air, frame)[r]
     return bool(upset)
 
 
 @njit(cache=True)
 def _judge(air: Air, frame: int, r: int, fate: int, draw: float) -> int:
     """Whether an intended receiver has got a frame, and if not, whether it would have got it alone."""
-    if fate == t.RECEIVED:
-        return t.DELIVERED
+    if fate == c.RECEIVED:
+        return c.DELIVERED
     power_mw = t.powers_mw(air, frame)[r]
-    if t.signals(air, frame)[t.OVERLAPS] and power_mw >= t.levels_mw(air, 0)[t.PREAMBLE_MW]:
-        if fate != t.BROKE:
+    if t.signals(air, frame)[c.OVERLAPS] and power_mw >= t.levels_mw(air, 0)[c.PREAMBLE_MW]:
+        if fate != c.BROKE:
             draw = draw_reception(air, r)
         if draw < alone(air, frame, power_mw):
-            return t.COLLIDED
-    return t.LOST
+            return c.COLLIDED
+    return c.LOST
 
 
 @njit(cache=True)
@@ -287,22 +288,22 @@ def conclude(air: Air, frame: int) -> None:
 
     A reservation that nobody uses will be seen.
     """
-    sent, notes = t.signals(air, frame), t.ends(air, t.NOTES)
-    if sent[t.LAPSE]:
-        sent[t.HOLDERS] += 1
-        schedule(air, sent[t.END] + sent[t.LAPSE], t.LOOK_FOR_UNUSED, frame)
-    t.sent(air, 0)[sent[t.KIND]] += 1
-    record = t.records(air, air[t.RECORDS])
-    air[t.RECORDS] += 1
-    record[0], record[1], record[2], record[3] = sent[t.START], sent[t.END], sent[t.SOURCE], sent[t.TO]
-    record[4], record[5], record[6], record[7] = sent[t.KIND], sent[t.MODE], sent[t.BYTES], sent[t.SEQ]
+    sent, notes = t.signals(air, frame), t.ends(air, c.NOTES)
+    if sent[c.LAPSE]:
+        sent[c.HOLDERS] += 1
+        schedule(air, sent[c.END] + sent[c.LAPSE], c.LOOK_FOR_UNUSED, frame)
+    t.sent(air, 0)[sent[c.KIND]] += 1
+    record = t.records(air, air[c.RECORDS])
+    air[c.RECORDS] += 1
+    record[0], record[1], record[2], record[3] = sent[c.START], sent[c.END], sent[c.SOURCE], sent[c.TO]
+    record[4], record[5], record[6], record[7] = sent[c.KIND], sent[c.MODE], sent[c.BYTES], sent[c.SEQ]
     record[8] = record[9] = record[10] = 0
-    for r in range(air[t.STATIONS]):
-        if notes[r] != t.NOT_MEANT:
+    for r in range(air[c.STATIONS]):
+        if notes[r] != c.NOT_MEANT:
             record[7 + notes[r]] += 1
-            if sent[t.KIND] == t.DATA and sent[t.TO] == GROUP:
+            if sent[c.KIND] == c.DATA and sent[c.TO] == GROUP:
                 t.counts(air, r)[notes[r] - 1] += 1
-    end_sending(t.stations(air, sent[t.SOURCE]))
+    end_sending(t.stations(air, sent[c.SOURCE]))
 
 
 # --- reservations that nobody uses
@@ -311,14 +312,14 @@ def conclude(air: Air, frame: int) -> None:
 @njit(cache=True)
 def look_for_unused(air: Air, frame: int) -> None:
     """Have a reservation fall where nothing was heard after the frame that made it (10.3.2.4)."""
-    nav_ns, lapse_ns = t.signals(air, frame)[t.NAV], t.signals(air, frame)[t.LAPSE]
-    for r in range(air[t.STATIONS]):
-        end_here_ns = t.signals(air, frame)[t.END] + t.delays_ns(air, frame)[r]
+    nav_ns, lapse_ns = t.signals(air, frame)[c.NAV], t.signals(air, frame)[c.LAPSE]
+    for r in range(air[c.STATIONS]):
+        end_here_ns = t.signals(air, frame)[c.END] + t.delays_ns(air, frame)[r]
         if (
-            t.stations(air, r)[t.RESERVED_UNTIL] == end_here_ns + nav_ns
-            and t.stations(air, r)[t.LOCKED] <= end_here_ns
+            t.stations(air, r)[c.RESERVED_UNTIL] == end_here_ns + nav_ns
+            and t.stations(air, r)[c.LOCKED] <= end_here_ns
         ):
-            schedule(air, end_here_ns + lapse_ns, t.ON_UNUSED, r, end_here_ns, end_here_ns + nav_ns)
+            schedule(air, end_here_ns + lapse_ns, c.ON_UNUSED, r, end_here_ns, end_here_ns + nav_ns)
     let_go(air, frame)
 
 
@@ -326,15 +327,15 @@ def look_for_unused(air: Air, frame: int) -> None:
 def drop_reservation(air: Air, r: int, end_here_ns: int, until_ns: int) -> bool:
     """Have a reservation fall if it is still the same and still unused."""
     row = t.stations(air, r)
-    if row[t.RESERVED_UNTIL] == until_ns and row[t.LOCKED] <= end_here_ns:
-        row[t.RESERVED_UNTIL] = air[t.NOW]
+    if row[c.RESERVED_UNTIL] == until_ns and row[c.LOCKED] <= end_here_ns:
+        row[c.RESERVED_UNTIL] = air[c.NOW]
         return True
     return False
 
 
 @njit(cache=True)
 def loudest(air: Air, station: int, oldest_ns: int, turn: int) -> int:
-    """Who is heard loudest by a station since ``oldest_ns``; `netsim.tables.NOTHING` if nobody is.
+    """Who is heard loudest by a station since ``oldest_ns``; `netsim.columns.NOTHING` if nobody is.
 
     ``turn`` counts through all of them, in order of falling power and then of their numbers, again and again.
     """
@@ -343,7 +344,7 @@ def loudest(air: Air, station: int, oldest_ns: int, turn: int) -> int:
     for other in range(len(heard_ns)):
         count += heard_ns[other] >= oldest_ns
     if count == 0:
-        return t.NOTHING
+        return c.NOTHING
     rank = turn % count
     for other in range(len(heard_ns)):
         if heard_ns[other] < oldest_ns:
@@ -358,4 +359,4 @@ def loudest(air: Air, station: int, oldest_ns: int, turn: int) -> int:
                     break
         if ahead == rank:
             return other
-    return t.NOTHING
+    return c.NOTHING

@@ -8,6 +8,7 @@ from math import exp
 import numpy as np
 from numba import njit
 
+from netsim import columns as c
 from netsim import tables as t
 from netsim.phy.errors import hazard_per_bit
 from netsim.phy.modes import NON_HT_PREAMBLE_NS
@@ -25,25 +26,25 @@ VHT_SIGNAL_BITS = 72
 def clean_mw(air: Air, mode: int) -> float:
     """Power from which on neither signal field nor payload of a frame can fail without interference."""
     return float(
-        max(t.hazards(air, SIGNAL_MODE)[0], t.hazards(air, mode)[0]) * t.levels_mw(air, 0)[t.NOISE_MW]
+        max(t.hazards(air, SIGNAL_MODE)[0], t.hazards(air, mode)[0]) * t.levels_mw(air, 0)[c.NOISE_MW]
     )
 
 
 @njit(cache=True)
 def _hazard_per_bit(air: Air, mode: int, sinr: float) -> float:
     return hazard_per_bit(
-        t.hazards(air, mode)[1 : 1 + t.modes(air, mode)[t.HAZARDS]], t.hazards(air, mode)[0], sinr
+        t.hazards(air, mode)[1 : 1 + t.modes(air, mode)[c.HAZARDS]], t.hazards(air, mode)[0], sinr
     )
 
 
 @njit(cache=True)
 def alone(air: Air, frame: int, power_mw: float) -> float:
     """Probability that a frame survives the noise, its signal field included."""
-    mode = t.signals(air, frame)[t.MODE]
-    sinr = power_mw / t.levels_mw(air, 0)[t.NOISE_MW]
-    signal_bits = VHT_SIGNAL_BITS if t.modes(air, mode)[t.VHT] else SIGNAL_BITS
+    mode = t.signals(air, frame)[c.MODE]
+    sinr = power_mw / t.levels_mw(air, 0)[c.NOISE_MW]
+    signal_bits = VHT_SIGNAL_BITS if t.modes(air, mode)[c.VHT] else SIGNAL_BITS
     hazard = signal_bits * _hazard_per_bit(air, SIGNAL_MODE, sinr)
-    hazard += 8 * t.signals(air, frame)[t.BYTES] * _hazard_per_bit(air, mode, sinr)
+    hazard += 8 * t.signals(air, frame)[c.BYTES] * _hazard_per_bit(air, mode, sinr)
     return exp(-hazard) if hazard > 0.0 else 1.0
 
 
@@ -51,7 +52,7 @@ def alone(air: Air, frame: int, power_mw: float) -> float:
 def among_others(air: Air, frame: int, r: int) -> float:
     """Probability that a frame survives noise and each chunk's interference at receiver ``r``."""
     power_mw = t.powers_mw(air, frame)[r]
-    if t.signals(air, frame)[t.OVERLAPS] == 0:
+    if t.signals(air, frame)[c.OVERLAPS] == 0:
         return alone(air, frame, power_mw)
     hazard = _hazard(air, frame, r, power_mw)
     return exp(-hazard) if hazard > 0.0 else 1.0
@@ -59,24 +60,24 @@ def among_others(air: Air, frame: int, r: int) -> float:
 
 @njit(cache=True)
 def _hazard(air: Air, frame: int, r: int, power_mw: float) -> float:
-    mode, noise_mw = t.signals(air, frame)[t.MODE], t.levels_mw(air, 0)[t.NOISE_MW]
-    start_ns = t.signals(air, frame)[t.START] + t.delays_ns(air, frame)[r]
-    end_ns = t.signals(air, frame)[t.END] + t.delays_ns(air, frame)[r]
+    mode, noise_mw = t.signals(air, frame)[c.MODE], t.levels_mw(air, 0)[c.NOISE_MW]
+    start_ns = t.signals(air, frame)[c.START] + t.delays_ns(air, frame)[r]
+    end_ns = t.signals(air, frame)[c.END] + t.delays_ns(air, frame)[r]
     # the signal fields end where the payload begins; L-SIG is the last 4 us of the non-HT preamble
     signal_from_ns = start_ns + NON_HT_PREAMBLE_NS - 4_000
-    payload_from_ns = start_ns + t.modes(air, mode)[t.PREAMBLE]
-    signal_bits = VHT_SIGNAL_BITS if t.modes(air, mode)[t.VHT] else SIGNAL_BITS
+    payload_from_ns = start_ns + t.modes(air, mode)[c.PREAMBLE]
+    signal_bits = VHT_SIGNAL_BITS if t.modes(air, mode)[c.VHT] else SIGNAL_BITS
     signal_rate = signal_bits / (payload_from_ns - signal_from_ns)
-    payload_rate = 8 * t.signals(air, frame)[t.BYTES] / (end_ns - payload_from_ns)
-    others = t.overlaps(air, frame)[: t.signals(air, frame)[t.OVERLAPS]]
+    payload_rate = 8 * t.signals(air, frame)[c.BYTES] / (end_ns - payload_from_ns)
+    others = t.overlaps(air, frame)[: t.signals(air, frame)[c.OVERLAPS]]
     at_ns = np.empty(2 * len(others) + 2, np.int64)
     changes_mw = np.empty(2 * len(others) + 2)
     at_ns[0], changes_mw[0] = start_ns, 0.0
     count = 1
     for other in others:
-        other_start_ns = t.signals(air, other)[t.START] + t.delays_ns(air, other)[r]
-        other_end_ns = t.signals(air, other)[t.END] + t.delays_ns(air, other)[r]
-        if t.signals(air, other)[t.SOURCE] == r or other_end_ns <= start_ns or other_start_ns >= end_ns:
+        other_start_ns = t.signals(air, other)[c.START] + t.delays_ns(air, other)[r]
+        other_end_ns = t.signals(air, other)[c.END] + t.delays_ns(air, other)[r]
+        if t.signals(air, other)[c.SOURCE] == r or other_end_ns <= start_ns or other_start_ns >= end_ns:
             continue
         for when_ns, change_mw in (
             (max(other_start_ns, start_ns), t.powers_mw(air, other)[r]),

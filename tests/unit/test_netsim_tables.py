@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from netsim_air import Air
 
+from netsim import columns as c
 from netsim import tables as t
 from netsim.events import drop_next, schedule
 from netsim.kernel import EventQueue
@@ -15,7 +16,7 @@ STATIONS, CATEGORIES = 5, 3
 def numbered():
     """An air in whose tables every number is another."""
     air = t.new_air(stations=STATIONS, categories=CATEGORIES)
-    air[t.NUMBERS :] = np.arange(t.NUMBERS, len(air))
+    air[c.NUMBERS :] = np.arange(c.NUMBERS, len(air))
     return air
 
 
@@ -30,7 +31,7 @@ def test_compiled_code_finds_the_rows_that_python_does(name):
 def test_tables_lie_side_by_side_and_fill_the_memory():
     air = numbered()
     lying = np.concatenate([table.reshape(-1).view(np.int64) for table in t.tables_of(air)])
-    assert lying.tolist() == air[t.NUMBERS :].tolist()
+    assert lying.tolist() == air[c.NUMBERS :].tolist()
 
 
 def test_growing_keeps_every_number_where_it_was_in_its_table():
@@ -40,25 +41,25 @@ def test_growing_keeps_every_number_where_it_was_in_its_table():
     for name, before, after in zip(t.Tables._fields, t.tables_of(air), t.tables_of(new), strict=True):
         kept = after[: before.shape[0], : before.shape[1]].copy()
         if name == "signals":  # the last of the free rows is followed by the new ones
-            kept[:, t.NEXT_SIGNAL] = before[:, t.NEXT_SIGNAL]
+            kept[:, c.NEXT_SIGNAL] = before[:, c.NEXT_SIGNAL]
         assert kept.tobytes() == before.tobytes(), name
         assert len(after) >= more.get(name, 0)
 
 
 def test_rows_of_signals_are_given_out_once_and_again_when_nobody_needs_them():
     air = t.new_air(stations=STATIONS, categories=CATEGORIES)
-    rows = int(air[t.SIGNAL_ROWS])
+    rows = int(air[c.SIGNAL_ROWS])
     taken = [t.take_signal(air) for _ in range(rows)]
     assert sorted(taken) == list(range(rows))
-    assert air[t.FREE_SIGNAL] == t.NOTHING
+    assert air[c.FREE_SIGNAL] == c.NOTHING
     air = t.grown(air, signals=rows + 2)
     assert sorted(t.take_signal(air) for _ in range(2)) == [rows, rows + 1]
     # the second is among the first one's overlaps: its row is free when both are over
     first, second = taken[:2]
     t.overlaps(air, first)[0] = second
-    t.signals(air, first)[t.OVERLAPS] = t.signals(air, second)[t.HOLDERS] = 1
+    t.signals(air, first)[c.OVERLAPS] = t.signals(air, second)[c.HOLDERS] = 1
     t.end_signal(air, second)
-    assert air[t.FREE_SIGNAL] == t.NOTHING
+    assert air[c.FREE_SIGNAL] == c.NOTHING
     t.end_signal(air, first)
     assert {t.take_signal(air), t.take_signal(air)} == {first, second}
 
@@ -67,10 +68,10 @@ def test_events_come_by_time_and_then_in_the_order_of_scheduling():
     rng = np.random.default_rng(1)
     air = t.new_air(stations=STATIONS, categories=CATEGORIES)
     for at_ns in rng.integers(10, size=60).tolist():
-        schedule(air, at_ns, t.DETECT, 0)
+        schedule(air, at_ns, c.DETECT, 0)
     order = []
-    while air[t.EVENTS]:
-        order.append((int(t.events(air, 0)[t.AT]), int(t.events(air, 0)[t.ORDER])))
+    while air[c.EVENTS]:
+        order.append((int(t.events(air, 0)[c.AT]), int(t.events(air, 0)[c.ORDER])))
         drop_next(air)
     assert order == sorted(order)
     assert len(order) == 60
@@ -99,6 +100,6 @@ def test_thousands_of_frames_leave_the_tables_as_large_as_they_were():
     for k in range(1500):
         air.send(1000 + 700 * k, k % 4, (k + 1) % 4 if k % 3 else -1)
     air.run(1_200_000)
-    sizes = [int(air.radios.air[which]) for which in (t.JOB_ROWS, t.SIGNAL_ROWS)]
+    sizes = [int(air.radios.air[which]) for which in (c.JOB_ROWS, c.SIGNAL_ROWS)]
     assert len(air.outcomes) == 1500
     assert sizes == [16, 20]

@@ -1,0 +1,74 @@
+"""What stands in the tables of the air before anything has happened: settings, modes, stations at rest."""
+
+from collections.abc import Sequence
+from typing import get_args
+
+from netsim import columns as c
+from netsim import tables as t
+from netsim.config import Mode, RadioConfig
+from netsim.kernel import NEVER_NS
+from netsim.mac.access import AccessParameters
+from netsim.phy.errors import error_model
+from netsim.phy.medium import PREAMBLE_SINR
+from netsim.phy.modes import PhyMode, phy_mode, response_mode
+from netsim.phy.propagation import thermal_noise_mw
+from netsim.tables import Air, Tables
+
+MODE_NAMES: list[Mode] = list(get_args(Mode))
+"""In the order of the tables' rows."""
+
+
+class ModeRows:
+    """Rows of the modes, which are filled when a mode is first asked for."""
+
+    def __init__(self) -> None:
+        self._rows: dict[str, int] = {}
+
+    def of(self, mode: PhyMode, tables: Tables) -> int:
+        """Row of a mode, which has its numbers and those of its answers from now on."""
+        row = self._rows.get(mode.name)
+        if row is None:
+            row = self._rows[mode.name] = MODE_NAMES.index(mode.name)
+            errors = error_model(mode)
+            columns = [c.PREAMBLE, c.BITS_PER_SYMBOL, c.VHT, c.HAZARDS]
+            tables.modes[row, columns] = (
+                mode.preamble_ns, mode.bits_per_symbol, mode.vht, len(errors.log_hazards),
+            )  # fmt: skip
+            tables.hazards[row, 0] = errors.clean_linear
+            tables.hazards[row, 1 : 1 + len(errors.log_hazards)] = errors.log_hazards
+            tables.modes[row, c.RESPONSE_MODE] = self.of(response_mode(mode), tables)
+        return row
+
+
+def silent_air(
+    config: RadioConfig, *, stations: int, queues: Sequence[AccessParameters], observed: bool, modes: ModeRows
+) -> Air:
+    """Tables of stations that have these queues each; ``observed`` has the end of every frame told."""
+    air = t.new_air(stations=stations, categories=len(queues))
+    tables = t.tables_of(air)
+    noise_mw = thermal_noise_mw(config.bandwidth_mhz, config.noise_figure_db)
+    preamble_mw = max(10.0 ** (config.cca_preamble_dbm / 10.0), PREAMBLE_SINR * noise_mw)
+    energy_mw = 10.0 ** (config.cca_energy_dbm / 10.0)
+    tables.levels_mw[0, [c.NOISE_MW, c.ENERGY_MW, c.PREAMBLE_MW]] = noise_mw, energy_mw, preamble_mw
+    tables.levels_mw[0, c.SENSED_MW] = min(energy_mw, preamble_mw)
+    air[c.QUEUE_FRAMES] = config.queue_frames
+    air[c.CONTROL_MODE] = modes.of(phy_mode(config.control_mode, config.bandwidth_mhz), tables)
+    modes.of(phy_mode("ofdm6", config.bandwidth_mhz), tables)
+    air[c.OBSERVED] = observed
+    air[c.DRAWS_LOW] = 1
+    air[c.DUE] = c.NOTHING
+    rows = tables.stations
+    rows[:, [c.SENDING_FROM, c.SENDING_UNTIL, c.LOCKED]] = -1
+    rows[:, [c.LOCK, c.RESERVED_BY, c.CURRENT]] = c.NOTHING
+    rows[:, [c.BACKOFFS, c.RECEPTIONS]] = c.BLOCK_DRAWS
+    rows = tables.queues
+    rows[:, [c.FIRST, c.LAST]] = c.NOTHING
+    rows[:, [c.BASE, c.ACCESS_AT, c.DEADLINE_AT]] = NEVER_NS
+    for k, each in enumerate(queues):
+        columns = [c.AIFS, c.WINDOW, c.WINDOW_LEAST, c.WINDOW_MOST, c.TXOP, c.AHEAD]
+        rows[k :: len(queues), columns] = (
+            each.aifs_ns, each.cw_min, each.cw_min, each.cw_max, each.txop_ns, each.edca,
+        )  # fmt: skip
+    tables.heard_ns[...] = -NEVER_NS
+    tables.budgets[:, c.BUDGET_UNTIL] = -1
+    return air

@@ -1,0 +1,38 @@
+"""A frame that has ended everywhere as who watches the whole channel is told of it."""
+
+from netsim import columns as c
+from netsim.config import BandwidthMhz
+from netsim.frames import Frame, FrameKind
+from netsim.mac.beginning import MODE_NAMES
+from netsim.phy.modes import phy_mode
+from netsim.phy.propagation import LinkRow
+from netsim.phy.signals import Transmission
+from netsim.tables import Tables
+
+KINDS = list(FrameKind)
+"""In the order of `netsim.columns`."""
+
+
+def transmission_of(tables: Tables, row: int, bandwidth_mhz: BandwidthMhz, body: object) -> Transmission:
+    """Give a frame, a row of signals with what it carries, whose end has just been settled."""
+    signal = tables.signals[row].tolist()
+    frame = Frame(
+        kind=KINDS[signal[c.KIND]],
+        source=signal[c.SOURCE],
+        destination=signal[c.TO],
+        mode=phy_mode(MODE_NAMES[signal[c.MODE]], bandwidth_mhz),
+        frame_bytes=signal[c.BYTES],
+        nav_ns=signal[c.NAV],
+        seq=signal[c.SEQ],
+        sequence=signal[c.FRAME_SEQUENCE],
+        body=body,
+    )
+    budget = LinkRow(
+        tables.budgets_mw[frame.source].copy(), tables.delays_ns[row].copy(), signal[c.LONGEST_DELAY]
+    )
+    transmission = Transmission(frame, signal[c.START], budget, tables.powers_mw[row].copy())
+    notes = tables.ends[c.NOTES]
+    transmission.delivered = (notes == c.DELIVERED).nonzero()[0].tolist()
+    transmission.collided = (notes == c.COLLIDED).nonzero()[0].tolist()
+    transmission.lost_to_noise = (notes == c.LOST).nonzero()[0].tolist()
+    return transmission
