@@ -127,8 +127,7 @@ class Companion:
         """Have the application do what is due, with what its radio has brought."""
         now_us = self.now_us
         self._tick_us = now_us + TICK_US
-        for item in radio_items:
-            self.app.on_radio(item, now_us)
+        self.app.on_radio(radio_items, now_us)
         output = self.app.on_timer(now_us)
         asked = (m.to_wire() if isinstance(m, PositionTarget) else m for m in output.mavlink)
         mavlink, self._replies = [*self._replies, *asked], []

@@ -130,6 +130,9 @@ def _rehearse_common_frame() -> None:
         localisation.located[row] = True
         hearing.note_fix(station, Fix(1, (0.0, float(row), 0.0)), GpsError((0.0, 0.0, 0.0), 1.0), 1_000)
     frame.update(2_000, localisation)
+    hearing.pages.put(1, b"no beacon")
+    hearing.read(2_000)  # as those do who localise nobody
+    hearing.all_held(np.arange(3), 1_000)
 
 
 def _sensors(site: Site, time_us: int, pos_ned_m: Array, climb_m_s: float) -> list[common.MAVLink_message]:

@@ -199,9 +199,8 @@ class Vehicle:
             self._on_link_message(received, now_us)
         if self._told_truth:
             self._pass_truth_on(sim_messages, now_us)
-        if self.app is not None:
-            for item in radio_items:
-                self.app.on_radio(item, now_us)
+        if self.app is not None and radio_items:
+            self.app.on_radio(radio_items, now_us)
         radio = self._run_app(simulator, now_us) if loops else ()
         self.pilot.fly((self.config.step_us if last_us is None else now_us - last_us) / US_PER_S)
         messaging = self.messaging

@@ -8,7 +8,7 @@ positions of both, `Guidance` makes setpoints of positions, and `Flight` decides
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +27,6 @@ from autopilot.onboard.common_frame import CommonFrame
 from autopilot.onboard.flight import LOCALISE_TIMEOUT_US, Flight, Situation
 from autopilot.onboard.formation import Level
 from autopilot.onboard.guidance import Guidance
-from autopilot.onboard.hearing import BEGUN_ANEW, REFUSED
 from autopilot.onboard.localisation import CooperativeLocalisation, LocalisationModel, Others
 from autopilot.onboard.neighbourhood import Neighbourhood
 from autopilot.onboard.own_state import OwnState
@@ -213,17 +212,32 @@ class OnboardApp:
         if fix is not None and self.localisation is not None:
             self.localisation.on_fix(row, fix.time_ms * 1_000, fix.pos_ned_m, fix.std_h_m, fix.std_v_m)
 
-    def on_radio(self, item: RxItem, now_us: int) -> None:
-        """Take what the radio received or measured."""
-        match item:
-            case Delivery():
-                self._on_beacon(item, now_us)
-            case FtmResult():
-                self._on_ranged(item, now_us)
-            case Survey():
-                self._traffic.take_survey(item)
-            case Sent():  # of a datagram to one station, and this application sends none
-                pass
+    def on_radio(self, items: Iterable[RxItem], now_us: int) -> None:
+        """Take what the radio received and measured, in the order in which it did."""
+        pages = self._hearing.pages
+        for item in items:
+            match item:
+                case Delivery():
+                    if pages.full:
+                        self._read(now_us)
+                    pages.put(item.source, item.payload)
+                case FtmResult():
+                    self._read(now_us)
+                    self._on_ranged(item, now_us)
+                case Survey():
+                    self._traffic.take_survey(item)
+                case Sent():  # of a datagram to one station, and this application sends none
+                    pass
+        self._read(now_us)
+
+    def _read(self, now_us: int) -> None:
+        """Read the beacons that have come."""
+        if self._hearing.pages.count == 0:
+            return
+        if self.localisation is None:
+            self._hearing.read(now_us)
+        else:
+            self.localisation.read(self._hearing, now_us)
 
     def _on_ranged(self, item: FtmResult, now_us: int) -> None:
         distance = self._traffic.measured(item)
@@ -235,18 +249,6 @@ class OnboardApp:
                 self._near.own, row, distance.time_ms * 1_000, distance.distance_m, distance.std_m,
                 now_us=now_us,
             )  # fmt: skip
-
-    def _on_beacon(self, item: Delivery, now_us: int) -> None:
-        hearing, localisation = self._hearing, self.localisation
-        heard = hearing.take(item, now_us)
-        if heard == REFUSED or localisation is None:
-            return
-        row = self._near.rows[item.source]
-        if row is None:
-            return
-        if heard == BEGUN_ANEW:
-            localisation.restart(row)
-        localisation.on_beacon(row, hearing.page, self._near.row_numbers, now_us=now_us)
 
     # ---- output
 

@@ -9,7 +9,7 @@ Odometry is the integral of the autopilot's velocity since the sender started, s
 beacons of a sender is its displacement between them, however many were lost in between. Its down component
 is the autopilot's barometric height.
 
-Who hears beacons by the hundred reads them where they lie (`Page`); `decode` is for all others.
+Who hears beacons by the hundred reads them where they lie (`Pages`); `decode` is for all others.
 
 Layout, little-endian, `HEADER_BYTES` + `RANGE_BYTES` per distance (79 + 11 n):
 
@@ -69,12 +69,12 @@ _FAST2_M2_S2 = 30.0**2
 _NO_TIME_US = 2**63
 _STD_MAX_M = 65.535
 _LAST_PHASE = max(int(phase) for phase in Phase)
-_MOST_COUNT = 255
-_CAPACITY = HEADER_BYTES + _MOST_COUNT * RANGE_BYTES
-Header = NDArray[np.void]
-"""(1,) of `HEADER`"""
-Ranges = NDArray[np.void]
-"""Of `RANGE`; the first ``count`` of the header's count."""
+_CAPACITY = HEADER_BYTES + MAX_RANGES * RANGE_BYTES
+PAGE = np.dtype([("source", "<i8"), ("size", "<i8"), ("header", HEADER), ("ranges", RANGE, MAX_RANGES)])
+"""A datagram: from which station, how many bytes, and these. What they do not reach stays from before."""
+PageRows = NDArray[np.void]
+"""(P,) of `PAGE`"""
+_LETTERHEAD = struct.Struct("<qq")
 
 Vector = tuple[float, float, float]
 
@@ -168,41 +168,48 @@ def encode(beacon: Beacon) -> bytes:
     return b"".join(parts)
 
 
-class Page:
-    """A place for the bytes of one beacon, where compiled code reads them.
+class Pages:
+    """Places for the bytes of datagrams, where compiled code reads them.
 
     Attributes:
-        header: (1,) and ``ranges`` (255,): what is there now; what is not written over stays from before.
+        rows: (P,) of `PAGE`.
+        count: how many of them are written on.
 
     """
 
-    def __init__(self) -> None:
-        octets = np.zeros(_CAPACITY, np.uint8)
-        self.header: Header = octets[:HEADER_BYTES].view(HEADER)
-        self.ranges: Ranges = octets[HEADER_BYTES:].view(RANGE)
-        self._octets = octets.data
+    def __init__(self, most: int) -> None:
+        self.rows: PageRows = np.zeros(most, PAGE)
+        self.count = 0
+        self._octets = self.rows.view(np.uint8).data
 
-    def put(self, buffer: bytes) -> int:
-        """Put bytes there; returns how many they are, whether or not they had room."""
-        size = len(buffer)
+    @property
+    def full(self) -> bool:
+        """Whether there is no room for another."""
+        return self.count == len(self.rows)
+
+    def put(self, source: int, payload: bytes) -> None:
+        """Write a station's datagram on the next page; of one that is too long, its length alone."""
+        begin, size = self.count * PAGE.itemsize, len(payload)
+        self.count += 1
+        _LETTERHEAD.pack_into(self._octets, begin, source, size)
         if size <= _CAPACITY:
-            self._octets[:size] = buffer
-        return size
+            begin += _LETTERHEAD.size
+            self._octets[begin : begin + size] = payload
 
 
 @njit(cache=True)
-def is_credible(size: int, header_row: Header, ranges: Ranges, with_ranges: bool) -> bool:  # noqa: FBT001
-    """Whether the ``size`` bytes of a `Page` are a beacon.
+def is_credible(page: np.void, with_ranges: bool) -> bool:  # noqa: FBT001
+    """Whether the bytes on a page are a beacon.
 
     They are not with another version or length, and with what no sender would say: a number that cannot be, a
     phase or flag that does not exist, and in the distances, which are looked at if ``with_ranges``, one to
     itself and two to the same peer.
     """
-    header = header_row[0]
+    size, header, ranges = page["size"], page["header"], page["ranges"]
     if size < HEADER_BYTES or header["version"] != VERSION:
         return False
     count = np.int64(header["count"])
-    if size != HEADER_BYTES + count * RANGE_BYTES:
+    if count > MAX_RANGES or size != HEADER_BYTES + count * RANGE_BYTES:
         return False
     if header["phase"] > _LAST_PHASE or header["flags"] > _FLAGS or header["time_us"] >= _NO_TIME_US:
         return False
@@ -233,14 +240,16 @@ def is_credible(size: int, header_row: Header, ranges: Ranges, with_ranges: bool
 
 def decode(buffer: bytes) -> Beacon | None:
     """Beacon in these bytes; None for what is none (`is_credible`)."""
-    page = Page()
-    if not is_credible(page.put(buffer), page.header, page.ranges, with_ranges=True):
+    pages = Pages(1)
+    pages.put(0, buffer)
+    page = pages.rows[0]
+    if not is_credible(page, with_ranges=True):
         return None
     (
         _, station, phase, flags, count, seq, time_us,
         odo_n, odo_e, odo_d, vel_n, vel_e, vel_d, start_ms,
         fix_ms, fix_n, fix_e, fix_d, std_h_mm, std_v_mm, err_n, err_e, err_d, err_mm,
-    ) = page.header[0].tolist()  # fmt: skip
+    ) = page["header"].tolist()  # fmt: skip
     fix = None
     if flags & HAS_FIX:
         fix = Fix(fix_ms, (fix_n, fix_e, fix_d), std_h_mm * 1e-3 or None, std_v_mm * 1e-3 or None)
@@ -252,7 +261,7 @@ def decode(buffer: bytes) -> Beacon | None:
         gps_error=GpsError((err_n, err_e, err_d), err_mm * 1e-3) if flags & HAS_GPS_ERROR else None,
         distances=tuple(
             Distance(peer, time_ms, distance_m, std_mm * 1e-3)
-            for peer, time_ms, distance_m, std_mm in page.ranges[:count].tolist()
+            for peer, time_ms, distance_m, std_mm in page["ranges"][:count].tolist()
         ),
     )  # fmt: skip
 

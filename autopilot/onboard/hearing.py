@@ -16,16 +16,14 @@ from autopilot.onboard.beacon import (
     SEQ_MODULUS,
     Fix,
     GpsError,
-    Header,
-    Page,
-    Ranges,
+    PageRows,
+    Pages,
     is_credible,
 )
 from autopilot.onboard.localisation_model import CLOCK_TOLERANCE_US, SILENCE_US
 from autopilot.onboard.motion import Heard
 from autopilot.onboard.neighbourhood import Neighbourhood
 from autopilot.onboard.phases import Phase
-from netsim.wire.messages import Delivery
 
 WAIT_US = 1_000_000
 """A beacon is received within this after it was due; its number tells when that was."""
@@ -46,7 +44,6 @@ STATION = np.dtype(
         ("error_ne_m", "f8", 2),
         ("variance_m2", "f8"),
         ("phase", "u1"),
-        ("is_near", "u1"),
     ],
     align=True,
 )
@@ -62,30 +59,44 @@ LISTENER = np.dtype(
         ("bad", "i8"),
         ("heard", "i8"),
         ("missed", "i8"),
+        ("at", "i8"),
+        ("is_open", "i8"),
     ],
     align=True,
 )
 """Who listens: its number, the formation's beacon period, by how many periods numbers may be off, what errors
-of GPS are taken to be at least, and counts."""
+of GPS are taken to be at least, and counts; of the pages to be gone through, which one it is at, and whether
+that has been heard, but not all of it been made use of."""
+Listener = NDArray[np.void]
+"""(1,) of `LISTENER`"""
+Rows = NDArray[np.int64]
+"""(N,) rows of all stations among those whose distances are looked at, -1 of those that have none"""
 REFUSED, HEARD, BEGUN_ANEW = 0, 1, 2
+MOST_PAGES = 16
+"""Of one reading; 64 UAVs whose beacons come five times a second say six in a loop."""
 
 
 @njit(cache=True)
-def hear(
-    size: int, source: int, now_us: int, header_row: Header, ranges: Ranges, listener: NDArray[np.void],
-    stations: Stations,
-) -> int:  # fmt: skip
-    """Take ``size`` bytes of a page that ``source`` has sent, if they are a beacon of it.
+def row_of(page: np.void, rows: Rows) -> int:
+    """Row of who has sent what is on a page, or -1."""
+    source = page["source"]
+    return rows[source] if source < rows.size else -1
 
-    Gives REFUSED if they are not, BEGUN_ANEW if the sender has begun anew since the beacon before, and its
-    odometry with it: it has not numbered as many as there were periods in between. Else HEARD.
+
+@njit(cache=True)
+def hear(page: np.void, now_us: int, listener: Listener, stations: Stations, rows: Rows) -> int:
+    """Take what is on a page, if it is a beacon of who has sent it.
+
+    Gives REFUSED if it is not, BEGUN_ANEW if the sender has begun anew since the beacon before, and its
+    odometry with it: it has not numbered as many as there were periods in between. Else HEARD. The distances
+    are looked at of those alone who have a row.
     """
-    me, header = listener[0], header_row[0]
+    me, header, source = listener[0], page["header"], page["source"]
     if source >= stations.size or source == me["station"]:
         me["bad"] += 1
         return REFUSED
     sender = stations[source]
-    if not is_credible(size, header_row, ranges, sender["is_near"] != 0) or header["station"] != source:
+    if not is_credible(page, with_ranges=rows[source] >= 0) or header["station"] != source:
         me["bad"] += 1
         return REFUSED
     time_us, seq = np.int64(header["time_us"]), np.int64(header["seq"])
@@ -124,6 +135,15 @@ def hear(
 
 
 @njit(cache=True)
+def hear_all(
+    count: int, now_us: int, pages: PageRows, listener: Listener, stations: Stations, rows: Rows
+) -> None:
+    """Take what is on ``count`` pages."""
+    for k in range(count):
+        hear(pages[k], now_us, listener, stations, rows)
+
+
+@njit(cache=True)
 def all_held(stations: Stations, whose: NDArray[np.int64], since_us: int) -> bool:
     """Whether distances have held the positions, since a time, of those of ``whose`` who fly."""
     for station in whose:
@@ -145,8 +165,10 @@ class Hearing:
         near: of whose beacons it looks at the distances; None: everybody's.
 
     Attributes:
+        pages: what has come and has not been read.
         stations: (N,) of `STATION`.
-        page: the bytes of the last beacon.
+        listener: (1,) of `LISTENER`.
+        rows: (N,) of all stations in the neighbourhood, -1 of those that are not in it.
 
     """
 
@@ -159,33 +181,35 @@ class Hearing:
         gps_std_m: float,
         near: Neighbourhood | None = None,
     ) -> None:
-        self.page = Page()
+        self.pages = Pages(MOST_PAGES)
         self.stations: Stations = np.zeros(stations, STATION)
         for name in ("heard_us", "start_us", "located_us"):
             self.stations[name] = -1
-        self.stations["is_near"] = 1 if near is None else [row is not None for row in near.rows]
-        self._listener: NDArray[np.void] = np.zeros(1, LISTENER)
-        listener = self._listener[0]
+        self.rows: Rows = np.arange(stations) if near is None else near.row_numbers
+        self.listener: Listener = np.zeros(1, LISTENER)
+        listener = self.listener[0]
         listener["station"], listener["period_us"] = station, period_us
         listener["periods_off"] = WAIT_US / period_us + SHIFTS
         listener["gps_var_m2"] = gps_std_m * gps_std_m
 
-    def take(self, item: Delivery, now_us: int) -> int:
-        """Take a datagram; gives REFUSED, HEARD or BEGUN_ANEW as `hear` does."""
-        page = self.page
-        return int(
-            hear(
-                page.put(item.payload), item.source, now_us, page.header, page.ranges, self._listener,
-                self.stations,
-            )
-        )  # fmt: skip
+    def read(self, now_us: int) -> None:
+        """Read all pages, for whoever localises nobody by them."""
+        pages = self.pages
+        hear_all(pages.count, now_us, pages.rows, self.listener, self.stations, self.rows)
+        pages.count = 0
+
+    @property
+    def sender_row(self) -> int:
+        """Row of the sender of the page that is open."""
+        source = self.pages.rows["source"][self.listener["at"].item()]
+        return int(self.rows[source])
 
     def note_fix(self, station: int, fix: Fix, error: GpsError, now_us: int) -> None:
         """Note of a station, the own one too, what it says of its newest fix."""
         row, std_m = self.stations[station], fix.std_h_m or 0.0
         row["located_us"], row["fix_us"] = now_us, fix.time_ms * 1_000
         row["fix_ne_m"], row["error_ne_m"] = fix.pos_ned_m[:2], error.ned_m[:2]
-        row["variance_m2"] = max(std_m * std_m, self._listener["gps_var_m2"].item())
+        row["variance_m2"] = max(std_m * std_m, self.listener["gps_var_m2"].item())
 
     def reaches(self, station: int, now_us: int) -> bool:
         """Whether a station has been heard of lately."""
@@ -208,14 +232,14 @@ class Hearing:
     @property
     def bad_beacons(self) -> int:
         """Datagrams that were no beacon, or one that contradicts itself."""
-        return int(self._listener["bad"].item())
+        return int(self.listener["bad"].item())
 
     @property
     def beacons_heard(self) -> int:
         """Beacons so far."""
-        return int(self._listener["heard"].item())
+        return int(self.listener["heard"].item())
 
     @property
     def beacons_missed(self) -> int:
         """Of those that stations heard so far have numbered."""
-        return int(self._listener["missed"].item())
+        return int(self.listener["missed"].item())

@@ -9,9 +9,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from autopilot.onboard.beacon import HAS_FIX, Header, Ranges
+from autopilot.onboard.beacon import HAS_FIX, PageRows
 from autopilot.onboard.distances import Pairs, Pending, Queue, add_distance
-from autopilot.onboard.kernels import STATES, Array, Times, fuse_range, predict
+from autopilot.onboard.hearing import BEGUN_ANEW, REFUSED, Listener, Rows, Stations, hear, row_of
+from autopilot.onboard.kernels import STATES, Array, fuse_range, predict
 from autopilot.onboard.localisation_model import SILENCE_US, Model
 from autopilot.onboard.members import Members
 from autopilot.onboard.receivers import MISFIT_WEIGHT, add_fix, fuse_mean, take_stated
@@ -48,10 +49,11 @@ Filter = NDArray[np.void]
 """(1,) of `FILTER`"""
 
 DONE = 0
-LOST, ODOMETRY_JUMPED, FIRST_MEAN, GPS_STEPPED, FULL = 1, 2, 3, 4, 5
-"""What a UAV's news ask for: it was silent for long; its odometry has begun anew; fixes have made a first
-mean; its GPS has made a step; there is no room for its distances."""
-NOT_LOCATED, ELSEWHERE = 6, 7
+SENDER_ANEW, LOST, ODOMETRY_JUMPED, FIRST_MEAN, GPS_STEPPED, FULL = 1, 2, 3, 4, 5, 6
+"""What a UAV's news ask for: its application has begun anew, to be heeded before what it says; it was silent
+for long; its odometry has begun anew; fixes have made a first mean; its GPS has made a step; there is no room
+for its distances."""
+NOT_LOCATED, ELSEWHERE = 7, 8
 """What a pending distance asks for: an end is not located; one of them cannot be where it is taken to be."""
 
 
@@ -125,16 +127,15 @@ def take_fix(
 
 @njit(cache=True)
 def take_beacon(
-    row: int, now_us: int, header_row: Header, ranges: Ranges, rows: Times, filter_row: Filter,
-    model_row: Model, members: Members, rings: Rings, state: Array, cov: Array, pairs: Pairs,
-    pending: Pending, queue: Queue,
+    page: np.void, row: int, now_us: int, rows: Rows, filter_row: Filter, model_row: Model,
+    members: Members, rings: Rings, state: Array, cov: Array, pairs: Pairs, pending: Pending, queue: Queue,
 ) -> int:  # fmt: skip
     """Take all that a credible beacon of a UAV says; what is no news in it is ignored.
 
     Returns DONE, or what is to be done before it is taken again: LOST, ODOMETRY_JUMPED, FIRST_MEAN,
-    GPS_STEPPED or FULL. ``rows`` (F,) are the rows of all stations, -1 of those that have none.
+    GPS_STEPPED or FULL.
     """
-    header = header_row[0]
+    header, ranges = page["header"], page["ranges"]
     sample, pos_ned_m = np.empty(6), np.empty(3)
     sample[0], sample[1] = header["odometry_n_m"], header["odometry_e_m"]
     sample[2], sample[3] = header["odometry_d_m"], header["vel_n_m_s"]
@@ -166,6 +167,39 @@ def take_beacon(
                 pairs, pending, queue, row, responder, int(np.int64(told["time_ms"])) * 1_000,
                 np.float64(told["distance_m"]), std_m * std_m + floor_m2, now_us,
             )  # fmt: skip
+    return DONE
+
+
+@njit(cache=True)
+def read_beacons(
+    count: int, now_us: int, pages: PageRows, listener: Listener, stations: Stations, rows: Rows,
+    filter_row: Filter, model_row: Model, members: Members, rings: Rings, state: Array, cov: Array,
+    pairs: Pairs, pending: Pending, queue: Queue,
+) -> int:  # fmt: skip
+    """Hear what is on ``count`` pages, and take what is said by those who are localised.
+
+    Returns DONE, or what is to be done before it is gone on with at the page that is open: SENDER_ANEW, or
+    what `take_beacon` asks for.
+    """
+    me = listener[0]
+    while me["at"] < count:
+        page = pages[me["at"]]
+        row = row_of(page, rows)
+        if not me["is_open"]:
+            heard = hear(page, now_us, listener, stations, rows)
+            me["is_open"] = heard != REFUSED and row >= 0
+            if me["is_open"] and heard == BEGUN_ANEW:
+                return SENDER_ANEW
+        if me["is_open"]:
+            asked = take_beacon(
+                page, row, now_us, rows, filter_row, model_row, members, rings, state, cov, pairs, pending,
+                queue,
+            )  # fmt: skip
+            if asked != DONE:
+                return asked
+            me["is_open"] = 0
+        me["at"] += 1
+    me["at"] = 0
     return DONE
 
 

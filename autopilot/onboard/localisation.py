@@ -16,10 +16,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from autopilot.onboard.beacon import Page
 from autopilot.onboard.distances import Distances
+from autopilot.onboard.hearing import Hearing
 from autopilot.onboard.intake import (
     DONE,
     ELSEWHERE,
@@ -29,10 +28,11 @@ from autopilot.onboard.intake import (
     LOST,
     NOT_LOCATED,
     ODOMETRY_JUMPED,
+    SENDER_ANEW,
     Filter,
     advance,
     count_distance,
-    take_beacon,
+    read_beacons,
     take_fix,
     take_odometry,
     use_pending,
@@ -119,21 +119,19 @@ class CooperativeLocalisation:
         self._geometry_due_us = 0
         self._counted = 0
 
-    def on_beacon(self, row: int, page: Page, rows: NDArray[np.int64], *, now_us: int) -> None:
-        """Take what the beacon on a page says of its sender, and what it has measured.
-
-        ``rows`` (F,) are the indices here of the stations that it names; -1: those that are not here. To be
-        told before that, by `restart`, if the sender has begun anew.
-        """
-        distances = self._distances
+    def read(self, hearing: Hearing, now_us: int) -> None:
+        """Hear all that has come, and take what it says of those who are localised and of distances."""
+        pages, distances = hearing.pages, self._distances
         while True:
-            asked = take_beacon(
-                row, now_us, page.header, page.ranges, rows, self._filter, self._model_row, self.members,
-                self.tracks.rings, self.state, self.cov, distances.pairs, distances.pending, distances.queue,
+            asked = read_beacons(
+                pages.count, now_us, pages.rows, hearing.listener, hearing.stations, hearing.rows,
+                self._filter, self._model_row, self.members, self.tracks.rings, self.state, self.cov,
+                distances.pairs, distances.pending, distances.queue,
             )  # fmt: skip
             if asked == DONE:
+                pages.count = 0
                 return
-            self._do(asked, row)
+            self._do(asked, hearing.sender_row)
 
     def on_odometry(
         self, station: int, time_us: int, odometry_ned_m: Sequence[float], vel_ned_m_s: Sequence[float]
@@ -179,7 +177,9 @@ class CooperativeLocalisation:
 
     def _do(self, asked: int, row: int) -> None:
         """Do what a UAV's news ask for; see `intake`."""
-        if asked == LOST:
+        if asked == SENDER_ANEW:
+            self.restart(row)
+        elif asked == LOST:
             self._lose(row)
         elif asked == ODOMETRY_JUMPED:
             self._begin_odometry_anew(row)

@@ -94,13 +94,14 @@ def odometry_at(rings: Rings, row: int, time_us: int, out_ned_m: Array) -> int:
 
 @njit(cache=True)
 def odometry_between(rings: Rings, i: int, j: int, time_us: int, out_ned_m: Array) -> int:
-    """Odometry (3,) of UAV i less that of j at a time; see `odometry_at`."""
-    far_m = np.empty(3)
+    """Odometry (3,) of UAV i less that of j at a time, if that of both is known; see `odometry_at`."""
+    far_ned_m = np.empty(3)
     known = odometry_at(rings, i, time_us, out_ned_m)
     if known == KNOWN:
-        known = odometry_at(rings, j, time_us, far_m)
+        known = odometry_at(rings, j, time_us, far_ned_m)
+    if known == KNOWN:
         for a in range(3):
-            out_ned_m[a] -= far_m[a]
+            out_ned_m[a] -= far_ned_m[a]
     return known
 
 

@@ -202,7 +202,7 @@ class SwarmWorld:
         self.in_flight = [item for item in self.in_flight if item[0] > now_us]
         for _, station, item in arrived:
             if station not in self.dead:
-                self.apps[station].on_radio(item, now_us)
+                self.apps[station].on_radio((item,), now_us)
         for i, app in enumerate(self.apps):
             if i in self.dead:
                 continue

@@ -445,7 +445,7 @@ def test_a_wrong_datagram_is_counted_and_changes_nothing(spoil):
     app = w.apps[0]
     state, cov = app.localisation.state.copy(), app.localisation.cov.copy()
     delivery = Delivery(source=1, seq=0, received_ns=0, rssi_dbm=-60.0, payload=spoil(w.now_us))
-    app.on_radio(delivery, w.now_us)
+    app.on_radio([delivery], w.now_us)
     assert app.bad_beacons == 1
     assert np.array_equal(app.localisation.state, state)
     assert np.array_equal(app.localisation.cov, cov)

@@ -8,6 +8,7 @@ from scipy.optimize import least_squares
 from autopilot.config import REMEMBERED_S
 from autopilot.onboard import beacon as wire
 from autopilot.onboard import kernels
+from autopilot.onboard.hearing import Hearing
 from autopilot.onboard.localisation import CooperativeLocalisation, LocalisationModel
 from autopilot.onboard.phases import Phase
 from autopilot.onboard.tracks import SAMPLES
@@ -302,12 +303,13 @@ def test_what_a_beacon_tells_at_once_is_what_it_tells_one_by_one():
     """Eight UAVs are localised of thirteen who are heard of, from 5 s on and over half a minute's silence."""
     rng, case = np.random.default_rng(18), StaticCase(18)
     one_by_one, at_once = case.run(), case.run()
-    page, rows = wire.Page(), np.array([*(10 * [-1]), *range(N), *(3 * [-1])])
+    hearing = Hearing(station=10, stations=N + 13, period_us=3_600_000_000, gps_std_m=1.0)
+    hearing.rows = np.array([*(10 * [-1]), *range(N), *(3 * [-1])])
     for now_us in (*range(5_100_000, 9_000_000, 30_000), *range(40_000_000, 44_000_000, 30_000)):
         row = int(rng.integers(1, N))
         payload = wire.encode(drawn_beacon(rng, case, row, now_us))
-        page.put(payload)
-        at_once.on_beacon(row, page, rows, now_us=now_us)
+        hearing.pages.put(row + 10, payload)
+        at_once.read(hearing, now_us)
         told = wire.decode(payload)
         one_by_one.on_odometry(row, told.time_us, told.odometry_ned_m, told.vel_ned_m_s)
         if told.fix is not None and told.fix.time_ms * 1_000 <= now_us:
@@ -323,6 +325,7 @@ def test_what_a_beacon_tells_at_once_is_what_it_tells_one_by_one():
         assert np.array_equal(at_once.members, one_by_one.members)
         assert np.array_equal(at_once.cov, one_by_one.cov)
     assert np.array_equal(at_once.state, one_by_one.state)
+    assert (hearing.bad_beacons, hearing.pages.count) == (0, 0)
     assert at_once.ranges_used == one_by_one.ranges_used > 300
     assert at_once.ranges_too_late == one_by_one.ranges_too_late > 0
     assert at_once.odometry_jumps == one_by_one.odometry_jumps > 0

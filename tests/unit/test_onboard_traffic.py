@@ -11,13 +11,13 @@ import pytest
 
 from autopilot.config import SESSION_S, Devices, OnboardConfig, Site
 from autopilot.onboard import beacon as wire
-from autopilot.onboard.hearing import BEGUN_ANEW, HEARD, REFUSED, SHIFTS, WAIT_US
+from autopilot.onboard.hearing import BEGUN_ANEW, HEARD, REFUSED, SHIFTS, WAIT_US, hear
 from autopilot.onboard.localisation import SILENCE_US
 from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.phases import Phase
 from autopilot.onboard.scheduled_ranging import CHECK_LATEST_US, CHECK_US, UNKNOWN_PERIOD_US, owner
 from autopilot.onboard.traffic import Traffic
-from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult, Survey
+from netsim.wire.messages import Broadcast, FtmRequest, FtmResult, Survey
 
 STATIONS = 200
 STEP_US = 4_000
@@ -53,11 +53,11 @@ def beacon_of(station, *, seq=0, time_us=0):
     )  # fmt: skip
 
 
-def delivery(beacon, *, source=None, received_us=0):
-    return Delivery(
-        source=beacon.station if source is None else source, seq=0, received_ns=received_us * 1_000,
-        rssi_dbm=-60.0, payload=wire.encode(beacon),
-    )  # fmt: skip
+def take(hearing, beacon, now_us, *, source=None):
+    """Hear a beacon, sent in its own name or in that of another; gives as what it was heard."""
+    pages = wire.Pages(1)
+    pages.put(beacon.station if source is None else source, wire.encode(beacon))
+    return hear(pages.rows[0], now_us, hearing.listener, hearing.stations, hearing.rows)
 
 
 def heard(times_and_numbers, *, config=None):
@@ -66,7 +66,7 @@ def heard(times_and_numbers, *, config=None):
     for time_s, seq in times_and_numbers:
         now_us = round(time_s * 1e6)
         beacon = beacon_of(1, seq=seq % wire.SEQ_MODULUS, time_us=now_us)
-        found = traffic.hearing.take(delivery(beacon), now_us)
+        found = take(traffic.hearing, beacon, now_us)
         assert found in {HEARD, BEGUN_ANEW}
         new.append(found == BEGUN_ANEW)
     return new, traffic.hearing
@@ -122,7 +122,7 @@ def test_a_beacon_that_was_overtaken_is_of_no_new_sender():
     hearing, found = traffic_of().hearing, []
     for now_ms, seq, time_ms in ((1_000, 7, 1_000), (1_200, 9, 1_200), (1_210, 8, 1_100), (1_300, 10, 1_300)):
         beacon = beacon_of(1, seq=seq, time_us=1_000 * time_ms)
-        found.append(hearing.take(delivery(beacon), 1_000 * now_ms))
+        found.append(take(hearing, beacon, 1_000 * now_ms))
     assert found == 4 * [HEARD]
     assert (hearing.beacons_heard, hearing.beacons_missed) == (4, 1)
 
@@ -150,7 +150,7 @@ class Flight:
         for now_us in range(self.now_us, self.now_us + round(seconds * 1e6), STEP_US):
             if now_us % 100_000 == 0:
                 for station in self.heard:
-                    self.traffic.hearing.take(delivery(beacon_of(station, time_us=now_us)), now_us)
+                    take(self.traffic.hearing, beacon_of(station, time_us=now_us), now_us)
             self.traffic.take_survey(Survey(ended_ns=now_us * 1_000, busy_ns=round(busy * now_us * 1_000)))
             own.time_us = now_us
             deadline_us = self.traffic.next_deadline_us(ranging=True)
@@ -212,7 +212,7 @@ def test_what_is_missing_from_the_numbers_heard_has_been_missed():
     _, hearing = heard((0.1 * seq, seq) for seq in numbers)
     assert hearing.beacons_missed == 2 + 1  # 7, 8 and 11
     assert hearing.beacons_heard == len(numbers)
-    hearing.take(delivery(beacon_of(2, seq=100)), 0)
+    take(hearing, beacon_of(2, seq=100), 0)
     assert hearing.beacons_missed == 3
 
 
@@ -228,7 +228,7 @@ def test_what_is_missing_from_the_numbers_heard_has_been_missed():
 def test_a_beacon_that_contradicts_itself_is_counted_and_not_believed(beacon, source):
     hearing = traffic_of(0).hearing
     before = hearing.stations.copy()
-    assert hearing.take(delivery(beacon, source=source), 0) == REFUSED
+    assert take(hearing, beacon, 0, source=source) == REFUSED
     assert (hearing.bad_beacons, hearing.beacons_heard) == (1, 0)
     assert np.array_equal(hearing.stations, before)
 
@@ -313,7 +313,7 @@ def test_a_failed_session_gives_no_distance_and_a_good_one_its_error():
 
 def test_requests_and_beacons_share_one_rising_number():
     traffic, own, numbers = traffic_of(0, config=SCHEDULED), own_state(), []
-    traffic.hearing.take(delivery(beacon_of(1)), 0)
+    take(traffic.hearing, beacon_of(1), 0)
     for now_us in range(0, 2_000_000, STEP_US):
         numbers += [item.seq for item in traffic.due(own, now_us, now_us + STEP_US, ranging=True)]
     assert numbers == list(range(len(numbers)))

@@ -73,25 +73,29 @@ def filter_row():
     return row
 
 
-def heard_of():
-    """Page of a beacon of station 2, some of which is news; its size comes first."""
-    page = wire.Page()
-    size = page.put(
-        wire.encode(
-            wire.Beacon(
-                station=2, seq=int(RNG.integers(20)), time_us=int(RNG.integers(9_500_000, 10_500_000)),
-                phase=Phase(RNG.integers(9)), odometry_ned_m=tuple(some(3)), vel_ned_m_s=tuple(some(3)),
-                motion_start_ms=None if RNG.integers(2) else 9_000,
-                fix=None if RNG.integers(4) == 0 else
-                    wire.Fix(int(RNG.integers(9_000, 10_500)), tuple(some(3)), 2.0, None),
-                gps_error=None if RNG.integers(2) else wire.GpsError(tuple(some(3)), 1.0),
-                distances=tuple(
-                    wire.Distance(peer, int(RNG.integers(9_000, 10_500)), 9.0 + peer, 0.1)
-                    for peer in (0, 1, 3, 5)),
-            )
-        )
-    )  # fmt: skip
-    return size, page.header, page.ranges
+def heard_of(count=3):
+    """Pages with beacons of stations 2 and 3, some of which are news."""
+    pages = wire.Pages(count)
+    for _ in range(count):
+        station = int(RNG.integers(2, 4))
+        said = wire.Beacon(
+            station=station, seq=int(RNG.integers(20)), time_us=int(RNG.integers(9_500_000, 10_500_000)),
+            phase=Phase(RNG.integers(9)), odometry_ned_m=tuple(some(3)), vel_ned_m_s=tuple(some(3)),
+            motion_start_ms=None if RNG.integers(2) else 9_000,
+            fix=None if RNG.integers(4) == 0 else
+                wire.Fix(int(RNG.integers(9_000, 10_500)), tuple(some(3)), 2.0, None),
+            gps_error=None if RNG.integers(2) else wire.GpsError(tuple(some(3)), 1.0),
+            distances=tuple(
+                wire.Distance(peer, int(RNG.integers(9_000, 10_500)), 9.0 + peer, 0.1)
+                for peer in (0, 1, 5)),
+        )  # fmt: skip
+        pages.put(station, wire.encode(said))
+    return pages.rows
+
+
+def numbers():
+    """Rows of six stations."""
+    return np.array((0, 1, 2, 3, -1, -1))
 
 
 def fixed(rows):
@@ -101,14 +105,14 @@ def fixed(rows):
 
 
 def waiting():
-    items = listed(distances.PENDING, 6)
-    items["initiator"], items["responder"] = RNG.integers(N, size=6), RNG.integers(N, size=6)
+    items = listed(distances.PENDING, 20)
+    items["initiator"], items["responder"] = RNG.integers(N, size=20), RNG.integers(N, size=20)
     return items, np.array([(4, 0, 0)], distances.QUEUE)
 
 
 def listener():
     """Of station 0, at a beacon each 100 ms."""
-    return np.array([(0, 100_000, 12.0, 2.25, 0, 0, 0)], hearing.LISTENER)
+    return np.array([(0, 100_000, 12.0, 2.25, 0, 0, 0, 0, 0)], hearing.LISTENER)
 
 
 CASES = {
@@ -117,10 +121,9 @@ CASES = {
     common_frame.play_round: lambda: (
         2, 10_000_000, np.array((0, 2, 3, 5)), listed(hearing.STATION, 7), listed(MEMBER, N), rings(),
         some(5 * N), 0.2, -0.1),
-    wire.is_credible: lambda: (*heard_of(), True),
-    hearing.hear: lambda: (
-        wire.HEADER_BYTES + 4 * wire.RANGE_BYTES, 2, 10_000_000, *heard_of()[1:], listener(),
-        listed(hearing.STATION, 7)),
+    wire.is_credible: lambda: (heard_of()[0], True),
+    hearing.hear: lambda: (heard_of()[0], 10_000_000, listener(), listed(hearing.STATION, 6), numbers()),
+    hearing.hear_all: lambda: (3, 10_000_000, heard_of(), listener(), listed(hearing.STATION, 6), numbers()),
     hearing.all_held: lambda: (listed(hearing.STATION, 7), np.array((0, 2, 3)), 9_500_000),
     tracks.push: lambda: (
         listed(MEMBER, N), rings(), 2, int(RNG.integers(9_500_000, 10_500_000)), some(6), np.zeros(2)),
@@ -133,8 +136,8 @@ CASES = {
     intake.advance: lambda: (
         filter_row(), model(), listed(MEMBER, N), *filtered(), int(RNG.integers(9_000_000, 11_000_000)),
         bool(RNG.integers(2))),
-    intake.take_beacon: lambda: (
-        2, 10_000_000, *heard_of()[1:], np.array((0, 1, 2, 3, -1, -1)), filter_row(), model(),
+    intake.read_beacons: lambda: (
+        3, 10_000_000, heard_of(), listener(), listed(hearing.STATION, 6), numbers(), filter_row(), model(),
         fixed(listed(MEMBER, N)), rings(), *filtered(), listed(distances.PAIR, (N, N)), *waiting()),
     intake.use_pending: lambda: (
         10_000_000, filter_row(), model(), listed(MEMBER, N), rings(), *filtered(),

@@ -62,7 +62,7 @@ def test_what_the_radio_brings_between_two_rounds_of_the_loop_is_not_lost():
         vehicle.step(
             sim_messages=[sensor(time_us)], radio_items=[item] * (time_us == 8_000), link_active=NOBODY
         )
-    vehicle.app.on_radio.assert_called_once_with(item, 8_000)
+    vehicle.app.on_radio.assert_called_once_with([item], 8_000)
 
 
 def test_before_its_time_there_is_nothing_to_look_at_but_the_sample():

@@ -103,7 +103,8 @@ class _Talker:
 
     def hear(self, item: RxItem, now_us: int) -> None:
         if isinstance(item, Delivery):
-            self.traffic.hearing.take(item, now_us)
+            self.traffic.hearing.pages.put(item.source, item.payload)
+            self.traffic.hearing.read(now_us)
         elif isinstance(item, FtmResult):
             self.traffic.measured(item)
 
