@@ -23,7 +23,7 @@ from netsim.ideal import undisturbed
 from netsim.kernel import EventQueue
 from netsim.mac.jobs import GroupReception, Job, Outcome, Reception, Sender
 from netsim.mac.rates import datagram_modes
-from netsim.phy.propagation import Links, Trajectories
+from netsim.phy.propagation import Links, Trajectories, is_possible
 from netsim.phy.signals import Transmission
 from netsim.records import Counters, FrameRecord, SessionRecord, Tally, frame_records
 from netsim.settings import check
@@ -92,6 +92,9 @@ class Emulator:
         self._tally = Tally()
         self.queue = EventQueue()
         self.trajectories = Trajectories(stations)
+        self._level = np.tile([1.0, 0.0, 0.0, 0.0], (stations, 1))
+        """Attitudes, where nobody says otherwise."""
+        self._shapes = (stations, 3), (stations, 3), self._level.shape
         self._links = Links(config, self.trajectories, stations, self._streams)
         self._channel = channel_of(
             config,
@@ -182,15 +185,13 @@ class Emulator:
         shape or that are not finite, or a time that is past.
         """
         positions, velocities = (np.asarray(each, dtype=np.float64) for each in (pos_ned_m, vel_ned_m_s))
-        for each in (positions, velocities):
-            if each.shape != (self._stations, 3) or not np.isfinite(each).all():
-                raise ValueError(
-                    f"positions and velocities must be finite and of shape ({self._stations}, 3)"
-                )
-        if q_ned_frd is not None and not (
-            q_ned_frd.shape == (self._stations, 4) and np.isfinite(q_ned_frd).all()
-        ):
-            raise ValueError(f"attitudes must be finite and of shape ({self._stations}, 4)")
+        attitudes = self._level if q_ned_frd is None else q_ned_frd
+        shapes = positions.shape, velocities.shape, attitudes.shape
+        if shapes != self._shapes or not is_possible(positions, velocities, attitudes):
+            raise ValueError(
+                f"positions and velocities must be finite and of shape ({self._stations}, 3), "
+                f"attitudes of length one and of shape ({self._stations}, 4)"
+            )
         to_ns = 1_000 * to_us
         if to_ns < self.queue.now_ns:
             raise ValueError(f"cannot go back to {to_us} us: it is {self.queue.now_ns // 1_000} us")

@@ -15,6 +15,7 @@ from netsim.capture.writer import Capture
 from netsim.config import ServerConfig
 from netsim.emulator import Emulator
 from netsim.logs import FRAME_LOG, SESSION_LOG
+from netsim.phy.propagation import is_possible
 from netsim.phy.signals import Transmission
 from netsim.record_log import RecordLog
 from netsim.records import frame_log_rows
@@ -32,8 +33,6 @@ class Motion(NamedTuple):
     q_ned_frd: Doubles
 
 
-FARTHEST_M, FASTEST_M_S, NORM_TOLERANCE = 1e8, 1e5, 1e-3
-"""What a vehicle's state may be: limits against senseless numbers."""
 _REFUSED = "the 802.11 emulator refuses to go on as it is told"
 STREAM = 802
 """Sets the emulator's random streams apart from those of the run's other processes."""
@@ -132,17 +131,12 @@ class HostedEmulator:
         q_ned_frd = unpack_rows(request.q_ned_frd, stations=vehicles, columns=4)
         if pos_ned_m is None or vel_ned_m_s is None or q_ned_frd is None:
             raise ValueError(_REFUSED)
-        motion = Motion(pos_ned_m, vel_ned_m_s, q_ned_frd)
-        with np.errstate(over="ignore"):
-            norms = np.linalg.norm(q_ned_frd, axis=1)
-        # comparisons that what is not a number fails as well
-        somewhere = (np.abs(pos_ned_m) <= FARTHEST_M).all() and (np.abs(vel_ned_m_s) <= FASTEST_M_S).all()
-        upright = (np.abs(norms - 1.0) <= NORM_TOLERANCE).all()
+        possible = is_possible(pos_ned_m, vel_ned_m_s, q_ned_frd)
         named = (*request.senders, *request.silent, *(station for station, _ in request.range_offsets_m))
         known = all(station < self.stations for station in named)
-        if not (known and somewhere and upright and request.to_us > self._reached_us):
+        if not (known and possible and request.to_us > self._reached_us):
             raise ValueError(_REFUSED)
-        return self._with_guests(motion)
+        return self._with_guests(Motion(pos_ned_m, vel_ned_m_s, q_ned_frd))
 
     def _with_guests(self, motion: Motion) -> Motion:
         """Motion of all stations: guests stand still, upright."""

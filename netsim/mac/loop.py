@@ -168,6 +168,17 @@ def _end_frame(air: Air, frame: int) -> None:
 
 
 @njit(cache=True)
+def have_budget(
+    air: Air, source: int, powers_mw: Doubles, delays_ns: Integers, until_ns: int, longest_delay_ns: int
+) -> None:
+    """Have the link budget of a station: powers and delays (n,) until a time."""
+    t.budgets_mw(air, source)[:] = powers_mw
+    t.budget_delays_ns(air, source)[:] = delays_ns
+    budget = t.budgets(air, source)
+    budget[c.BUDGET_UNTIL], budget[c.BUDGET_DELAY] = until_ns, longest_delay_ns
+
+
+@njit(cache=True)
 def enqueue(
     air: Air,
     q: int,

@@ -263,10 +263,9 @@ class Radios:
         self._tables = t.tables_of(self._air)
 
     def _have_budget(self, source: int, at_ns: int) -> None:
-        row, tables = self._links.row(source, at_ns), self._tables
-        tables.budgets_mw[source] = row.powers_mw
-        tables.budget_delays_ns[source] = row.delays_ns
-        tables.budgets[source] = max(row.until_ns, at_ns), row.longest_delay_ns
+        row = self._links.row(source, at_ns)
+        until_ns = max(row.until_ns, at_ns)
+        loop.have_budget(self._air, source, row.powers_mw, row.delays_ns, until_ns, row.longest_delay_ns)
         if self._fading is not None:
             self._fading.prepare(source)
 
@@ -331,14 +330,17 @@ class Radios:
         seq, body = (0, None) if job is None else (job.seq, job.body)
         tables = self._tables
         signal = tables.signals[frame].tolist()
-        stations = (tables.ends[c.FATES] == c.RECEIVED).nonzero()[0]
-        ends_ns, powers_mw = (
-            signal[c.END] + tables.delays_ns[frame, stations],
-            tables.powers_mw[frame, stations],
-        )
+        fates, delays_ns = tables.ends[c.FATES].tolist(), tables.delays_ns[frame].tolist()
+        powers_mw = tables.powers_mw[frame].tolist()
+        stations = [station for station, fate in enumerate(fates) if fate == c.RECEIVED]
         self._on_group_frame(
             GroupReception(
-                signal[c.SOURCE], seq, body, stations.tolist(), ends_ns.tolist(), powers_mw.tolist()
+                signal[c.SOURCE],
+                seq,
+                body,
+                stations,
+                [signal[c.END] + delays_ns[station] for station in stations],
+                [powers_mw[station] for station in stations],
             )
         )
 

@@ -34,18 +34,20 @@ SECTORS = 8
 def _turn(
     theta_rad: Doubles,
     rates_rad_ns: Doubles,
-    moved_m: Doubles,
+    from_ned_m: Doubles,
+    to_ned_m: Doubles,
     vel_ned_m_s: Doubles,
     since_s: float,
     doppler_hz: float,
     wavelength_m: float,
 ) -> None:
-    """Turn every pair's theta (n, n) on by the ways (n, 3) of its ends, and take its rate from then on."""
+    """Turn every pair's theta (n, n) on by its ends' ways between places (n, 3), and take its new rate."""
     for a in range(len(theta_rad)):
         for b in range(a):
             way_m2 = speed_m2_s2 = 0.0
             for axis in range(3):
-                way_m2 += (moved_m[a, axis] - moved_m[b, axis]) ** 2
+                moved_m = to_ned_m[a, axis] - from_ned_m[a, axis]
+                way_m2 += (moved_m - (to_ned_m[b, axis] - from_ned_m[b, axis])) ** 2
                 speed_m2_s2 += (vel_ned_m_s[a, axis] - vel_ned_m_s[b, axis]) ** 2
             turns = sqrt(way_m2 / wavelength_m**2 + (doppler_hz * since_s) ** 2)
             spread_hz = sqrt(speed_m2_s2 / wavelength_m**2 + doppler_hz**2)
@@ -113,11 +115,12 @@ class RicianFading:
         While all rest this need not be said again.
         """
         # before the first instant everybody stood still
-        moved_m = np.zeros_like(pos_ned_m) if self._pos_ned_m is None else pos_ned_m - self._pos_ned_m
+        from_ned_m = pos_ned_m if self._pos_ned_m is None else self._pos_ned_m
         _turn(
             self._theta_rad,
             self._rates_rad_ns,
-            moved_m,
+            from_ned_m,
+            pos_ned_m,
             vel_ned_m_s,
             (at_ns - int(self.block[0])) * 1e-9,
             self._doppler_hz,

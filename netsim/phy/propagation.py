@@ -40,6 +40,8 @@ COMPUTED_TOGETHER = 16
 """Up to so many stations the arrays of all links cost less than those of two stations' links, one by one."""
 AUDIBLE_BELOW_NOISE = 0.01
 """Signals more than 20 dB below the noise, and the thresholds of sensing, do not matter to anybody."""
+FARTHEST_PLACE_M, FASTEST_M_S, NORM_TOLERANCE = 1e8, 1e5, 1e-3
+"""What a station's state may be: limits against senseless numbers."""
 FARTHEST_M = 16e-6 * SPEED_OF_LIGHT_M_S
 """Beyond a delay of SIFS, 4.8 km, answers would be due before their cause has ended everywhere."""
 
@@ -56,6 +58,24 @@ def thermal_noise_mw(bandwidth_mhz: float, noise_figure_db: float) -> float:
 
 
 @njit(cache=True)
+def is_possible(pos_ned_m: Doubles, vel_ned_m_s: Doubles, q_ned_frd: Doubles) -> bool:
+    """Whether places and velocities (n, 3) and attitudes (n, 4) make sense: of Earth, and of length one.
+
+    What is not a number does not.
+    """
+    for r in range(len(pos_ned_m)):
+        for axis in range(3):
+            if not (abs(pos_ned_m[r, axis]) <= FARTHEST_PLACE_M and abs(vel_ned_m_s[r, axis]) <= FASTEST_M_S):
+                return False
+        square = 0.0
+        for k in range(4):
+            square += q_ned_frd[r, k] ** 2
+        if not abs(sqrt(square) - 1.0) <= NORM_TOLERANCE:
+            return False
+    return True
+
+
+@njit(cache=True)
 def _power_law(
     pos_ned_m: Doubles,
     vel_ned_m_s: Doubles,
@@ -63,10 +83,15 @@ def _power_law(
     source: int,
     at_reference_mw: float,
     exponent: float,
+    audible_mw: float,
     powers_mw: Doubles,
     distances_m: Doubles,
-) -> None:
-    """Fill powers and distances (n,) from a station to all, ``dt_s`` after they were where it is stated."""
+    delays_ns: Integers,
+) -> int:
+    """Fill powers, distances and delays (n,) from a station to all; returns the longest as `_reach` does.
+
+    They are where they get to in ``dt_s`` from where it is stated.
+    """
     for r in range(len(pos_ned_m)):
         square_m2 = 0.0
         for axis in range(3):
@@ -74,6 +99,8 @@ def _power_law(
             square_m2 += (to_m - (pos_ned_m[source, axis] + dt_s * vel_ned_m_s[source, axis])) ** 2
         distances_m[r] = sqrt(square_m2)
         powers_mw[r] = at_reference_mw * max(distances_m[r], REFERENCE_DISTANCE_M) ** -exponent
+    powers_mw[source] = 0.0
+    return _reach(powers_mw, distances_m, FARTHEST_M, audible_mw, delays_ns)
 
 
 @njit(cache=True)
@@ -104,7 +131,6 @@ class Trajectories:
         "_axes_ned",
         "_pos_ned_m",
         "_rows",
-        "_stated",
         "_vel_ned_m_s",
         "moving",
         "on_set",
@@ -116,8 +142,6 @@ class Trajectories:
         self._at_ns = 0
         self._pos_ned_m = np.zeros((stations, 3))
         self._vel_ned_m_s = np.zeros((stations, 3))
-        self._stated = self._pos_ned_m.tobytes()
-        """The places, as bytes: they are quickly compared."""
         self._rows: tuple[list[list[float]], list[list[float]]] | None = None
         """Places and velocities as single numbers, once somebody has asked for them."""
         self._attitudes: bytes | None = None
@@ -140,13 +164,13 @@ class Trajectories:
         """
         # copies, which nobody else changes
         places, velocities = np.array(pos_ned_m, np.float64), np.array(vel_ned_m_s, np.float64)
-        stated, moving = places.tobytes(), bool(np.count_nonzero(velocities))
-        if moving or self.moving or stated != self._stated:
+        moving = bool(np.count_nonzero(velocities))
+        if moving or self.moving or places.tobytes() != self._pos_ned_m.tobytes():
             if self.on_set is not None:
                 self.on_set(at_ns, places, velocities)
             self.version += 1
             self.pose_version += 1
-            self._stated, self._rows = stated, None
+            self._rows = None
             self._pos_ned_m, self._vel_ned_m_s = places, velocities
         attitudes = None if q_ned_frd is None else np.array(q_ned_frd, np.float64).tobytes()
         if attitudes != self._attitudes:
@@ -264,6 +288,8 @@ class Links:
             or self._obstruction is not None
         )
         """Nothing but a power law of the distance, which is quicker without arrays."""
+        self._distances_m = np.empty(stations)
+        """Of no use but while a row is computed."""
         self._tx_power_dbm = [config.tx_power_dbm] * stations
         for station in config.stations:
             if station.tx_power_dbm is not None:
@@ -315,15 +341,18 @@ class Links:
             return row
         until_ns = at_ns + ROW_LIFETIME_NS if trajectories.moving else NEVER_NS
         if self._plain:
-            powers_mw, distances_m = np.empty(self._stations), np.empty(self._stations)
-            _power_law(
+            powers_mw, delays_ns = np.empty(self._stations), np.empty(self._stations, np.int64)
+            longest_ns = _power_law(
                 *trajectories.course(at_ns),
                 source,
                 self._at_reference_mw[source],
                 self._path_gain.exponent,
+                self._audible_mw,
                 powers_mw,
-                distances_m,
+                self._distances_m,
+                delays_ns,
             )
+            row = LinkRow(powers_mw, delays_ns, longest_ns, until_ns)
         else:
             since_ns = self._since_ns(at_ns)
             if trajectories.moving:
@@ -334,8 +363,8 @@ class Links:
                 blocked, same_until_ns = self._obstruction.row(source, at_ns)
                 powers_mw[blocked] *= self._blocked_gain
                 until_ns = min(until_ns, same_until_ns - 1)
-        powers_mw[source] = 0.0
-        row = self._finish(powers_mw, distances_m, FARTHEST_M, until_ns)
+            powers_mw[source] = 0.0
+            row = self._finish(powers_mw, distances_m, FARTHEST_M, until_ns)
         self._rows[source], self._row_until_ns[source], self._row_version[source] = row, until_ns, version
         return row
 
