@@ -1,5 +1,11 @@
 """Print the table of the autopilot's parameters, which is docs/parameters.md."""
 
+import os
+
+from antenna import kernel_folder
+
+os.environ.update(kernel_folder.environment())  # read when numba is imported, which is next
+
 from autopilot.parameter_docs import markdown
 
 if __name__ == "__main__":

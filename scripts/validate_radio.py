@@ -1,5 +1,11 @@
 """How right the emulated radio is: ``python scripts/validate_radio.py``. See `harness.validation.radio`."""
 
+import os
+
+from harness import kernel_cache
+
+os.environ.update(kernel_cache.environment())  # read when numba is imported, which is next
+
 from harness.validation.radio.cli import validate_radio_app
 
 if __name__ == "__main__":

@@ -1,6 +1,11 @@
 """The 802.11 emulator alone: ``python scripts/wifi_lab.py saturation --stations 10``. See `netsim.lab`."""
 
+import os
 import sys
+
+from antenna import kernel_folder
+
+os.environ.update(kernel_folder.environment())  # read when numba is imported, which is next
 
 from netsim.lab.cli import main
 

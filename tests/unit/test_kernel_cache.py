@@ -100,6 +100,33 @@ def test_a_process_that_is_started_by_hand_compiles_into_the_folder_of_the_sourc
     assert done.returncode == 0, done.stderr.decode()
 
 
+SCRIPTS = sorted((ARTICLE.parents[1] / "scripts").glob("*.py"))
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+def test_every_script_names_the_folder_of_the_kernels_before_it_imports_numba(tmp_path, script):
+    program = (
+        "import os, runpy, sys\n"
+        "from antenna import kernel_folder\n"
+        "class Door:\n"
+        "    def find_spec(self, name, path, target=None):\n"
+        "        if name == 'numba':\n"
+        "            assert os.environ.get(kernel_folder.VARIABLE) == str(kernel_folder.folder())\n"
+        "            sys.exit()\n"  # seen is what was to be seen
+        "sys.meta_path.insert(0, Door())\n"
+        f"runpy.run_path({str(script)!r}, run_name='script')\n"
+    )
+    environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=script.parents[1],
+        env=environment | {"XDG_CACHE_HOME": str(tmp_path)},
+        capture_output=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr.decode()
+
+
 @pytest.fixture
 def states(monkeypatch, tmp_path):
     """Folders of ten states; the first was used ten days ago, the last but one two days ago."""

@@ -8,6 +8,7 @@ import typer
 from msgspec.structs import replace
 from rich.console import Console
 
+from harness import kernel_cache
 from harness.validation.command import Page, chosen, run_with_progress, tell
 from harness.validation.radio import (
     broadcast_section,
@@ -61,6 +62,7 @@ def validate_radio(
     plan = QUICK_RADIO if quick else RadioPlan()
     if seeds is not None:
         plan = replace(plan, seeds=seeds)
+    kernel_cache.prepare(messages.print)
     subjects = {name: subject for name, subject in SUBJECTS.items() if name in names}
     judged = dict(zip(subjects, run_with_progress(plan, subjects, out=out, messages=messages), strict=True))
     sections = [judged[name] for name in ORDER if name in judged]
