@@ -231,7 +231,11 @@ def _report(
                 step_us = swarm.scenario.run.step_us
                 Console(highlight=False).print(profile_table(swarm.profile, step_us=step_us))
     _list_files(messages, swarm.path)
-    if broken_off is not None and not (interrupted and interruption_is_fine):
+    if isinstance(broken_off, SwarmError):
+        raise broken_off
+    if swarm.records_lost is not None:
+        raise SwarmError(swarm.records_lost)
+    if broken_off is not None and not interruption_is_fine:
         raise broken_off
 
 

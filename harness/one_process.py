@@ -148,7 +148,9 @@ class _Inside(Supervisor):
                 self.log_path(NAME).write_text(traceback.format_exc(), encoding="utf-8")
         finally:  # whatever else goes wrong, who waits for the flight hears of its end
             self._flight = None
-            ended = Exited(name=NAME, pid=os.getpid(), returncode=code, log_tail=last_words)
+            ended = Exited(
+                name=NAME, pid=os.getpid(), returncode=code, log_tail=last_words, last_words=last_words
+            )
             self._heard.put((PHYSICS, ended))
 
     def _say(self, name: str, event: Any) -> None:  # noqa: ANN401  whatever a child says

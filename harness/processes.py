@@ -128,9 +128,11 @@ class Processes:
         """Wall time for which the run that lasts, or was the last, has stood on request."""
         self.formed_us: int | None = None
         self.failure: str | None = None
-        """Why no command can be carried out any more."""
+        """Why no command can be carried out any more, or that what was written down is not whole."""
         self.forced: tuple[str, ...] = ()
         """After the stop: a line for each process that had to be made to end."""
+        self.records_lost: str | None = None
+        """After the stop: why what physics or the radio wrote down is not whole, if it is not."""
 
     @property
     def pids(self) -> dict[str, int]:
@@ -139,14 +141,21 @@ class Processes:
 
     def nondeterminism(self, killed: Container[int] = ()) -> list[str]:
         """What made this run depend on more than scenario and seed, a line each; ``killed`` were by plan."""
+        losses = {event.instance: event.reason for event in self.happenings if isinstance(event, VehicleLost)}
         lost = [
-            f"{uav(event.instance)} was lost for no simulated reason: {event.reason}"
-            for event in self.happenings
-            if isinstance(event, VehicleLost) and event.instance not in killed
+            f"{uav(instance)} was lost for no simulated reason: {reason}"
+            for instance, reason in losses.items()
+            if instance not in killed
         ]
+        endings = (
+            self._cut_short(uav(i))
+            for i in range(self._scenario.agents)
+            if i not in killed and i not in losses
+        )
         spoken_to = [f"{event.name} was spoken to by {event.by}" for event in self.influences]
         return [
             *lost,
+            *filter(None, [self.records_lost, *endings]),
             *spoken_to,
             *(f"{uav(i)} is flown by a PX4, and its application keeps its time" for i in self._px4),
         ]
@@ -290,6 +299,20 @@ class Processes:
                 forced += self._supervisor.end(names, grace_s=STOP_LIMIT_S)
             self.forced = (*forced, *self._supervisor.stop())
             self.drain()
+            self.records_lost = next(filter(None, map(self._cut_short, (PHYSICS, RADIO))), None)
+            if self.records_lost is not None:
+                self.note_failure(self.records_lost)
+
+    def _cut_short(self, name: str) -> str | None:
+        """Line for a process that has worked and did not come to write all it had; None: it did."""
+        if name not in self.ready:
+            return None
+        exited = self.exited.get(name)
+        if exited is None:
+            return f"{name} does not end"
+        if exited.returncode != 0:
+            return self._obituary(exited)
+        return None if name in self.finished else f"{exited.describe()}, but did not finish"
 
     def kill(self, instance: int) -> None:
         """SIGKILL a vehicle's process, or processes; returns when they are gone."""
@@ -333,7 +356,7 @@ class Processes:
             pass
 
     def note_failure(self, reason: str) -> None:
-        """Remember why the run cannot go on, unless that is known already."""
+        """Remember why the run failed, unless that is known already."""
         if self.failure is None:
             self.failure = reason
 
@@ -375,10 +398,9 @@ class Processes:
         return name in (PHYSICS, RADIO, HANGAR) or (not self._met and name in map(uav, self._px4))
 
     def _obituary(self, exited: Exited) -> str:
-        last_words = exited.log_tail.rpartition("\n")[2]
-        if not last_words:
+        if not exited.last_words:
             return exited.describe()
-        return f"{exited.describe()}: {last_words} (log: {self._supervisor.log_path(exited.name)})"
+        return f"{exited.describe()}: {exited.last_words} (log: {self._supervisor.log_path(exited.name)})"
 
     def log_tails(self, lines: int) -> dict[str, str]:
         """Last lines of each process's log, by name."""

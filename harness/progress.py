@@ -73,8 +73,7 @@ def describe(message: Message) -> str | None:
         case Notice():
             return message.text
         case Exited() if message.returncode:
-            last_words = message.log_tail.rpartition("\n")[2]
-            return message.describe() + (f": {last_words}" if last_words else "")
+            return message.describe() + (f": {message.last_words}" if message.last_words else "")
         case _:
             return None
 

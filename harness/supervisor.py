@@ -57,6 +57,8 @@ class Exited(Struct, frozen=True, kw_only=True):
     """Exit status, or minus the signal that killed it; None if its forker, which would know, died before."""
     log_tail: str
     """Last lines of its log, for one that failed."""
+    last_words: str = ""
+    """Last line of these that it did not print: on stdout libraries talk, for instance at their import."""
 
     def describe(self) -> str:
         """One line: who, and how it ended."""
@@ -100,6 +102,8 @@ class _Child:
         """It has ended, and its last words are in the queue."""
         self.silent = threading.Event()
         """Its stdout has ended."""
+        self.printed: collections.deque[bytes] = collections.deque(maxlen=TAIL_LINES)
+        """The last lines of its stdout that were no events."""
         self._unfinished = b""
         """The line that it is about to say."""
         self._stdin_lock = threading.Lock()
@@ -266,6 +270,7 @@ class Supervisor:
             try:
                 self._heard.put((child.name, _decoder.decode(line)))
             except (msgspec.DecodeError, UnicodeDecodeError):
+                child.printed.append(line)
                 # a full disk must not stop the events
                 with contextlib.suppress(OSError), self.log_path(child.name).open("ab") as log:
                     log.write(line + b"\n")
@@ -289,11 +294,15 @@ class Supervisor:
         """Queue a child's end after its last event, which is in the pipe if it has not been heard yet."""
         child.end_input()
         self._hear(child)
+        log_tail = self.log_tail(child.name) if returncode else ""
+        printed = {line.decode(errors="replace").rstrip() for line in child.printed}
+        said = [line for line in log_tail.splitlines() if line.rstrip() not in printed]
         exited = Exited(
             name=child.name,
             pid=child.pid,
             returncode=returncode,
-            log_tail=self.log_tail(child.name) if returncode else "",
+            log_tail=log_tail,
+            last_words=said[-1] if said else "",
         )
         self._heard.put((child.name, exited))
         child.gone.set()

@@ -363,6 +363,11 @@ class Swarm:
         """After the stop, a line for each process that had to be made to end."""
         return self._processes.forced
 
+    @property
+    def records_lost(self) -> str | None:
+        """After the stop, why what physics or the radio wrote down is not whole; None: it is."""
+        return self._processes.records_lost
+
     def log_tails(self, lines: int) -> dict[str, str]:
         """Last lines of each process's log, by name."""
         return self._processes.log_tails(lines)
@@ -390,12 +395,14 @@ class Swarm:
         from harness import report  # noqa: PLC0415  the analysis is slow to import: not before the flight
 
         processes = self._processes
-        if interrupted:
+        lost = processes.records_lost
+        if interrupted and lost is None:
             status = "interrupted"
         elif processes.failure is not None:
             status = "failed"
         else:
             status = "completed" if self._not_formed is None else "not_formed"
+        reasons = (processes.failure, lost) if processes.failure is not None else (self._not_formed,)
         ground_messages = sum(said.get("ground_messages", 0) for said in processes.finished.values())
         nondeterminism = processes.nondeterminism(self._killed)
         if interrupted:
@@ -404,7 +411,7 @@ class Swarm:
             nondeterminism.append(self._broken_off)
         outcome = report.Outcome(
             status=status,
-            reason=processes.failure or self._not_formed,
+            reason="; ".join(dict.fromkeys(filter(None, reasons))) or None,
             command=tuple(sys.argv),
             speed=self._speed,
             started_utc=self._started_utc,

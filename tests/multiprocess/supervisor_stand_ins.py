@@ -1,7 +1,7 @@
 """Stand-ins for a swarm's processes, as ``python supervisor_stand_ins.py MODULE --config FILE ...``.
 
 They keep the protocol of the real ones and fly nothing: vehicles rise at 1 m/s and are formed at 3 s. What
-they shall do wrong is the scenario's name.
+they shall do wrong is the scenario's name; the radio's is told its seed, and a vehicle's its parameters.
 """
 
 import argparse
@@ -32,6 +32,10 @@ from netsim.forking import serve
 
 STEP_US = 4_000
 FORMED_US = 3_000_000
+SEED_RADIO_DIES = 1_300
+"""With it the radio is killed when asked to stop; with the next one it ends without having finished."""
+FAILS_AT_LAST_M = 10.0
+"""The takeoff altitude of the first vehicle that is killed when its simulator hangs up."""
 
 
 def complain(line: str) -> None:
@@ -102,6 +106,8 @@ def physics(config: dict[str, Any], listeners: list[socket.socket]) -> None:
         if fault == "interrupted" and time_us >= FORMED_US:
             fault = ""
             os.kill(os.getppid(), signal.SIGINT)
+    if fault == "physics-dies-at-last":
+        os.kill(os.getpid(), signal.SIGKILL)
     emit(Finished(name="physics", details={"time_us": time_us, "formed": time_us >= FORMED_US}))
 
 
@@ -112,6 +118,10 @@ def radio(config: dict[str, Any]) -> None:
         endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
         emit(Ready(name="radio", pid=os.getpid(), details={"endpoint": endpoint}))
         inbox.get()
+    if config["seed"] == SEED_RADIO_DIES:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if config["seed"] == SEED_RADIO_DIES + 1:
+        return
     emit(Finished(name="radio", details={"counters": {}}))
 
 
@@ -125,13 +135,16 @@ def uav(config: dict[str, Any]) -> None:
     ):
         gcs.bind((ports["host"], ports["gcs_local_udp"]))
         companion.bind((ports["host"], ports["companion_local_udp"]))
-        if config["autopilot"]["params"].get("MIS_TAKEOFF_ALT") == config["instance"]:
+        altitude_m = config["autopilot"]["params"].get("MIS_TAKEOFF_ALT")
+        if altitude_m == config["instance"]:
             complain(f"{name}: no such airframe")
             sys.exit(2)
         details = {"gcs_local_udp": gcs.getsockname()[1], "companion_local_udp": companion.getsockname()[1]}
         emit(Ready(name=name, pid=os.getpid(), details=details))
         while simulator.recv(1):
             pass
+    if altitude_m == FAILS_AT_LAST_M + config["instance"]:
+        os.kill(os.getpid(), signal.SIGKILL)
     emit(Finished(name=name, details={"ground_messages": 0}))
 
 

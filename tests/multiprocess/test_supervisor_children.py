@@ -111,6 +111,18 @@ def test_crashed_child_is_reported_with_its_status_and_the_end_of_its_log(superv
     assert exited.describe() == f"uav 7 (pid {pid}) ended with status 3"
     # what is no event on stdout stands in the log as well, in whatever order the two pipes were read
     assert set(exited.log_tail.splitlines()) == {"a printing library", "uav 7: the simulator is unreachable"}
+    assert exited.last_words == "uav 7: the simulator is unreachable"
+
+
+def test_what_a_library_prints_is_nobodys_last_word(supervisor: Supervisor) -> None:
+    chatter = CRASHING.replace("sys.exit(3)", "sys.stderr.flush(); print('build time: May 4'); sys.exit(3)")
+    supervisor.start("talks", python(chatter))
+    exited = hear(supervisor, Exited, "talks")
+    assert exited.log_tail.endswith("build time: May 4")
+    assert exited.last_words == "uav 7: the simulator is unreachable"
+    supervisor.start("prints", python("print('a library'); raise SystemExit(4)"))
+    exited = hear(supervisor, Exited, "prints")
+    assert (exited.log_tail, exited.last_words) == ("a library", "")
 
 
 def test_child_that_ignores_all_but_sigkill_is_killed_and_named(supervisor: Supervisor) -> None:

@@ -189,7 +189,11 @@ def test_forker_that_cannot_work_and_a_fork_that_is_refused_are_a_line_each(tmp_
         pid = supervisor.start_forker("forker", [*python(FORKER), "nothing"])
         exited = hear(supervisor, Exited, "forker")
         assert exited == Exited(
-            name="forker", pid=pid, returncode=1, log_tail="forker: there is nothing to fork"
+            name="forker",
+            pid=pid,
+            returncode=1,
+            log_tail="forker: there is nothing to fork",
+            last_words="forker: there is nothing to fork",
         )
         supervisor.start_forker("another", [*python(FORKER), "refused"])
         for name in ("uav 0", "uav 1"):  # it goes on

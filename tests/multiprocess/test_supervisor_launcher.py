@@ -53,7 +53,7 @@ def folder(tmp_path: Path) -> Path:
         "companion_remote_udp",
     )
     ports = "".join(f"{base} = 0\n" for base in (*bases, "radio_tcp"))
-    for name in ("fine", "never-formed", "physics-fails", "interrupted"):
+    for name in ("fine", "never-formed", "physics-fails", "physics-dies-at-last", "interrupted"):
         path = tmp_path / f"{name}.toml"
         path.write_text(f'name = "{name}"\nagents = 2\n[run]\nreach_timeout_s = 5.0\n[ports]\n{ports}')
     return tmp_path
@@ -104,6 +104,16 @@ def test_failed_process_fails_the_run_with_its_last_words(folder: Path) -> None:
     assert last_line.startswith("coflight: physics (pid ")
     assert "ended with status 2: physics: the world has ended (log: runs/physics-fails-" in last_line
     assert "Traceback" not in launched.stderr
+
+
+def test_process_that_loses_its_records_as_it_ends_fails_a_run_that_went_well(folder: Path) -> None:
+    launched = launch(folder, "physics-dies-at-last.toml", "--duration", "0.5", "--json")
+    assert launched.returncode == 1
+    last_line = launched.stderr.splitlines()[-1]
+    assert last_line.startswith("coflight: physics (pid ")
+    assert "was killed by SIGKILL" in last_line
+    summary = json.loads(launched.stdout)
+    assert (summary["status"], f"coflight: {summary['reason']}") == ("failed", last_line)
 
 
 def test_too_few_file_descriptors_are_a_line_before_anything_starts(folder: Path) -> None:

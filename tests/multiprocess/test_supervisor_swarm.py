@@ -1,6 +1,7 @@
 """The Python API drives real processes: stand-ins that keep the protocol, and fail when asked to."""
 
 import os
+import re
 import signal
 import socket
 import sys
@@ -11,9 +12,10 @@ from typing import Any
 
 import psutil
 import pytest
-from supervisor_stand_ins import FORMED_US, STEP_US
+from supervisor_stand_ins import FAILS_AT_LAST_M, FORMED_US, SEED_RADIO_DIES, STEP_US
 
 import harness.processes
+from harness.autopilot_settings import AutopilotConfig
 from harness.messages import Formed, VehicleLost
 from harness.resources import bind
 from harness.scenario import PortsConfig, RunConfig, Scenario
@@ -99,6 +101,40 @@ def test_killed_vehicle_is_gone_when_kill_returns_and_the_others_go_on(launch: L
         )
         with pytest.raises(SwarmError, match=ending):
             swarm.run_for(1.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "seed", "ending"),
+    [
+        ("physics-dies-at-last", 1, r"physics \(pid \d+\) was killed by SIGKILL"),
+        ("fine", SEED_RADIO_DIES, r"radio \(pid \d+\) was killed by SIGKILL"),
+        ("fine", SEED_RADIO_DIES + 1, r"radio \(pid \d+\) ended with status 0, but did not finish"),
+    ],
+)
+def test_who_loses_records_as_it_ends_fails_the_run_that_went_well(
+    launch: Launch, name: str, seed: int, ending: str
+) -> None:
+    with launch(name, run=RunConfig(seed=seed)) as swarm:
+        swarm.run(until_s=1.0)
+        assert swarm.records_lost is None
+    assert swarm.records_lost is not None
+    assert re.match(ending, swarm.records_lost)
+    assert swarm._processes.failure == swarm.records_lost
+    assert swarm._processes.nondeterminism() == [swarm.records_lost]
+
+
+def test_vehicle_that_is_killed_as_it_ends_is_named_unless_that_was_the_plan() -> None:
+    params = AutopilotConfig(params={"MIS_TAKEOFF_ALT": FAILS_AT_LAST_M + 1})
+    swarm = Swarm(Scenario(name="fine", agents=3, autopilot=params), wall_limit_s=30.0)
+    with swarm:
+        swarm.run(until_s=1.0)
+        swarm.kill(2)
+        swarm.run(until_s=2.0)
+    assert swarm.records_lost is None
+    died = f"uav 1 (pid {swarm.pids['uav 1']}) was killed by SIGKILL"
+    assert swarm._processes.nondeterminism({2}) == [died]
+    lost = "uav 2 was lost for no simulated reason: its connection broke"
+    assert swarm._processes.nondeterminism() == [lost, died]  # and it is named once
 
 
 def test_scenario_may_let_a_loss_end_the_run(launch: Launch) -> None:

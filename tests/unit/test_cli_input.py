@@ -121,8 +121,8 @@ def test_happenings_in_words() -> None:
     assert describe(silent) == "t = 0.00 s: uav 2 has not answered for 0.5 s of wall time"
     collision = Collision(time_us=1_000_000, first=1, second=2, pos_ned_m=where)
     assert describe(collision) == "t = 1.00 s: uav 1 and uav 2 touched"
-    killed = Exited(name="uav 3", pid=12, returncode=-9, log_tail="flying\nstill flying")
-    assert describe(killed) == "uav 3 (pid 12) was killed by SIGKILL: still flying"
+    killed = Exited(name="uav 3", pid=12, returncode=-9, log_tail="flying\na library", last_words="flying")
+    assert describe(killed) == "uav 3 (pid 12) was killed by SIGKILL: flying"
     assert describe(Exited(name="uav 3", pid=12, returncode=0, log_tail="")) is None
     assert describe(Ready(name="uav 3", pid=12)) is None
 
