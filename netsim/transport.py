@@ -189,6 +189,8 @@ def _config(mode: str, verb: str, endpoint: str, *, direct: bool = True) -> zeno
     # a listener that is not there is an error now, not something to retry behind the caller's back
     config.insert_json5(f"{verb}/timeout_ms", "2000" if verb == "connect" else "0")
     config.insert_json5(f"{verb}/exit_on_failure", "true")
+    # a segment of shared memory would stay behind every process, and nothing here is passed by it
+    config.insert_json5("transport/shared_memory/enabled", "false")
     # one queue per connection instead of one per priority: all messages here have the same
     config.insert_json5("transport/unicast/qos/enabled", "false")
     # a connection has the mode if both its ends want it: a router's with a guest as Zenoh comes has not
