@@ -49,7 +49,7 @@ class Status(IntEnum):
     """Do not send a new request for as many seconds as the value field says."""
 
 
-class Parameters(Struct, frozen=True, kw_only=True):
+class Parameters(Struct, frozen=True, kw_only=True, gc=False):
     """Fine Timing Measurement Parameters element: a wish in a request, a grant or refusal in the answer.
 
     None is no preference; a field that does not apply is None, too.
@@ -114,7 +114,7 @@ class Request(Struct, frozen=True, kw_only=True):
         return head if self.parameters is None else head + self.parameters.encode()
 
 
-class Measurement(Struct, frozen=True, kw_only=True):
+class Measurement(Struct, frozen=True, kw_only=True, gc=False):
     """Body of a measurement frame."""
 
     token: int

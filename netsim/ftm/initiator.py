@@ -54,7 +54,7 @@ def lost(ranging: Ranging) -> Ranging:
     )
 
 
-class _Arrival(Struct):
+class _Arrival(Struct, gc=False):
     token: int
     t2_ps: int
     t3_ps: int

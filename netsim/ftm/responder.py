@@ -1,5 +1,7 @@
 """The responder's side of ranging sessions: grants or refuses them and sends the measurement frames."""
 
+import msgspec
+
 from netsim.ftm.elements import Measurement, Parameters, Request, Status, error_exponent
 from netsim.ftm.negotiation import Schedule, can_measure, grant, refusal
 from netsim.ftm.port import ObservedRequest, Port
@@ -11,6 +13,10 @@ DEPARTURE_ERROR_EXPONENT = error_exponent(1.0)
 """Departures are exact but for their unit."""
 ARRIVAL_ERROR_STD = 3.0
 """Standard deviations of an arrival's noise that its stated error bound covers."""
+
+
+_NOTHING = Measurement(token=0)
+"""What follows no frame."""
 
 
 class _Session:
@@ -36,7 +42,7 @@ class _Session:
         """Measurement frames so far."""
         self.number_in_burst = 0
         self.token = 0
-        self.followed = Measurement(token=0)
+        self.followed = _NOTHING
         """What the next frame says of the one before it, which it rides in whatever burst."""
 
 
@@ -116,16 +122,8 @@ class Responder:
         if session.burst >= 0:
             session.number_in_burst += 1
         session.token = 0 if self._is_last(session) else session.token % HIGHEST_TOKEN + 1
-        followed = session.followed
-        body = Measurement(
-            token=session.token,
-            followed=followed.followed,
-            t1_ps=followed.t1_ps,
-            t4_ps=followed.t4_ps,
-            t1_error_exponent=followed.t1_error_exponent,
-            t4_error_exponent=followed.t4_error_exponent,
-            parameters=None if session.known else session.granted,
-        )
+        granted = None if session.known else session.granted
+        body = msgspec.structs.replace(session.followed, token=session.token, parameters=granted)
         session.job = self._port.job(
             body,
             session.initiator,
@@ -151,7 +149,7 @@ class Responder:
                 self._end(session)  # the initiator will not trigger what it does not know of
             return
         sent_ns = job.sent_ns
-        session.followed = Measurement(token=0)
+        session.followed = _NOTHING
         if acknowledged and sent_ns is not None and job.ack is not None:
             session.followed = self._follow_up(session, sent_ns, job.ack)
         over = sent_ns is None or session.number_in_burst == session.granted.ftms_per_burst

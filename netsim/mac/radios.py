@@ -355,7 +355,7 @@ class Radios:
         job.done(job, outcome)
 
     def _note_end(self, job: Job, row: int, *, keep: bool) -> None:
-        kept = t.jobs(self._air, row).tolist()
+        kept = self._tables.jobs[row].tolist()
         job.sequence, job.attempts, job.failures = (
             kept[c.JOB_SEQUENCE],
             kept[c.JOB_ATTEMPTS],

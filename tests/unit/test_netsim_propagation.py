@@ -17,7 +17,7 @@ from netsim.phy.path_loss import (
     reflection,
     two_ray_gain,
 )
-from netsim.phy.propagation import Links, Trajectories
+from netsim.phy.propagation import FARTHEST_PLACE_M, FASTEST_M_S, Links, Trajectories, is_possible
 from netsim.streams import Streams
 
 MHZ = 5180.0
@@ -337,3 +337,20 @@ def test_attitudes_need_not_be_of_unit_length():
     unit = power_dbm(places, [LEVEL, rolled(30.0)], antenna="dipole")
     longer = [(3.0, 0.0, 0.0, 0.0), tuple(0.2 * part for part in rolled(30.0))]
     assert power_dbm(places, longer, antenna="dipole") == pytest.approx(unit)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf, "too large"])
+@pytest.mark.parametrize("which", range(3))
+def test_one_senseless_number_makes_a_motion_impossible(which, wrong):
+    """Wherever it stands: no number, no finite one, or one farther, faster or longer than anything is."""
+    limits = (FARTHEST_PLACE_M, FASTEST_M_S, 1.0)
+    motion = np.full((4, 3), -limits[0]), np.full((4, 3), limits[1]), np.tile(rolled(30.0), (4, 1))
+    assert is_possible(*motion)
+    for index in np.ndindex(motion[which].shape):
+        kept, motion[which][index] = (
+            motion[which][index],
+            1.1 * limits[which] if wrong == "too large" else wrong,
+        )
+        assert not is_possible(*motion)
+        motion[which][index] = kept
+    assert is_possible(*motion)
