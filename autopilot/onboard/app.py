@@ -31,6 +31,7 @@ from autopilot.onboard.localisation import CooperativeLocalisation, Localisation
 from autopilot.onboard.neighbourhood import Neighbourhood
 from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.phases import Phase
+from autopilot.onboard.support import Support
 from autopilot.onboard.traffic import Traffic
 from autopilot.types import Vector
 from netsim.wire.messages import Delivery, FtmResult, RxItem, Sent, Survey, TxItem
@@ -55,6 +56,7 @@ class OnboardOutput(Struct, frozen=True):
     radio: tuple[TxItem, ...]
 
 
+_BACK, _LOST = "ranging is back", "ranging lost: correction frozen, then fading"
 _UNKNOWN: Vector = (math.nan, math.nan, math.nan)
 NOTHING = OnboardOutput((), ())
 """What most steps give."""
@@ -138,11 +140,12 @@ class OnboardApp:
             held=config.hold,
         )
         self._own = OwnState(site=site, gps_delay_s=devices.gps_delay_s)
-        self._held_limit_us = max(FRESH_US, 5 * config.beacon_period_ms * 1_000)
-        self._watched = np.array(self._guidance.layers.watched, np.int64)
+        self._support = Support(
+            self.localisation, self._hearing, watched=self._guidance.layers.watched,
+            range_silence_us=self._traffic.range_silence_us,
+            beacon_period_us=config.beacon_period_ms * 1_000,
+        )  # fmt: skip
         self._now_us = -1
-        self._supported = False
-        """Whether there is something better than the own GPS to go by."""
         self._setpoint_us = 0
         self._heartbeat_out_us = 0
         self._told: tuple[Phase, int | None] | None = None
@@ -266,21 +269,23 @@ class OnboardApp:
             mavlink += self._fly(now_us)
             self._setpoint_us = now_us - now_us % SETPOINT_PERIOD_US + SETPOINT_PERIOD_US
         mavlink += self._commands.on_timer(now_us)
-        if self._told != (self.phase, self._guidance.start.start_us) or now_us >= self._heartbeat_out_us:
-            self._told = (self.phase, self._guidance.start.start_us)
+        told = (self._flight.phase, self._guidance.start.start_us)
+        if self._told != told or now_us >= self._heartbeat_out_us:
+            self._told = told
             self._heartbeat_out_us = now_us + HEARTBEAT_PERIOD_US
-            mavlink += messages.heartbeat(*self._told, now_us)
+            mavlink += messages.heartbeat(*told, now_us)
             # Each time, for a ground station may set it in flight.
             mavlink.append(messages.gain_request(self._station + 1))
         if self._flight.texts:
             mavlink += map(messages.warning, self._flight.texts)
             self._flight.texts.clear()
         radio: tuple[TxItem, ...] = ()
-        if self._own.time_us >= 0 and self._traffic.next_deadline_us(ranging=self._ranges) < now_us + step_us:
+        ranges = self._ranges
+        if self._own.time_us >= 0 and self._traffic.next_deadline_us(ranging=ranges) < now_us + step_us:
             radio = self._traffic.due(
                 self._own, now_us, now_us + step_us,
-                ranging=self._ranges, variance_m2=self._distance_variance_m2,
-                phase=self.phase, motion_start_ms=self._motion_start_ms, gps_error=self._say_gps_error,
+                ranging=ranges, variance_m2=self._distance_variance_m2,
+                phase=told[0], motion_start_ms=self._motion_start_ms, gps_error=self._say_gps_error,
             )  # fmt: skip
         self._due_us = self.next_deadline_us()
         return OnboardOutput(mavlink, radio) if mavlink or radio else NOTHING
@@ -322,7 +327,7 @@ class OnboardApp:
     def estimate(self) -> Estimate:
         """The present estimate."""
         correction = self._guidance.correction
-        if self.localisation is not None and self._supported:
+        if self.localisation is not None and self._support.holds:
             std_ned_m = self.localisation.std_ned_m()
         elif self._own.truth_ned_m is not None:
             std_ned_m = (TRUTH_STD_M, TRUTH_STD_M, TRUTH_STD_M)
@@ -339,7 +344,7 @@ class OnboardApp:
     @property
     def shape_std_m(self) -> float:
         """Expected rms error of the neighbourhood's horizontal shape; inf when distances do not hold it."""
-        if self.localisation is None or not self._supported:
+        if self.localisation is None or not self._support.holds:
             return float("inf")
         return self.localisation.shape_std_m(self._now_us)
 
@@ -359,8 +364,9 @@ class OnboardApp:
             ),
             now_us,
         )
-        guidance.agree(now_us, on_station=self.phase is Phase.ON_STATION, hearing=self._hearing)
-        if own.origin_ned_m is None or not Phase.ARMING <= self.phase <= Phase.YIELDED:
+        phase = flight.phase
+        guidance.agree(now_us, on_station=phase is Phase.ON_STATION, hearing=self._hearing)
+        if own.origin_ned_m is None or not Phase.ARMING <= phase <= Phase.YIELDED:
             return []
         if flight.in_formation:
             others = self._known_others(now_us)
@@ -375,8 +381,9 @@ class OnboardApp:
         offset_ne_m: Level | None = None
         if self.localisation is not None:
             self.localisation.update(now_us)
-            self._note_support(now_us)
-            if self._supported:
+            if self._support.update(now_us) and self._flight.in_air:
+                self._flight.texts.append(_BACK if self._support.holds else _LOST)
+            if self._support.holds:
                 offset_ne_m = self.localisation.offset_ne_m()
                 if self._frame is not None:
                     self._frame.update(now_us, self.localisation)
@@ -392,24 +399,7 @@ class OnboardApp:
         (there_n_m, there_e_m, _), (gone_n_m, gone_e_m, _) = own.autopilot_ned_m, own.odometry_ned_m
         drift_ne_m = (there_n_m - gone_n_m, there_e_m - gone_e_m)
         guidance.correction.update(drift_ne_m, offset_ne_m, SETPOINT_PERIOD_US * 1e-6, at_once=not in_air)
-        guidance.layers.update(now_us, supported=not in_air or self._held_together(now_us))
-
-    def _note_support(self, now_us: int) -> None:
-        """Judge whether distances hold the own position, and say when that changes in the air."""
-        localisation = self.localisation
-        if localisation is None:
-            return
-        range_us = localisation.own_range_us
-        supported = (
-            bool(localisation.located[localisation.own])
-            and range_us >= 0
-            and now_us - range_us < self._traffic.range_silence_us
-        )
-        if supported is not self._supported and self._flight.in_air:
-            self._flight.texts.append(
-                "ranging is back" if supported else "ranging lost: correction frozen, then fading"
-            )
-        self._supported = supported
+        guidance.layers.update(now_us, supported=not in_air or self._support.holds_all(now_us))
 
     def _known_others(self, now_us: int) -> Others | None:
         """Give the neighbourhood while it is known where this UAV is in it.
@@ -417,34 +407,24 @@ class OnboardApp:
         Without distances that is as long as odometry holds what they said; by then height keeps UAVs apart.
         """
         localisation = self.localisation
-        if localisation is None or not (self._supported or self._guidance.correction.holds):
+        if localisation is None or not (self._support.holds or self._guidance.correction.holds):
             return None
         if not localisation.located[localisation.own]:
             return None
-        others = localisation.others(now_us, fresh_us=FRESH_US)
-        if self._frame is not None:
-            others.pos_ned_m[:, :2] += self._frame.shift_ne_m
-        return others
-
-    def _held_together(self, now_us: int) -> bool:
-        """Whether distances hold this UAV, and those in the air to whom it would have to give way."""
-        if self.localisation is None:
-            return True
-        if not self._supported:
-            return False
-        return not self._watched.size or self._hearing.all_held(self._watched, now_us - self._held_limit_us)
+        shift_ne_m = (0.0, 0.0) if self._frame is None else self._frame.shift_ne_m
+        return localisation.others(now_us, fresh_us=FRESH_US, shift_ne_m=shift_ne_m)
 
     def _shape_std_before_flight_m(self, now_us: int) -> float:
         """Error of the shape that take-off waits for; see `Situation`."""
         if self.localisation is None:
             return 0.0
-        if self.phase is not Phase.LOCALISING or not self.localisation.located.all():
+        if self._flight.phase is not Phase.LOCALISING or not self.localisation.located.all():
             return float("inf")
         return self.localisation.shape_std_m(now_us)
 
     @property
     def _ranges(self) -> bool:
-        return self.localisation is not None and self.phase is not Phase.WAITING
+        return self.localisation is not None and self._flight.phase is not Phase.WAITING
 
     @property
     def _motion_start_ms(self) -> int | None:
@@ -459,7 +439,7 @@ class OnboardApp:
 
     def _say_gps_error(self) -> GpsError | None:
         """What the own receiver's error is estimated to be, for the beacon; None: no distances hold it."""
-        if self.localisation is None or not self._supported:
+        if self.localisation is None or not self._support.holds:
             return None
         if self._frame is not None and self._own.fix is not None:
             return self._frame.say(self._station, self._own.fix, self.localisation, self._now_us)

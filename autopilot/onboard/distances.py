@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from autopilot.onboard.beacon import MAX_RANGES
 from autopilot.onboard.joining import Range
 from autopilot.onboard.localisation_model import CLOCK_TOLERANCE_US
+from autopilot.onboard.members import Filter
 
 PAIR = np.dtype(
     [
@@ -29,47 +30,42 @@ PENDING = np.dtype(
 """A distance whose ends' odometry has not been looked up yet."""
 Pending = NDArray[np.void]
 """(P,) of `PENDING`"""
-QUEUE = np.dtype([("count", "i8"), ("done", "i8"), ("kept", "i8")])
-"""Of those pending: how many there are; while they are gone through, how many have been looked at, and how
-many of these stay."""
-Queue = NDArray[np.void]
-"""(1,) of `QUEUE`"""
 
 
 @njit(cache=True)
 def add_distance(
-    pairs: Pairs, pending: Pending, queue: Queue, initiator: int, responder: int, time_us: int,
+    pairs: Pairs, pending: Pending, filter_row: Filter, initiator: int, responder: int, time_us: int,
     distance_m: float, variance_m2: float, now_us: int,
 ) -> bool:  # fmt: skip
     """Take a distance for which there is room, if it is newer than what is known of the two.
 
     One from the future is ignored, as it would hide the right ones that follow, and one to itself.
     """
-    pair = pairs[initiator, responder]
+    own, pair = filter_row[0], pairs[initiator, responder]
     if initiator == responder or not pair["newest_us"] < time_us <= now_us + CLOCK_TOLERANCE_US:
         return False
     pair["newest_us"] = time_us
-    item = pending[queue[0]["count"]]
-    queue[0]["count"] += 1
+    item = pending[own["pending"]]
+    own["pending"] += 1
     item["initiator"], item["responder"], item["time_us"] = initiator, responder, time_us
     item["distance_m"], item["variance_m2"] = distance_m, variance_m2
     return True
 
 
 class Distances:
-    """Distances between N UAVs.
+    """Distances between N UAVs, whose filter's numbers are filter_row (1,).
 
     Attributes:
-        pairs, pending, queue: for compiled code.
+        pairs, pending: for compiled code.
         held: the newest of each pair of which an end is not located, since ``held_since_us``.
 
     """
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, filter_row: Filter) -> None:
         self.pairs: Pairs = np.zeros((count, count), PAIR)
         self.pairs["newest_us"] = self.pairs["fused_us"] = -1
         self.pending: Pending = np.zeros(4 * MAX_RANGES, PENDING)
-        self.queue: Queue = np.zeros(1, QUEUE)
+        self._filter = filter_row
         self.held: dict[tuple[int, int], Range] = {}
         self.held_since_us = 0
 
@@ -86,18 +82,18 @@ class Distances:
         """Take one as `add_distance` does."""
         self.make_room()
         add_distance(
-            self.pairs, self.pending, self.queue, initiator, responder, time_us, distance_m, variance_m2,
+            self.pairs, self.pending, self._filter, initiator, responder, time_us, distance_m, variance_m2,
             now_us,
         )  # fmt: skip
 
     def make_room(self) -> None:
         """See to it that all the distances of another beacon can be taken."""
-        if self.queue["count"].item() + MAX_RANGES > len(self.pending):
+        if self._filter["pending"].item() + MAX_RANGES > len(self.pending):
             self.pending = np.concatenate((self.pending, np.zeros_like(self.pending)))
 
     def last_pending(self, between_ned_m: NDArray[np.float64]) -> Range:
         """The one of those pending that was looked at last, with the odometry (3,) between its ends."""
-        item = self.pending[self.queue["done"].item() - 1]
+        item = self.pending[self._filter["done"].item() - 1]
         initiator, responder, time_us, distance_m, variance_m2 = item.tolist()
         return Range(initiator, responder, time_us, distance_m, variance_m2, between_ned_m)
 

@@ -8,7 +8,7 @@ over the corrected position. Nobody takes off before the shape of the formation 
 before all that, commands nothing and sets nothing; once released it goes on from wherever the vehicle is.
 """
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from autopilot.onboard.commands import ARM, OFFBOARD, CommandSender, take_off
 from autopilot.onboard.own_state import OwnState
@@ -26,8 +26,7 @@ HEARTBEAT_LAG_US = 1_500_000
 OFFBOARD_MAIN_MODE = 6
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Situation:
+class Situation(Struct, frozen=True, kw_only=True):
     """What the course of a flight depends on besides the autopilot's own state."""
 
     shape_std_m: float

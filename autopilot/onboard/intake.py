@@ -7,14 +7,13 @@ says so and stops, and is called again when that has been done.
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from autopilot.onboard.beacon import HAS_FIX, PageRows
-from autopilot.onboard.distances import Pairs, Pending, Queue, add_distance
+from autopilot.onboard.distances import Pairs, Pending, add_distance
 from autopilot.onboard.hearing import BEGUN_ANEW, REFUSED, Listener, Rows, Stations, hear, row_of
 from autopilot.onboard.kernels import STATES, Array, fuse_range, predict
-from autopilot.onboard.localisation_model import SILENCE_US, Model
-from autopilot.onboard.members import Members
+from autopilot.onboard.localisation_model import SILENCE_US
+from autopilot.onboard.members import Filter, Members
 from autopilot.onboard.receivers import MISFIT_WEIGHT, add_fix, fuse_mean, take_stated
 from autopilot.onboard.tracks import JUMPED, KNOWN, Rings, odometry_at, odometry_between, push
 from autopilot.onboard.trust import ELSEWHERE_LIMIT, note
@@ -27,27 +26,6 @@ much a few distances may be fitted by a mirror image."""
 PULLED_VAR_M2 = 1.0
 """By how much a UAV may be misplaced that has just been found to measure wrongly, squared."""
 
-FILTER = np.dtype(
-    [
-        ("own", "i8"),  # row of the UAV that runs it
-        ("time_us", "i8"),
-        ("decay_owed_us", "i8"),  # since slow errors were propagated, and the stride in which they are
-        ("decay_stride_us", "i8"),
-        ("distances_hz", "f8"),  # of one UAV, either end
-        ("own_range_us", "i8"),  # when the newest fused distance of the own UAV was measured; -1: none yet
-        ("returned", "i8"),  # somebody has been heard of again
-        ("step_ne_m", "f8", 2),  # of odometry that has jumped
-        ("gps_var_m2", "f8"),  # see `fuse_mean`
-        ("between_ned_m", "f8", 3),  # odometry between the ends of the last distance looked at
-        ("ranges_used", "i8"),
-        ("ranges_downweighted", "i8"),
-        ("ranges_too_late", "i8"),
-    ]
-)
-"""The filter's numbers beside its state and covariance."""
-Filter = NDArray[np.void]
-"""(1,) of `FILTER`"""
-
 DONE = 0
 SENDER_ANEW, LOST, ODOMETRY_JUMPED, FIRST_MEAN, GPS_STEPPED, FULL = 1, 2, 3, 4, 5, 6
 """What a UAV's news ask for: its application has begun anew, to be heeded before what it says; it was silent
@@ -59,14 +37,14 @@ NOT_LOCATED, ELSEWHERE = 7, 8
 
 @njit(cache=True)
 def advance(
-    filter_row: Filter, model_row: Model, members: Members, state: Array, cov: Array, time_us: int,
+    filter_row: Filter, members: Members, state: Array, cov: Array, time_us: int,
     decay: bool,  # noqa: FBT001  # numba knows no keyword-only arguments
 ) -> float:  # fmt: skip
     """Propagate the filter to ``time_us`` if that is news; returns how many seconds it is ahead of it.
 
     Slow errors are propagated in strides, unless ``decay``.
     """
-    own, model = filter_row[0], model_row[0]
+    own = filter_row[0]
     ahead_us = own["time_us"] - time_us
     if ahead_us >= 0 and not decay:
         return float(ahead_us * 1e-6)
@@ -75,8 +53,8 @@ def advance(
     decay_us = own["decay_owed_us"] if decay or own["decay_owed_us"] >= own["decay_stride_us"] else 0
     own["decay_owed_us"] -= decay_us
     predict(
-        state, cov, members, model["drift_m2_s"] * step_us * 1e-6, decay_us * 1e-6,
-        model["height_var_m2"], model["height_time_constant_s"], model["gps_bias_time_constant_s"],
+        state, cov, members, own["drift_m2_s"] * step_us * 1e-6, decay_us * 1e-6,
+        own["height_var_m2"], own["height_time_constant_s"], own["gps_bias_time_constant_s"],
     )  # fmt: skip
     own["time_us"] = max(own["time_us"], time_us)
     return float(max(ahead_us, 0) * 1e-6)
@@ -84,51 +62,56 @@ def advance(
 
 @njit(cache=True)
 def take_odometry(
-    filter_row: Filter, members: Members, rings: Rings, row: int, time_us: int, sample: Array
-) -> int:
-    """Take odometry (6,) of a UAV: DONE, LOST before anything is done, or ODOMETRY_JUMPED after it."""
+    filter_row: Filter, members: Members, rings: Rings, row: int, time_us: int, north_m: float,
+    east_m: float, down_m: float, vel_n_m_s: float, vel_e_m_s: float, vel_d_m_s: float,
+) -> int:  # fmt: skip
+    """Take odometry of a UAV: DONE, LOST before anything is done, or ODOMETRY_JUMPED after it."""
     own, member = filter_row[0], members[row]
     silent_us = time_us - member["newest_us"]
     if silent_us > SILENCE_US:
         own["returned"] = 1
         if silent_us > LOST_US and member["located"]:
             return LOST
+    sample = np.empty(6)
+    sample[0], sample[1], sample[2] = north_m, east_m, down_m
+    sample[3], sample[4], sample[5] = vel_n_m_s, vel_e_m_s, vel_d_m_s
     jumped = push(members, rings, row, time_us, sample, own["step_ne_m"]) == JUMPED
     return ODOMETRY_JUMPED if jumped and member["active"] else DONE
 
 
 @njit(cache=True)
 def take_fix(
-    filter_row: Filter, model_row: Model, members: Members, rings: Rings, state: Array, cov: Array, row: int,
-    time_us: int, pos_ned_m: Array, std_h_m: float, std_v_m: float,
+    filter_row: Filter, members: Members, rings: Rings, state: Array, cov: Array, row: int,
+    time_us: int, north_m: float, east_m: float, down_m: float, std_h_m: float, std_v_m: float,
 ) -> int:  # fmt: skip
-    """Take a GPS position (3,) of a UAV and what its receiver states, 0 being nothing.
+    """Take a GPS position of a UAV and what its receiver states, 0 being nothing.
 
     DONE, FIRST_MEAN or GPS_STEPPED. It is used once, and only with odometry of its time.
     """
     own, member = filter_row[0], members[row]
     if time_us <= member["fix_us"]:
         return DONE
-    odometry_ned_m = np.empty(3)
+    pos_ned_m, odometry_ned_m = np.empty(3), np.empty(3)
+    pos_ned_m[0], pos_ned_m[1], pos_ned_m[2] = north_m, east_m, down_m
     if odometry_at(rings, row, time_us, odometry_ned_m) != KNOWN:
         return DONE
     member["fix_us"] = time_us
     if std_h_m > 0.0 or std_v_m > 0.0:
-        take_stated(members, row, std_h_m, std_v_m, cov, model_row)
+        take_stated(members, row, std_h_m, std_v_m, cov, filter_row)
     active = member["active"] != 0
     if not add_fix(members, row, time_us, pos_ned_m, odometry_ned_m, not active):
         return DONE
     if not active:
         return FIRST_MEAN
-    advance(filter_row, model_row, members, state, cov, time_us, decay=False)
-    own["gps_var_m2"] = fuse_mean(members, row, state, cov, own["time_us"], model_row)
+    advance(filter_row, members, state, cov, time_us, decay=False)
+    own["gps_var_m2"] = fuse_mean(members, row, state, cov, own["time_us"], filter_row)
     return GPS_STEPPED if own["gps_var_m2"] > 0.0 else DONE
 
 
 @njit(cache=True)
 def take_beacon(
-    page: np.void, row: int, now_us: int, rows: Rows, filter_row: Filter, model_row: Model,
-    members: Members, rings: Rings, state: Array, cov: Array, pairs: Pairs, pending: Pending, queue: Queue,
+    page: np.void, row: int, now_us: int, rows: Rows, filter_row: Filter,
+    members: Members, rings: Rings, state: Array, cov: Array, pairs: Pairs, pending: Pending,
 ) -> int:  # fmt: skip
     """Take all that a credible beacon of a UAV says; what is no news in it is ignored.
 
@@ -136,27 +119,27 @@ def take_beacon(
     GPS_STEPPED or FULL.
     """
     header, ranges = page["header"], page["ranges"]
-    sample, pos_ned_m = np.empty(6), np.empty(3)
-    sample[0], sample[1] = header["odometry_n_m"], header["odometry_e_m"]
-    sample[2], sample[3] = header["odometry_d_m"], header["vel_n_m_s"]
-    sample[4], sample[5] = header["vel_e_m_s"], header["vel_d_m_s"]
-    asked = take_odometry(filter_row, members, rings, row, int(np.int64(header["time_us"])), sample)
+    asked = take_odometry(
+        filter_row, members, rings, row, int(np.int64(header["time_us"])),
+        np.float64(header["odometry_n_m"]), np.float64(header["odometry_e_m"]),
+        np.float64(header["odometry_d_m"]), np.float64(header["vel_n_m_s"]),
+        np.float64(header["vel_e_m_s"]), np.float64(header["vel_d_m_s"]),
+    )  # fmt: skip
     if asked != DONE:
         return asked
     fix_us = int(np.int64(header["fix_ms"])) * 1_000
     if header["flags"] & HAS_FIX and fix_us <= now_us:
-        pos_ned_m[0], pos_ned_m[1] = header["fix_n_m"], header["fix_e_m"]
-        pos_ned_m[2] = header["fix_d_m"]
         asked = take_fix(
-            filter_row, model_row, members, rings, state, cov, row, fix_us, pos_ned_m,
+            filter_row, members, rings, state, cov, row, fix_us,
+            np.float64(header["fix_n_m"]), np.float64(header["fix_e_m"]), np.float64(header["fix_d_m"]),
             np.int64(header["fix_std_h_mm"]) * 1e-3, np.int64(header["fix_std_v_mm"]) * 1e-3,
         )  # fmt: skip
         if asked != DONE:
             return asked
     count = np.int64(header["count"])
-    if queue[0]["count"] + count > pending.size:
+    if filter_row[0]["pending"] + count > pending.size:
         return FULL
-    floor_m2 = model_row[0]["range_floor_var_m2"]
+    floor_m2 = filter_row[0]["range_floor_var_m2"]
     for k in range(count):
         told = ranges[k]
         peer = np.int64(told["peer"])
@@ -164,7 +147,7 @@ def take_beacon(
         if responder >= 0:
             std_m = np.int64(told["std_mm"]) * 1e-3
             add_distance(
-                pairs, pending, queue, row, responder, int(np.int64(told["time_ms"])) * 1_000,
+                pairs, pending, filter_row, row, responder, int(np.int64(told["time_ms"])) * 1_000,
                 np.float64(told["distance_m"]), std_m * std_m + floor_m2, now_us,
             )  # fmt: skip
     return DONE
@@ -173,8 +156,8 @@ def take_beacon(
 @njit(cache=True)
 def read_beacons(
     count: int, now_us: int, pages: PageRows, listener: Listener, stations: Stations, rows: Rows,
-    filter_row: Filter, model_row: Model, members: Members, rings: Rings, state: Array, cov: Array,
-    pairs: Pairs, pending: Pending, queue: Queue,
+    filter_row: Filter, members: Members, rings: Rings, state: Array, cov: Array,
+    pairs: Pairs, pending: Pending,
 ) -> int:  # fmt: skip
     """Hear what is on ``count`` pages, and take what is said by those who are localised.
 
@@ -192,8 +175,7 @@ def read_beacons(
                 return SENDER_ANEW
         if me["is_open"]:
             asked = take_beacon(
-                page, row, now_us, rows, filter_row, model_row, members, rings, state, cov, pairs, pending,
-                queue,
+                page, row, now_us, rows, filter_row, members, rings, state, cov, pairs, pending,
             )  # fmt: skip
             if asked != DONE:
                 return asked
@@ -205,8 +187,8 @@ def read_beacons(
 
 @njit(cache=True)
 def use_pending(
-    now_us: int, filter_row: Filter, model_row: Model, members: Members, rings: Rings, state: Array,
-    cov: Array, pairs: Pairs, pending: Pending, queue: Queue, reference_ne_m: Array, bend_m: Array,
+    now_us: int, filter_row: Filter, members: Members, rings: Rings, state: Array,
+    cov: Array, pairs: Pairs, pending: Pending, reference_ne_m: Array, bend_m: Array,
     bend_var_m2: Array,
 ) -> int:  # fmt: skip
     """Use what has become usable of the distances pending, in the order in which they came.
@@ -214,13 +196,13 @@ def use_pending(
     Returns DONE, or what the last one that was looked at asks for before it is gone on with: NOT_LOCATED or
     ELSEWHERE. Geometry as of `reference_geometry`.
     """
-    own, line = filter_row[0], queue[0]
+    own = filter_row[0]
     between_ned_m = own["between_ned_m"]
-    while line["done"] < line["count"]:
-        at = line["done"]
+    while own["done"] < own["pending"]:
+        at = own["done"]
         item = pending[at]
         i, j, time_us = item["initiator"], item["responder"], item["time_us"]
-        line["done"] = at + 1
+        own["done"] = at + 1
         covered = time_us <= members[i]["newest_us"] and time_us <= members[j]["newest_us"]
         if covered and odometry_between(rings, i, j, time_us, between_ned_m) != KNOWN:
             own["ranges_too_late"] += 1
@@ -228,33 +210,33 @@ def use_pending(
             if now_us - time_us > PENDING_LIMIT_US:
                 own["ranges_too_late"] += 1
             else:
-                pending[line["kept"]] = item
-                line["kept"] += 1
+                pending[own["kept"]] = item
+                own["kept"] += 1
         elif not (members[i]["located"] and members[j]["located"]):
             return NOT_LOCATED
         else:
-            _use(item, filter_row, model_row, members, state, cov, pairs, reference_ne_m, bend_m, bend_var_m2)
+            _use(item, filter_row, members, state, cov, pairs, reference_ne_m, bend_m, bend_var_m2)
             for end in (i, j):
                 if members[end]["as_end"] > ELSEWHERE_LIMIT:
                     return ELSEWHERE
-    line["count"] = line["kept"]
-    line["done"] = line["kept"] = 0
+    own["pending"] = own["kept"]
+    own["done"] = own["kept"] = 0
     return DONE
 
 
 @njit(cache=True)
 def _use(
-    item: np.void, filter_row: Filter, model_row: Model, members: Members, state: Array, cov: Array,
+    item: np.void, filter_row: Filter, members: Members, state: Array, cov: Array,
     pairs: Pairs, reference_ne_m: Array, bend_m: Array, bend_var_m2: Array,
 ) -> None:  # fmt: skip
     """Fuse a distance between two who are located, or only judge it if who measured it is not trusted."""
-    own, model = filter_row[0], model_row[0]
+    own = filter_row[0]
     i, j = item["initiator"], item["responder"]
     pair, between_ned_m = pairs[i, j], own["between_ned_m"]
-    lag_s = advance(filter_row, model_row, members, state, cov, item["time_us"], decay=False)
+    lag_s = advance(filter_row, members, state, cov, item["time_us"], decay=False)
     # Distances of a UAV that are late together share what its odometry has lost since, and are worth no
     # more than one of them.
-    late_m2 = model["drift_m2_s"] * lag_s * (1.0 + own["distances_hz"] * lag_s)
+    late_m2 = own["drift_m2_s"] * lag_s * (1.0 + own["distances_hz"] * lag_s)
     trusted = members[i]["distrusted"] == 0
     weight = fuse_range(
         state, cov, state, reference_ne_m, i, j, between_ned_m, item["distance_m"] - bend_m[i, j],

@@ -22,14 +22,12 @@ from autopilot.onboard.hearing import Hearing
 from autopilot.onboard.intake import (
     DONE,
     ELSEWHERE,
-    FILTER,
     FIRST_MEAN,
     GPS_STEPPED,
     LOST,
     NOT_LOCATED,
     ODOMETRY_JUMPED,
     SENDER_ANEW,
-    Filter,
     advance,
     count_distance,
     read_beacons,
@@ -40,7 +38,7 @@ from autopilot.onboard.intake import (
 from autopilot.onboard.joining import Flags, Joined, Problem, links
 from autopilot.onboard.kernels import BIAS, STATES, Array
 from autopilot.onboard.localisation_model import CLOCK_TOLERANCE_US, SILENCE_US, LocalisationModel
-from autopilot.onboard.members import new_members
+from autopilot.onboard.members import new_filter, new_members
 from autopilot.onboard.receivers import Receivers, clear
 from autopilot.onboard.reference_geometry import ReferenceGeometry, shape_std_m
 from autopilot.onboard.tracks import EXTRAPOLATED_S, KNOWN, Tracks, odometry_at
@@ -50,8 +48,6 @@ from autopilot.types import Vector
 
 __all__ = ["CLOCK_TOLERANCE_US", "SILENCE_US", "CooperativeLocalisation", "LocalisationModel", "Others"]
 
-DECAY_SHARE = 0.01
-"""Of the shortest time constant: the stride in which slow errors are propagated."""
 JUMP_SHARE = 0.1
 """Standard deviation of a jump of odometry, by its size."""
 GEOMETRY_PERIOD_US = 1_000_000
@@ -59,7 +55,10 @@ GEOMETRY_PERIOD_US = 1_000_000
 
 
 class Others(NamedTuple):
-    """All N UAVs as one of them has them now; rows in their order, the own one included."""
+    """All N UAVs as one of them has them; rows in their order, the own one included.
+
+    Memory that is written over when somebody asks again.
+    """
 
     pos_ned_m: Array
     """(N, 3) site NED."""
@@ -104,20 +103,18 @@ class CooperativeLocalisation:
         self.gps_steps = 0
         self._places_ned_m = np.array(places_ned_m, float)
         self._model = model
-        self._model_row = model.row()
         self._drift_m2_s = model.odometry_drift_m_sqrt_s**2
-        self._filter: Filter = np.zeros(1, FILTER)
-        self._filter["own"], self._filter["own_range_us"] = own, -1
-        self._filter["decay_stride_us"] = int(
-            1e6 * DECAY_SHARE * min(model.gps_bias_time_constant_s, model.height_time_constant_s)
-        )
+        self._filter = new_filter(own, model)
         self.tracks = Tracks(members)
         self._receivers = Receivers(members, model)
-        self._distances = Distances(count)
+        self._distances = Distances(count, self._filter)
         self._trust = Trust(members)
         self._geometry = ReferenceGeometry(self._places_ned_m)
         self._geometry_due_us = 0
         self._counted = 0
+        self._others = Others(
+            np.empty((count, 3)), self.tracks.newest[:, 3:], np.empty(count), np.empty(count, bool)
+        )
 
     def read(self, hearing: Hearing, now_us: int) -> None:
         """Hear all that has come, and take what it says of those who are localised and of distances."""
@@ -125,8 +122,8 @@ class CooperativeLocalisation:
         while True:
             asked = read_beacons(
                 pages.count, now_us, pages.rows, hearing.listener, hearing.stations, hearing.rows,
-                self._filter, self._model_row, self.members, self.tracks.rings, self.state, self.cov,
-                distances.pairs, distances.pending, distances.queue,
+                self._filter, self.members, self.tracks.rings, self.state, self.cov,
+                distances.pairs, distances.pending,
             )  # fmt: skip
             if asked == DONE:
                 pages.count = 0
@@ -137,9 +134,10 @@ class CooperativeLocalisation:
         self, station: int, time_us: int, odometry_ned_m: Sequence[float], vel_ned_m_s: Sequence[float]
     ) -> None:
         """Take odometry of a UAV (north, east integrated velocity, down the barometer's); old is ignored."""
-        sample = np.array((*odometry_ned_m, *vel_ned_m_s))
         while True:
-            asked = take_odometry(self._filter, self.members, self.tracks.rings, station, time_us, sample)
+            asked = take_odometry(
+                self._filter, self.members, self.tracks.rings, station, time_us, *odometry_ned_m, *vel_ned_m_s
+            )
             if asked == DONE:
                 return
             self._do(asked, station)
@@ -156,9 +154,10 @@ class CooperativeLocalisation:
 
         ``std_h_m`` (per axis) and ``std_v_m`` are what the receiver states; None: nothing.
         """
+        north_m, east_m, down_m = pos_ned_m
         asked = take_fix(
-            self._filter, self._model_row, self.members, self.tracks.rings, self.state, self.cov, station,
-            time_us, np.array(pos_ned_m, float), std_h_m or 0.0, std_v_m or 0.0,
+            self._filter, self.members, self.tracks.rings, self.state, self.cov, station,
+            time_us, north_m, east_m, down_m, std_h_m or 0.0, std_v_m or 0.0,
         )  # fmt: skip
         if asked != DONE:
             self._do(asked, station)
@@ -302,15 +301,14 @@ class CooperativeLocalisation:
         relative_m2: float = variance_between(self.cov, self.own, peer, self.members, self.state)
         return relative_m2 + self._walked_m2(now_us)
 
-    def others(self, now_us: int, *, fresh_us: int) -> Others:
-        """Everybody, as avoidance wants them; fresh is who was heard within ``fresh_us``."""
-        pos_ned_m, std_m, fresh = np.empty((self.count, 3)), np.empty(self.count), np.empty(self.count, bool)
-        tracks = self.tracks
+    def others(self, now_us: int, *, fresh_us: int, shift_ne_m: tuple[float, float] = (0.0, 0.0)) -> Others:
+        """Everybody, as avoidance wants them, shifted; fresh is who was heard within ``fresh_us``."""
+        others = self._others
         seen_from(
             self.own, now_us, self.members, EXTRAPOLATED_S, self.state, self.cov, now_us - fresh_us,
-            self._walked_m2(now_us), pos_ned_m, std_m, fresh,
+            self._walked_m2(now_us), *shift_ne_m, others.pos_ned_m, others.std_m, others.fresh,
         )  # fmt: skip
-        return Others(pos_ned_m, tracks.newest[:, 3:], std_m, fresh)
+        return others
 
     def shape_std_m(self, now_us: int) -> float:
         """Horizontal rms error to expect of the shape of those located and heard of, aligned.
@@ -336,7 +334,7 @@ class CooperativeLocalisation:
 
     def _advance(self, time_us: int, *, decay: bool = False) -> None:
         """Propagate to ``time_us`` if that is news; see `intake.advance`."""
-        advance(self._filter, self._model_row, self.members, self.state, self.cov, time_us, decay)
+        advance(self._filter, self.members, self.state, self.cov, time_us, decay)
 
     @property
     def _time_us(self) -> int:
@@ -368,8 +366,8 @@ class CooperativeLocalisation:
         distances, geometry = self._distances, self._geometry
         while True:
             asked = use_pending(
-                now_us, self._filter, self._model_row, self.members, self.tracks.rings, self.state, self.cov,
-                distances.pairs, distances.pending, distances.queue, geometry.ne_m, geometry.bend_m,
+                now_us, self._filter, self.members, self.tracks.rings, self.state, self.cov,
+                distances.pairs, distances.pending, geometry.ne_m, geometry.bend_m,
                 geometry.bend_var_m2,
             )  # fmt: skip
             if asked == DONE:

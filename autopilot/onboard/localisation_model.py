@@ -2,29 +2,10 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 CLOCK_TOLERANCE_US = 10_000
 """A time stamp may be this far in the future; beyond, it is wrong."""
 SILENCE_US = 3_000_000
 """Who has not been heard of for this long is not waited for, and has no part in the geometry."""
-
-MODEL = np.dtype(
-    [
-        ("gps_bias_std_m", "f8"),
-        ("gps_bias_vertical_std_m", "f8"),
-        ("gps_bias_time_constant_s", "f8"),
-        ("gps_white_var_m2", "f8"),
-        ("drift_m2_s", "f8"),
-        ("height_var_m2", "f8"),
-        ("height_time_constant_s", "f8"),
-        ("range_floor_var_m2", "f8"),
-    ]
-)
-"""`LocalisationModel` for compiled code."""
-Model = NDArray[np.void]
-"""(1,) of `MODEL`"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,14 +26,3 @@ class LocalisationModel:
     """What averaging within a session does not reduce; added in squares to what the session states."""
     gather_s: float = 2.5
     """How long distances are gathered for those who do not answer before the others are solved for."""
-
-    def row(self) -> Model:
-        """Give it as (1,) of `MODEL`."""
-        return np.array(
-            [(
-                self.gps_bias_std_m, self.gps_bias_vertical_std_m, self.gps_bias_time_constant_s,
-                self.gps_white_std_m**2, self.odometry_drift_m_sqrt_s**2,
-                self.height_std_m**2, self.height_time_constant_s, self.range_floor_std_m**2,
-            )],
-            MODEL,
-        )  # fmt: skip

@@ -12,8 +12,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from autopilot.onboard.kernels import BIAS, STATES, Array, fuse_fix, relearn_bias
-from autopilot.onboard.localisation_model import LocalisationModel, Model
-from autopilot.onboard.members import Members
+from autopilot.onboard.localisation_model import LocalisationModel
+from autopilot.onboard.members import Filter, Members
 
 GROUP_US = 800_000
 """Fixes of this time make a mean. Within it GPS bias moves by more than what is white in it."""
@@ -57,21 +57,21 @@ def add_fix(
 
 @njit(cache=True)
 def take_stated(
-    members: Members, row: int, std_h_m: float, std_v_m: float, cov: Array, model_row: Model
+    members: Members, row: int, std_h_m: float, std_v_m: float, cov: Array, filter_row: Filter
 ) -> None:
     """Take what a receiver states with its newest fix at its word, when it is worse than the model.
 
     What it states beyond the worst of late, its bias may have changed by at once.
     """
-    member, model = members[row], model_row[0]
+    member, own = members[row], filter_row[0]
     since_s = max(member["fix_us"] - member["stated_us"], 0) * 1e-6
     member["stated_us"] = member["fix_us"]
-    vertical_m = max(model["gps_bias_vertical_std_m"], std_v_m)
+    vertical_m = max(own["gps_bias_vertical_std_m"], std_v_m)
     member["vertical_var_m2"] = vertical_m * vertical_m
-    level_m = max(model["gps_bias_std_m"], std_h_m)
+    level_m = max(own["gps_bias_std_m"], std_h_m)
     variance_m2 = level_m * level_m
     # A bias has forgotten what it was when the worst was stated as its own correlation says.
-    kept = math.exp(-2.0 * since_s / model["gps_bias_time_constant_s"])
+    kept = math.exp(-2.0 * since_s / own["gps_bias_time_constant_s"])
     stated_m2 = member["stated_var_m2"]
     worst_m2 = stated_m2 + kept * (member["worst_var_m2"] - stated_m2)
     member["worst_var_m2"] = max(worst_m2, variance_m2)
@@ -94,18 +94,20 @@ def rate(members: Members, row: int, state: Array) -> None:
 
 
 @njit(cache=True)
-def fuse_mean(members: Members, row: int, state: Array, cov: Array, time_us: int, model_row: Model) -> float:
+def fuse_mean(
+    members: Members, row: int, state: Array, cov: Array, time_us: int, filter_row: Filter
+) -> float:
     """Fuse the newest mean into the filter, which is at ``time_us``.
 
     Gives 0, or the variance that was taken for each horizontal axis if the GPS has made a step: for the UAV
     is located, and so many in succession have fitted badly. Its bias is then to be learned anew.
     """
-    member, model = members[row], model_row[0]
+    member, own = members[row], filter_row[0]
     # The mean is as old as its middle, since when both odometry and bias have moved on.
     age_s = (time_us - member["mean_us"]) * 1e-6
-    moved_m2_s = model["drift_m2_s"] + 2.0 * member["bias_var_m2"] / model["gps_bias_time_constant_s"]
-    variance_m2 = model["gps_white_var_m2"] / member["mean_fixes"] + moved_m2_s * age_s
-    periods = 2.0e6 * model["gps_bias_time_constant_s"] / max(member["span_us"], GROUP_US)
+    moved_m2_s = own["drift_m2_s"] + 2.0 * member["bias_var_m2"] / own["gps_bias_time_constant_s"]
+    variance_m2 = own["gps_white_var_m2"] / member["mean_fixes"] + moved_m2_s * age_s
+    periods = 2.0e6 * own["gps_bias_time_constant_s"] / max(member["span_us"], GROUP_US)
     height_m2 = member["vertical_var_m2"] * max(periods, 1.0)
     weight = fuse_fix(state, cov, row, member["less_odometry_ned_m"], variance_m2, height_m2)
     member["misfits"] = member["misfits"] + 1 if weight < MISFIT_WEIGHT else 0

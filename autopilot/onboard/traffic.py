@@ -134,7 +134,7 @@ class Traffic:
             items.append(Broadcast(seq=self._next_seq(), at_us=max(self._beacon_us, now_us), payload=payload))
             self._slot_us += self._period_us
             self._beacon_us = int(
-                self._slot_us + self._rng.uniform(-BEACON_JITTER, BEACON_JITTER) * self._period_us
+                self._slot_us + (2.0 * BEACON_JITTER * self._rng.random() - BEACON_JITTER) * self._period_us
             )
         if ranging and self._ranging.next_us < until_us:
             requests = self._ranging.due(

@@ -42,7 +42,7 @@ def variance_between(cov: Array, i: int, j: int, members: Members, state: Array)
 @njit(cache=True)
 def seen_from(
     own: int, now_us: int, members: Members, longest_s: float, state: Array, cov: Array, since_us: int,
-    added_m2: float, pos_ned_m: Array, std_m: Array, fresh: Flags,
+    added_m2: float, shift_n_m: float, shift_e_m: float, pos_ned_m: Array, std_m: Array, fresh: Flags,
 ) -> None:  # fmt: skip
     """Where everybody is now and how well that is known from UAV ``own``.
 
@@ -55,6 +55,8 @@ def seen_from(
         cov: see there.
         since_us: who has been heard of since and is located is fresh.
         added_m2: comes to each variance.
+        shift_n_m: comes to each position in the end, north, and ``shift_e_m`` east.
+        shift_e_m: see there.
         pos_ned_m: (N, 3) filled with positions.
         std_m: (N,) filled as by `relative_stds`, with 0 for who is not fresh.
         fresh: (N,) filled with who is.
@@ -68,6 +70,9 @@ def seen_from(
             pos_ned_m[j, a] = newest[a] + newest[3 + a] * age_s + state[STATES * j + a]
         fresh[j] = member["located"] != 0 and member["newest_us"] >= since_us
     relative_stds(cov, own, pos_ned_m, fresh, added_m2, std_m)
+    for j in range(members.size):
+        pos_ned_m[j, 0] += shift_n_m
+        pos_ned_m[j, 1] += shift_e_m
 
 
 @njit(cache=True)

@@ -18,7 +18,7 @@ from autopilot.onboard import (
 )
 from autopilot.onboard import beacon as wire
 from autopilot.onboard.localisation_model import LocalisationModel
-from autopilot.onboard.members import MEMBER
+from autopilot.onboard.members import FILTER, MEMBER, new_filter
 from autopilot.onboard.phases import Phase
 
 N = 4
@@ -63,13 +63,12 @@ def rings():
     return rows
 
 
-def model():
-    return LocalisationModel().row()
-
-
 def filter_row():
-    row = listed(intake.FILTER, 1)
-    row["own"], row["decay_stride_us"] = 1, 600_000
+    """Of a filter that has four distances pending."""
+    row, given = listed(FILTER, 1), new_filter(1, LocalisationModel())
+    for name in FILTER.names[FILTER.names.index("gps_bias_std_m") :]:
+        row[name] = given[name]
+    row["own"], row["decay_stride_us"], row["pending"] = 1, 600_000, 4
     return row
 
 
@@ -107,7 +106,7 @@ def fixed(rows):
 def waiting():
     items = listed(distances.PENDING, 20)
     items["initiator"], items["responder"] = RNG.integers(N, size=20), RNG.integers(N, size=20)
-    return items, np.array([(4, 0, 0)], distances.QUEUE)
+    return items
 
 
 def listener():
@@ -130,18 +129,18 @@ CASES = {
     tracks.odometry_at: lambda: (rings(), 2, int(RNG.integers(9_000_000, 10_100_000)), np.zeros(3)),
     tracks.odometry_between: lambda: (rings(), 2, 0, int(RNG.integers(9_000_000, 10_000_000)), np.zeros(3)),
     receivers.add_fix: lambda: (listed(MEMBER, N), 2, 10_100_000, some(3), some(3), bool(RNG.integers(2))),
-    receivers.take_stated: lambda: (listed(MEMBER, N), 2, 3.0, 4.0, cov(), model()),
+    receivers.take_stated: lambda: (listed(MEMBER, N), 2, 3.0, 4.0, cov(), filter_row()),
     receivers.rate: lambda: (listed(MEMBER, N), 2, some(5 * N)),
     trust.note: lambda: (listed(MEMBER, N), 2, 1, bool(RNG.integers(2))),
     intake.advance: lambda: (
-        filter_row(), model(), listed(MEMBER, N), *filtered(), int(RNG.integers(9_000_000, 11_000_000)),
+        filter_row(), listed(MEMBER, N), *filtered(), int(RNG.integers(9_000_000, 11_000_000)),
         bool(RNG.integers(2))),
     intake.read_beacons: lambda: (
-        3, 10_000_000, heard_of(), listener(), listed(hearing.STATION, 6), numbers(), filter_row(), model(),
-        fixed(listed(MEMBER, N)), rings(), *filtered(), listed(distances.PAIR, (N, N)), *waiting()),
+        3, 10_000_000, heard_of(), listener(), listed(hearing.STATION, 6), numbers(), filter_row(),
+        fixed(listed(MEMBER, N)), rings(), *filtered(), listed(distances.PAIR, (N, N)), waiting()),
     intake.use_pending: lambda: (
-        10_000_000, filter_row(), model(), listed(MEMBER, N), rings(), *filtered(),
-        listed(distances.PAIR, (N, N)), *waiting(), some(N, 2, size=5.0), some(N, N), np.abs(some(N, N))),
+        10_000_000, filter_row(), listed(MEMBER, N), rings(), *filtered(),
+        listed(distances.PAIR, (N, N)), waiting(), some(N, 2, size=5.0), some(N, N), np.abs(some(N, N))),
     kernels.predict: lambda: (
         *filtered(), listed(MEMBER, N), 0.01, RNG.uniform(0.0, 0.5), 0.04, 100.0, 60.0),
     kernels.student_weight: lambda: (RNG.uniform(0.0, 50.0),),
@@ -152,7 +151,7 @@ CASES = {
     uncertainty.relative_stds: lambda: (cov(), 0, some(N, 3, size=6.0), flags(), 0.01, np.zeros(N)),
     uncertainty.variance_between: lambda: (cov(), 0, 1, listed(MEMBER, N), some(5 * N)),
     uncertainty.seen_from: lambda: (
-        1, 10_000_000, listed(MEMBER, N), 0.5, *filtered(), 9_500_000, 0.01,
+        1, 10_000_000, listed(MEMBER, N), 0.5, *filtered(), 9_500_000, 0.01, 0.3, -0.2,
         np.zeros((N, 3)), np.zeros(N), flags()),
     uncertainty.shape_variance: lambda: (some(N, 3, size=6.0), cov(), np.arange(N)),
     uncertainty.bend: lambda: (
