@@ -51,12 +51,12 @@ class EstimatorParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     """EKF2_REQ_EPH: a fix worse than this neither sets the origin nor is fused"""
     gps_required_satellites: Annotated[int, Meta(ge=4, le=12)] = 6
     """EKF2_REQ_NSATS: likewise"""
-    baro_noise_m: PositiveSmall = 0.5
-    """EKF2_BARO_NOISE"""
+    baro_noise_m: PositiveSmall = 0.35
+    """EKF2_BARO_NOISE, of readings as often as SENS_BARO_RATE has them"""
     baro_gate: Gate = 5.0
     """EKF2_BARO_GATE, standard deviations"""
-    mag_noise_gauss: PositiveSmall = 0.02
-    """EKF2_MAG_NOISE, per axis"""
+    mag_noise_gauss: PositiveSmall = 0.014
+    """EKF2_MAG_NOISE, per axis, of readings as often as SENS_MAG_RATE has them"""
     heading_gate: Gate = 2.6
     """EKF2_HDG_GATE, standard deviations"""
     magnetic_field_ned_gauss: Vector = Site().magnetic_field_ned_gauss

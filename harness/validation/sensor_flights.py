@@ -20,8 +20,8 @@ from autopilot.types import Array, EstimatorState, GpsFix, ImuSample
 STEP_US = 4_000
 STEP_S = STEP_US * 1e-6
 GPS_STEPS = 50
-SLOW_STEPS = 5
-"""Of magnetometer and barometer."""
+SLOW_STEPS = 10
+"""Of magnetometer and barometer, as often as a vehicle takes them."""
 GPS_DELAY_S = 0.12
 SITE = Site()
 FIELD_NED_GAUSS = np.array(SITE.magnetic_field_ned_gauss)
@@ -170,7 +170,7 @@ def _fixes(
 
 
 def simulate(path: Path, duration_s: float, rng: np.random.Generator, noise: Noise | None = None) -> Flight:
-    """Fly the path once: IMU 250 Hz, magnetometer and barometer 50 Hz, GPS 5 Hz and 0.12 s late."""
+    """Fly the path once: IMU 250 Hz, magnetometer and barometer 25 Hz, GPS 5 Hz and 0.12 s late."""
     noise = noise or Noise()
     steps = round(duration_s / STEP_S)
     time_s = STEP_S * np.arange(1.0, steps + 1.0)

@@ -118,7 +118,7 @@ def test_the_summary_says_what_a_user_wants_to_know(flown):
 def test_the_tables_hold_truth_and_estimates_side_by_side(flown):
     flight = pq.read_table(flown["folder"] / "flight.parquet").to_pydict()
     time_us = np.array(flight["time_us"]).reshape(-1, 8)
-    assert (np.diff(time_us[:, 0]) == 20_000).all()
+    assert (np.diff(time_us[:, 0]) == 40_000).all()
     hold = time_us[:, 0] > time_us[-1, 0] - int(HOLD_S * 1e6)
     positions = [
         np.stack([np.array(flight[f"{name}.{axis}"]).reshape(-1, 8)[hold] for axis in "ne"], axis=2)

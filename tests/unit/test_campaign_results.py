@@ -260,8 +260,8 @@ def test_the_gains_that_are_kept_are_those_of_the_summary(tmp_path):
     assert gain_dbi.mean() == pytest.approx(said["mean"], abs=1e-4)
     assert gain_dbi.std(ddof=1) == pytest.approx(said["std"], abs=1e-4)
     times_us = np.array(gains["time_us"])
-    assert np.diff(times_us) == pytest.approx(250_000, abs=20_000)  # of a log with 50 rows per second
-    assert times_us[0] * 1e-6 == pytest.approx(ended.summary["formed_s"], abs=0.021)
+    assert np.diff(times_us) == pytest.approx(250_000, abs=40_000)  # of a log with 25 rows per second
+    assert times_us[0] * 1e-6 == pytest.approx(ended.summary["formed_s"], abs=0.041)
     assert "busy_ns" in pq.read_table(io.BytesIO(series["air"])).column_names
     assert not list(tmp_path.iterdir())
 

@@ -132,6 +132,7 @@ def test_telemetry_holds_what_the_wire_can_and_says_zero_for_no_number():
     assert (sent.x, sent.y) == (pytest.approx(3.4e38, rel=1e-2), -math.inf)
     assert math.isnan(sent.z)
     bench.encoder.encode(sent)
+    state.pos_ned_m[:] = state.vel_ned_m_s[:] = 0.0
     for temperature, centidegrees in ((math.nan, 0), (math.inf, 32_767), (-1e30, -32_768), (12.34, 1_234)):
         bench.step(temperature=temperature)
         assert telemetry.sensors.scaled_pressure().temperature == centidegrees
