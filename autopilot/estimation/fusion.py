@@ -261,7 +261,7 @@ class Fusion:
     def hold_position(self) -> bool:
         """Without horizontal measurements pull loosely to the last known position: it keeps tilt bounded."""
         delayed = self._delayed
-        self.held_us = delayed.horizon_us
+        self.held_us = delayed.horizon_us - delayed.horizon_us % HOLD_PERIOD_US  # in one step with others
         if not self.unaided(delayed.horizon_us, self._params.no_aid_timeout_us):
             return False
         if self.held_pos_m is None:

@@ -8,6 +8,7 @@ from autopilot.config import OnboardConfig, VehicleConfig
 from autopilot.host import Host
 from autopilot.mavlink.hil import TO_VEHICLE, HilParser, HilSensor, pack
 from autopilot.protocol.service import GROUND_STATION, Addressed, Partner
+from autopilot.vehicle import DECISION_PERIOD_US
 from harness.validation.bench import record_flight
 
 FLIGHT_S = 24.0
@@ -88,6 +89,20 @@ def test_the_flight_is_the_same_to_the_bit(stream):
         lambda host: host._encoder.sequence,
     ):
         assert repr(of(compiled.host)) == repr(of(plain.host))
+
+
+def test_on_its_way_a_vehicle_looks_at_more_than_the_sample_25_times_a_second(stream):
+    """GPS, compass, barometer, decisions, application, what is due of the filter: all in the same steps."""
+    player, whole_us = Player(compiled=True), []
+    for data in stream:
+        before = player.inertial
+        player.hear(data)
+        if player.inertial == before:
+            whole_us.append(player.host.vehicle.flight.now_us)
+    begin_us = len(stream) * STEP_US - 3_000_000
+    late_us = [time_us for time_us in whole_us if time_us > begin_us]
+    assert late_us == list(range(late_us[0], len(stream) * STEP_US + 1, DECISION_PERIOD_US))
+    assert len(late_us) == pytest.approx(75, abs=1)
 
 
 def resealed(data, at, byte):
