@@ -68,7 +68,10 @@ class Keyboard:
         return self._thread is not None
 
     def _listen(self) -> None:
-        with contextlib.suppress(OSError, termios.error), _never_stopped():  # a closed terminal says nothing
+        # Signals are the main thread's: one that this thread takes, as when the terminal is closed, would not
+        # wake it. Those that say that the terminal is another's would stop the process.
+        signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
+        with contextlib.suppress(OSError, termios.error):  # a closed terminal says nothing
             while not self._ending.is_set():
                 for key in self._pressed():
                     try:

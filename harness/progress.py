@@ -3,6 +3,7 @@
 Fed with what the processes say (`harness.processes.Message`); its wall times come from there too.
 """
 
+import contextlib
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
@@ -30,6 +31,8 @@ LINE_PERIOD_S = 3.0
 """Wall time between two plain lines."""
 PACE_WINDOW_S = 2.0
 """Wall time over which the present speed is taken."""
+_EVEN_IF_UNSEEN = contextlib.suppress(OSError)
+"""A run does not fail of a terminal that was closed: the signal that says so ends it in good order."""
 
 
 class Display(Protocol):
@@ -114,7 +117,8 @@ class LineDisplay:
 
     def note(self, line: str) -> None:
         """Print a line, however long, as one."""
-        self._console.print(Text(line), soft_wrap=True)
+        with _EVEN_IF_UNSEEN:
+            self._console.print(Text(line), soft_wrap=True)
 
     def close(self) -> None:
         """Nothing is open."""
@@ -138,11 +142,13 @@ class LiveDisplay:
 
     def note(self, line: str) -> None:
         """Print a line above the table."""
-        self._live.console.print(Text(line), soft_wrap=True)
+        with _EVEN_IF_UNSEEN:
+            self._live.console.print(Text(line), soft_wrap=True)
 
     def close(self) -> None:
         """Take the table away."""
-        self._live.stop()
+        with _EVEN_IF_UNSEEN:
+            self._live.stop()
 
 
 def headline(progress: Progress, factor: float | None) -> str:
@@ -184,6 +190,9 @@ def summary_table(summary: Mapping[str, Any]) -> Table:
     """Lay out the figures of ``summary.json`` that a user looks for first."""
     formation, frames, ftm = summary["formation_rms_m"], summary["frames"], summary["ftm"]
     gain = summary["max_gain_dbi"]
+    lost = [
+        f"{uav(vehicle['uav'])} ({vehicle['lost']})" for vehicle in summary["vehicles"] if vehicle["lost"]
+    ]
     title = f"{summary['scenario']}, seed {summary['seed']}: {summary['status']}"
     formation_rms = [f"{_number(formation[kind], '.3f', 'm')} {kind}" for kind in ("absolute", "shape")]
     frame_counts = [
@@ -204,6 +213,7 @@ def summary_table(summary: Mapping[str, Any]) -> Table:
         "maximum gain": f"{', '.join(gains)}, {_number(gain['std'], '.2f', 'dB')} std",
         "computed by": ": ".join(filter(None, (gain.get("backend"), gain.get("accuracy")))) or "-",
         "collisions": str(summary["collisions"]),
+        **({"lost": "; ".join(lost)} if lost else {}),
         "deterministic": "yes" if summary["deterministic"] else "no",
         "log sha256": str(summary["log_sha256"])[:16],
     }

@@ -99,7 +99,7 @@ def finish(folder: RunFolder, scenario: Scenario, outcome: Outcome, *, draw: boo
         "moves_s": None if start_us is None else start_us / 1e6,
         "formation_s": _span_s(window),
         "formation_rms_m": _formation(error),
-        "vehicles": _vehicles(records, error),
+        "vehicles": _vehicles(records, error, _losses(folder)),
         **_radio(folder, sessions),
         "max_gain_dbi": aperture.numbers(antenna),
         "collisions": sum(b'"event":"collision"' in line for line in folder.events.read_bytes().splitlines()),
@@ -138,7 +138,19 @@ def _formation(error: FormationError | None) -> dict[str, float | None]:
     }
 
 
-def _vehicles(records: NDArray[Any], error: FormationError | None) -> list[dict[str, Any]]:
+def _losses(folder: RunFolder) -> dict[int, str]:
+    """When and why vehicles were lost, by instance."""
+    events = map(msgspec.json.decode, folder.events.read_bytes().splitlines())
+    return {
+        event["instance"]: f"{event['reason']}, t = {event['time_us'] * 1e-6:.2f} s"
+        for event in events
+        if event["event"] == "vehiclelost"
+    }
+
+
+def _vehicles(
+    records: NDArray[Any], error: FormationError | None, losses: dict[int, str]
+) -> list[dict[str, Any]]:
     vehicles = records.shape[1]
     absolute = error.absolute.vehicle_rms_m if error else (None,) * vehicles
     shape = error.shape.vehicle_rms_m if error else (None,) * vehicles
@@ -146,6 +158,7 @@ def _vehicles(records: NDArray[Any], error: FormationError | None) -> list[dict[
         {
             "uav": i,
             "alive": bool(records["alive"][-1, i]) if len(records) else True,
+            "lost": losses.get(i),
             "absolute_rms_m": _round(absolute[i]),
             "shape_rms_m": _round(shape[i]),
         }

@@ -1,5 +1,6 @@
 """Real children are heard, named when they end, and gone when their supervisor stops or dies."""
 
+import contextlib
 import os
 import signal
 import socket
@@ -12,7 +13,7 @@ import psutil
 import pytest
 from supervising import WALL_LIMIT_S, hear, launcher_and_children, python, wait_for
 
-from harness.interrupts import interrupts_deferred
+from harness.interrupts import interruptible, interrupts_deferred
 from harness.messages import SetPid
 from harness.resources import PortError, bind
 from harness.supervisor import MARK, Exited, Supervisor, SupervisorError, ending
@@ -234,6 +235,19 @@ def test_interrupt_comes_after_what_must_not_be_cut() -> None:
         work()
     assert len(done) == 1_000
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.parametrize(("found", "interrupts"), [(signal.SIG_DFL, True), (signal.SIG_IGN, False)])
+def test_closed_terminal_interrupts_unless_nohup_has_it_ignored(
+    found: signal.Handlers, *, interrupts: bool
+) -> None:
+    before = signal.signal(signal.SIGHUP, found)
+    try:
+        with pytest.raises(KeyboardInterrupt) if interrupts else contextlib.nullcontext(), interruptible():
+            signal.raise_signal(signal.SIGHUP)
+        assert signal.getsignal(signal.SIGHUP) == found
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_stop_is_not_cut_short_by_ctrl_c(supervisor: Supervisor) -> None:

@@ -1,9 +1,12 @@
 """The launcher as its user meets it: exit status, streams and Ctrl-C, with stand-ins for its processes."""
 
+import fcntl
 import json
+import os
 import signal
 import subprocess
 import sys
+import termios
 import time
 from pathlib import Path
 
@@ -19,7 +22,7 @@ SUMMARY = """{
     "formation_rms_m": {"absolute": None, "shape": None}, "channel_busy_fraction": 0.1, "deterministic": True,
     "frames": {"sent": 0, "delivered": 0, "collided": 0, "lost_to_noise": 0}, "log_sha256": "0",
     "ftm": {"requested": 0, "completed": 0, "failed": 0, "error_mean_m": None, "error_std_m": None},
-    "max_gain_dbi": {"ideal": None, "mean": None, "std": None},
+    "max_gain_dbi": {"ideal": None, "mean": None, "std": None}, "vehicles": [],
     "pids": [process.pid for process in outcome.processes],
 }"""
 LAUNCHER = f"""
@@ -139,6 +142,35 @@ def test_one_ctrl_c_stops_everything_and_keeps_the_records(folder: Path) -> None
     summary = json.loads(launched.stdout)
     assert summary["status"] == "interrupted"
     assert not any(psutil.pid_exists(pid) for pid in summary["pids"])
+
+
+def start_in_terminal(folder: Path) -> tuple[int, "subprocess.Popen[bytes]"]:
+    """Start a run without end in a terminal of its own, and wait until it flies.
+
+    Returns the terminal's other end and the launcher, whose report goes to the file ``reported``.
+    """
+    other_end, terminal = os.openpty()
+    code = LAUNCHER.replace("    return {", "    open('reported', 'w').write(outcome.status)\n    return {")
+    launcher = subprocess.Popen(
+        [sys.executable, "-c", code, "fine.toml", "--duration", "1e6"],
+        cwd=folder, stdin=terminal, stdout=terminal, stderr=terminal, start_new_session=True,
+        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),  # noqa: PLW1509  it takes no lock
+    )  # fmt: skip
+    os.close(terminal)
+    shown = b""
+    while b"formation reached" not in shown:
+        shown += os.read(other_end, 4_096)
+    return other_end, launcher
+
+
+def test_run_whose_terminal_is_closed_ends_in_good_order_and_is_reported(folder: Path) -> None:
+    other_end, launcher = start_in_terminal(folder)
+    with launcher:
+        children = psutil.Process(launcher.pid).children(recursive=True)
+        os.close(other_end)
+        assert launcher.wait(WALL_LIMIT_S) == 130
+    assert (folder / "reported").read_text() == "interrupted"
+    assert not any(child.is_running() for child in children)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,8 @@
 """A wrong command line is one line on stderr and status 2; what a run shows is right, and in words."""
 
+import errno
+import io
+import re
 from pathlib import Path
 
 import pytest
@@ -157,6 +160,17 @@ def test_live_table_shows_every_vehicle_and_keeps_the_events(capsys: pytest.Capt
         assert words in shown
 
 
+def test_a_closed_terminal_is_no_error_of_the_run() -> None:
+    class Closed(io.StringIO):
+        def write(self, _: str) -> int:
+            raise OSError(errno.EIO, "Input/output error")
+
+    console = Console(file=Closed(), force_terminal=False)
+    LineDisplay(console).note("formation reached")
+    with pytest.raises(OSError, match="Input"):
+        console.print("formation reached")
+
+
 def test_summary_table_shows_what_is_there_and_a_dash_for_the_rest() -> None:
     summary = {
         "scenario": "article", "seed": 7, "status": "not_formed", "simulated_s": 12.0, "wall_s": 4.0,
@@ -165,10 +179,12 @@ def test_summary_table_shows_what_is_there_and_a_dash_for_the_rest() -> None:
         "channel_busy_fraction": 0.05, "collisions": 0, "deterministic": True, "log_sha256": "f" * 64,
         "ftm": {"requested": 5, "completed": 4, "failed": 1, "error_mean_m": 0.01, "error_std_m": 0.06},
         "max_gain_dbi": {"ideal": 13.26, "mean": None, "std": None},
+        "vehicles": [{"uav": 0, "lost": None}, {"uav": 1, "lost": "its connection broke, t = 1.00 s"}],
     }  # fmt: skip
     console = Console(record=True, width=100, quiet=False)
     console.print(summary_table(summary))
     text = console.export_text()
+    assert re.search(r"lost +│ uav 1 \(its connection broke, t = 1\.00 s\)", text)
     assert "article, seed 7: not_formed" in text
     assert "- absolute, 0.123 m shape" in text
     assert "- mean, 13.26 dBi ideal, - std" in text

@@ -196,6 +196,9 @@ def test_a_killed_vehicle_is_gone_from_the_next_step_on_and_the_others_fly_on(tm
         assert rows[1] == BLOCK_ROWS
         summary = swarm.summary(draw=False)
     assert summary["deterministic"]
+    reasons = [vehicle["lost"] for vehicle in summary["vehicles"]]
+    assert reasons[::2] == [None, None]
+    assert reasons[1].endswith(", t = 2.00 s")
     frames = radio_table(tmp_path / "run")
     sent_s = np.array(frames["start_ns"])[np.array(frames["source"]) == 1] * 1e-9
     assert (sent_s < 2.0 + 0.02).all()  # but for what was on the air
