@@ -42,15 +42,19 @@ def _turn(
     wavelength_m: float,
 ) -> None:
     """Turn every pair's theta (n, n) on by its ends' ways between places (n, 3), and take its new rate."""
+    # products, not powers: of those Python's pow rounds some otherwise than compiled code
+    wavelength_m2, doppler_turns = wavelength_m * wavelength_m, doppler_hz * since_s
     for a in range(len(theta_rad)):
         for b in range(a):
             way_m2 = speed_m2_s2 = 0.0
             for axis in range(3):
                 moved_m = to_ned_m[a, axis] - from_ned_m[a, axis]
-                way_m2 += (moved_m - (to_ned_m[b, axis] - from_ned_m[b, axis])) ** 2
-                speed_m2_s2 += (vel_ned_m_s[a, axis] - vel_ned_m_s[b, axis]) ** 2
-            turns = sqrt(way_m2 / wavelength_m**2 + (doppler_hz * since_s) ** 2)
-            spread_hz = sqrt(speed_m2_s2 / wavelength_m**2 + doppler_hz**2)
+                way_m = moved_m - (to_ned_m[b, axis] - from_ned_m[b, axis])
+                speed_m_s = vel_ned_m_s[a, axis] - vel_ned_m_s[b, axis]
+                way_m2 += way_m * way_m
+                speed_m2_s2 += speed_m_s * speed_m_s
+            turns = sqrt(way_m2 / wavelength_m2 + doppler_turns * doppler_turns)
+            spread_hz = sqrt(speed_m2_s2 / wavelength_m2 + doppler_hz * doppler_hz)
             theta_rad[a, b] += 2.0 * pi * turns
             theta_rad[b, a] = theta_rad[a, b]
             rates_rad_ns[a, b] = rates_rad_ns[b, a] = 2e-9 * pi * spread_hz

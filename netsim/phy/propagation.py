@@ -69,7 +69,7 @@ def is_possible(pos_ned_m: Doubles, vel_ned_m_s: Doubles, q_ned_frd: Doubles) ->
                 return False
         square = 0.0
         for k in range(4):
-            square += q_ned_frd[r, k] ** 2
+            square += q_ned_frd[r, k] * q_ned_frd[r, k]
         if not abs(sqrt(square) - 1.0) <= NORM_TOLERANCE:
             return False
     return True
@@ -96,7 +96,8 @@ def _power_law(
         square_m2 = 0.0
         for axis in range(3):
             to_m = pos_ned_m[r, axis] + dt_s * vel_ned_m_s[r, axis]
-            square_m2 += (to_m - (pos_ned_m[source, axis] + dt_s * vel_ned_m_s[source, axis])) ** 2
+            way_m = to_m - (pos_ned_m[source, axis] + dt_s * vel_ned_m_s[source, axis])
+            square_m2 += way_m * way_m  # not way_m**2, of which Python's pow rounds some otherwise
         distances_m[r] = sqrt(square_m2)
         powers_mw[r] = at_reference_mw * max(distances_m[r], REFERENCE_DISTANCE_M) ** -exponent
     powers_mw[source] = 0.0

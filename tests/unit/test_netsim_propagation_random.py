@@ -8,10 +8,10 @@ from scipy.special import j0
 
 from netsim.config import RadioConfig
 from netsim.kernel import NEVER_NS
-from netsim.phy.fading import SECTORS, RicianFading
+from netsim.phy.fading import SECTORS, RicianFading, _turn
 from netsim.phy.obstruction import KEPT_NS, Obstruction
 from netsim.phy.path_loss import SPEED_OF_LIGHT_M_S
-from netsim.phy.propagation import ROW_LIFETIME_NS, Links, Trajectories
+from netsim.phy.propagation import ROW_LIFETIME_NS, Links, Trajectories, _power_law
 from netsim.phy.shadowing import Shadowing
 from netsim.streams import Streams
 
@@ -295,3 +295,27 @@ def test_a_blocked_link_loses_power_as_long_as_it_is_blocked():
     assert len(seen) == 4
     never, _ = links_of(places, [REST] * 3)
     assert not never.blocked(0, 1, 0)
+
+
+def test_budgets_and_fading_are_the_same_bits_without_the_compiler():
+    """Compiled code and Python round alike, so that a run is the same with NUMBA_DISABLE_JIT=1."""
+    rng = np.random.default_rng(7)
+    count = 6
+
+    def budget(kernel, motion, source):
+        powers_mw, distances_m = np.empty(count), np.empty(count)
+        delays_ns = np.empty(count, np.int64)
+        longest_ns = kernel(*motion, 0.0123, source, 1.7e-4, 2.0, 1e-12, powers_mw, distances_m, delays_ns)
+        return longest_ns, powers_mw.tobytes(), distances_m.tobytes(), delays_ns.tobytes()
+
+    def turned(kernel, motion):
+        theta_rad, rates_rad_ns = np.zeros((count, count)), np.zeros((count, count))
+        kernel(theta_rad, rates_rad_ns, motion[0], motion[0] + motion[1], motion[1], 0.004, 5.0, 0.0575)
+        return theta_rad.tobytes(), rates_rad_ns.tobytes()
+
+    for _ in range(1_000):
+        motion = 30.0 * rng.normal(size=(count, 3)), rng.normal(size=(count, 3))
+        source = int(rng.integers(count))
+        plain = getattr(_power_law, "py_func", _power_law), getattr(_turn, "py_func", _turn)
+        assert budget(_power_law, motion, source) == budget(plain[0], motion, source)
+        assert turned(_turn, motion) == turned(plain[1], motion)
