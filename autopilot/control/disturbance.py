@@ -38,7 +38,9 @@ def observe_disturbance(
     north, east, down = rotate(q, (0.0, 0.0, -thrust_acc))
     unexplained = (acc_ned[0] - north, acc_ned[1] - east, acc_ned[2] - down - GRAVITY_M_S2)
     # limited before the filter: a bump is then worth no more than a gust
-    norm = math.sqrt(unexplained[0] ** 2 + unexplained[1] ** 2 + unexplained[2] ** 2)
+    norm = math.sqrt(
+        unexplained[0] * unexplained[0] + unexplained[1] * unexplained[1] + unexplained[2] * unexplained[2]
+    )
     scale = min(settings[ACC_MAX] / max(norm, 1e-12), 1.0)
     for i in range(3):
         memory[OBSERVED + i] += alpha * (scale * unexplained[i] - memory[OBSERVED + i])

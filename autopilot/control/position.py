@@ -56,7 +56,7 @@ def _velocity_setpoint(
         # the largest s <= 1 with |vel + s feed| <= xy_max
         s = 1.0
         if math.hypot(vel[0] + feed[0], vel[1] + feed[1]) > xy_max:
-            a = feed[0] ** 2 + feed[1] ** 2
+            a = feed[0] * feed[0] + feed[1] * feed[1]
             b = vel[0] * feed[0] + vel[1] * feed[1]
             s = (-b + math.sqrt(b * b + a * (xy_max * xy_max - speed * speed))) / a
         vel[0] += s * feed[0]
@@ -95,14 +95,16 @@ def _limited_thrust(
 @njit(cache=True)
 def _attitude(thrust_ned: Array, yaw_rad: float) -> Array:
     """(4,) q_ned_frd with -z along the thrust and x over the heading; level where there is no thrust."""
-    norm = math.sqrt(thrust_ned[0] ** 2 + thrust_ned[1] ** 2 + thrust_ned[2] ** 2)
+    norm = math.sqrt(
+        thrust_ned[0] * thrust_ned[0] + thrust_ned[1] * thrust_ned[1] + thrust_ned[2] * thrust_ned[2]
+    )
     z = np.array([0.0, 0.0, 1.0])
     if norm > LEAST_THRUST:
         z = -thrust_ned / norm
     # x = (horizontal, right of the heading) x z: perpendicular to both; the tilt limit keeps z[2] > 0
     x = np.array([math.cos(yaw_rad) * z[2], math.sin(yaw_rad) * z[2], 0.0])
     x[2] = -math.sin(yaw_rad) * z[1] - math.cos(yaw_rad) * z[0]
-    x /= math.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
+    x /= math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
     dcm = np.empty((3, 3))
     dcm[:, 0] = x
     dcm[0, 1] = z[1] * x[2] - z[2] * x[1]
@@ -151,12 +153,12 @@ def control_position(
     thrust, cut = _limited_thrust(demand, hover, limits[TILT_MAX], thr_min, thr_max, limits[THR_XY_MARGIN])
 
     # anti-windup: while a limit holds back thrust, the integral does not follow an error that asks for more
-    collective = math.sqrt(thrust[0] ** 2 + thrust[1] ** 2 + thrust[2] ** 2)
+    collective = math.sqrt(thrust[0] * thrust[0] + thrust[1] * thrust[1] + thrust[2] * thrust[2])
     at_least = collective <= thr_min * (1.0 + 1e-9)
     at_most = collective >= thr_max * (1.0 - 1e-9)
     if (at_least and error[2] > 0.0) or (at_most and error[2] < 0.0):
         error[2] = 0.0
-    squared = demand[0] ** 2 + demand[1] ** 2
+    squared = demand[0] * demand[0] + demand[1] * demand[1]
     if cut and squared > 0.0:
         along = error[0] * demand[0] + error[1] * demand[1]
         more = max(along, 0.0) / squared

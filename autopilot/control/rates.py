@@ -32,7 +32,8 @@ def rate_torque(
         torque[k] = p[k] * error + state[2, k] - d[k] * state[1, k] + ff[k] * setpoint[k]
         # where the motors have no more to give the integral must not follow
         if integrate and error * unallocated[k] <= 0.0:
-            fade = max(0.0, 1.0 - (error / _ERROR_FADE_RAD_S) ** 2)
+            share = error / _ERROR_FADE_RAD_S
+            fade = max(0.0, 1.0 - share * share)
             integral = state[2, k] + fade * i[k] * error * dt_s
             state[2, k] = min(max(integral, -integral_max), integral_max)
     return torque

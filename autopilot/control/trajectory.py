@@ -108,7 +108,7 @@ def _advance_line(motion: Array, target: float, limits: Array, dt_s: float) -> A
     if (
         abs(moved[2]) <= reach
         and abs(moved[1]) <= reach * dt_s
-        and abs(moved[0] - target) <= max(reach * dt_s**2, _REST_M)
+        and abs(moved[0] - target) <= max(reach * dt_s * dt_s, _REST_M)
     ):
         moved[:] = 0.0
         moved[0] = target
@@ -141,7 +141,7 @@ def _advance(motion: Array, target: Array, p: Array, dt_s: float) -> None:
     line = target - motion[0]
     if np.abs(line).max() < _REST_M:  # there, but for the last of the motion
         line = motion[1].copy()
-    length = math.sqrt(line[0] ** 2 + line[1] ** 2 + line[2] ** 2)
+    length = math.sqrt(line[0] * line[0] + line[1] * line[1] + line[2] * line[2])
     if length > 0.0:
         axes[0] = line / length
         horizontal = math.hypot(axes[0, 0], axes[0, 1])

@@ -232,7 +232,7 @@ def heading_jacobian(field_ned: Array) -> Array:
 
     A tilt error tips the field's vertical part into the horizontal and so looks like a heading error.
     """
-    horizontal_squared = field_ned[0] ** 2 + field_ned[1] ** 2
+    horizontal_squared = field_ned[0] * field_ned[0] + field_ned[1] * field_ned[1]
     jacobian = np.empty(3)
     jacobian[0] = -field_ned[0] * field_ned[2] / horizontal_squared
     jacobian[1] = -field_ned[1] * field_ned[2] / horizontal_squared

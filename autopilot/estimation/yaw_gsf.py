@@ -90,8 +90,9 @@ def carry_level(tilt: Array, gyro_frd_rad_s: Array, accel_frd_m_s2: Array, dt_s:
     rate_squared = 0.0
     for i in range(3):
         tilt[FORCE + i] += share * (accel_frd_m_s2[i] - tilt[FORCE + i])
-        force_squared += tilt[FORCE + i] ** 2
-        rate_squared += (gyro_frd_rad_s[i] - tilt[BIAS + i] - tilt[BIAS_CHANGE + i]) ** 2
+        force_squared += tilt[FORCE + i] * tilt[FORCE + i]
+        rate_rad_s = gyro_frd_rad_s[i] - tilt[BIAS + i] - tilt[BIAS_CHANGE + i]
+        rate_squared += rate_rad_s * rate_rad_s
     force_m_s2 = math.sqrt(force_squared)
     strangeness = abs(force_m_s2 / GRAVITY_M_S2 - 1.0) / GRAVITY_TOLERANCE
     w, x, y, z = tilt[Q], tilt[Q + 1], tilt[Q + 2], tilt[Q + 3]
@@ -100,7 +101,8 @@ def carry_level(tilt: Array, gyro_frd_rad_s: Array, accel_frd_m_s2: Array, dt_s:
     down_z = 1.0 - 2.0 * (x * x + y * y)
     gain = 0.0
     if strangeness < 1.0:
-        gain = TILT_GAIN_1_S * (1.0 - strangeness) ** 2 / force_m_s2
+        likeness = 1.0 - strangeness
+        gain = TILT_GAIN_1_S * likeness * likeness / force_m_s2
     correction = (
         gain * (down_y * tilt[FORCE + 2] - down_z * tilt[FORCE + 1]),
         gain * (down_z * tilt[FORCE] - down_x * tilt[FORCE + 2]),
@@ -144,7 +146,7 @@ def start_models(models: Array, covs: Array, weights: Array, vel_ne_m_s: Array, 
         models[i, 2] = (i + 0.5) * spacing_rad - math.pi
         covs[i, 0, 0] = vel_var
         covs[i, 1, 1] = vel_var
-        covs[i, 2, 2] = (0.5 * spacing_rad) ** 2
+        covs[i, 2, 2] = 0.25 * spacing_rad * spacing_rad
         weights[i] = 1.0 / MODELS
 
 
