@@ -32,8 +32,8 @@ VOICE = np.dtype(
     align=True,
 )
 """Of one vehicle: how much it has said that is not taken yet, the time of the answer that stands in this
-step, 0 for none, whether that says that the radio was given something, whether a parser has to hear it, and
-whether it has ever answered."""
+step, 0 for none, whether that says that the radio was given something, whether a parser has to hear it in
+every step, and whether it has ever answered."""
 
 
 class Answers:

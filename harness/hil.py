@@ -7,7 +7,7 @@ HIL_GPS): gauss, hPa, degC; degE7, mm, cm/s; eph and epv in cm. Integers saturat
 """
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from autopilot.config import Site
 from autopilot.estimation.atmosphere import altitude_m
 from autopilot.mavlink.hil import HilActuatorControls
 from autopilot.navigation.geodesy import ned_to_geodetic
+from autopilot.sensors import BARO_FIELDS, IMU_FIELDS, MAG_FIELDS
 from autopilot.types import Array
 from harness.esc import EscReadings, statuses
 from harness.hil_frames import (
@@ -33,10 +34,6 @@ from harness.physics.truth import Truth
 from harness.sensors.suite import GpsFixes, SensorFrame
 from netsim.wire.lockstep import BATCH_DELIVERED
 
-_IMU = 0x3F
-_MAG = 0x1C0
-_BARO = 0x1A00
-"""Absolute pressure, pressure altitude and temperature."""
 _UNKNOWN = 65_535
 _COURSE_LEAST_SPEED_M_S = 0.1
 _SATELLITES = 10
@@ -68,7 +65,7 @@ class SensorEncoder:
         self._epoch_us = epoch_us
         self._px4_rc = px4_rc
         self._sequence = 0
-        self._inertial = InertialFrames(0, _IMU)
+        self._inertial = InertialFrames(0, IMU_FIELDS)
 
     def encode(
         self,
@@ -77,8 +74,8 @@ class SensorEncoder:
         escs: EscReadings | None = None,
         truth: Truth | None = None,
         delivered: Collection[int] = (),
-    ) -> list[bytes]:
-        """Frames for each vehicle.
+    ) -> Sequence[bytes | memoryview]:
+        """Frames for each vehicle, which hold until they are asked for again.
 
         ESC_STATUS when there are readings of motors, HIL_GPS when a fix is due, HIL_STATE_QUATERNION when
         the truth is to be told, then HIL_SENSOR, which is what lets a vehicle's clock go on. It tells those
@@ -98,13 +95,15 @@ class SensorEncoder:
         sensors = self._sensors(time_us, frame, delivered)
         return [b"".join(parts) for parts in zip(*others, sensors, strict=True)] if others else sensors
 
-    def _sensors(self, time_us: int, frame: SensorFrame, delivered: Collection[int]) -> list[bytes]:
+    def _sensors(
+        self, time_us: int, frame: SensorFrame, delivered: Collection[int]
+    ) -> Sequence[bytes | memoryview]:
         """Frames of HIL_SENSOR."""
         if frame.mag_frd_gauss is not None or frame.baro is not None or delivered:
             return HIL_SENSOR.frames(_sensors(time_us, frame, delivered), self._next())
         accel_frd_m_s2, gyro_frd_rad_s = frame.accel_frd_m_s2, frame.gyro_frd_rad_s
         if self._inertial.vehicles != len(accel_frd_m_s2):
-            self._inertial = InertialFrames(len(accel_frd_m_s2), _IMU)
+            self._inertial = InertialFrames(len(accel_frd_m_s2), IMU_FIELDS)
         return self._inertial.at(time_us, accel_frd_m_s2, gyro_frd_rad_s, self._next())
 
     def _next(self) -> int:
@@ -147,15 +146,15 @@ def _sensors(time_us: int, frame: SensorFrame, delivered: Collection[int]) -> ND
     """HIL_SENSOR of each vehicle."""
     vehicles = len(frame.accel_frd_m_s2)
     rows = np.zeros(vehicles, HIL_SENSOR.dtype)
-    fields, mag_frd_gauss = _IMU, frame.mag_frd_gauss
+    fields, mag_frd_gauss = IMU_FIELDS, frame.mag_frd_gauss
     if mag_frd_gauss is None:
         mag_frd_gauss = np.zeros((vehicles, 3))
     else:
-        fields |= _MAG
+        fields |= MAG_FIELDS
     if frame.baro is None:
         pressure_hpa = temperature_degc = np.zeros(vehicles)
     else:
-        fields |= _BARO
+        fields |= BARO_FIELDS
         pressure_hpa, temperature_degc = frame.baro
     fill_sensors(
         rows, time_us, fields, frame.accel_frd_m_s2, frame.gyro_frd_rad_s, mag_frd_gauss, pressure_hpa,
@@ -186,7 +185,7 @@ def fill_sensors(
             row["acc"][axis] = accel_frd_m_s2[i, axis]
             row["gyro"][axis] = gyro_frd_rad_s[i, axis]
             row["mag"][axis] = mag_frd_gauss[i, axis]
-        if fields_updated & _BARO:
+        if fields_updated & BARO_FIELDS:
             row["abs_pressure"] = pressure_hpa[i]
             row["pressure_alt"] = altitude_m(pressure_hpa[i] * 100.0)
             row["temperature"] = temperature_degc[i]

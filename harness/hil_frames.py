@@ -160,7 +160,10 @@ _SENSOR_EXTRA = int(common.mavlink_map[_SENSOR].crc_extra)
 
 
 class InertialFrames:
-    """HIL_SENSOR that brings n vehicles accelerations and rates and nothing else, as in most steps."""
+    """HIL_SENSOR that brings n vehicles accelerations and rates and nothing else, as in most steps.
+
+    Its frames lie in the same memory in every step, so nothing is made or copied for each.
+    """
 
     def __init__(self, vehicles: int, fields_updated: int) -> None:
         self.vehicles: Final = vehicles
@@ -168,14 +171,19 @@ class InertialFrames:
         source = (SIMULATOR_SYSTEM_ID, SIMULATOR_COMPONENT_ID)
         self._rows[:, FIRST:PAYLOAD] = (MAGIC, _END - PAYLOAD, 0, 0, 0, *source, _SENSOR, 0, 0)
         self._rows[:, _UPDATED] = fields_updated
+        data, length = memoryview(self._rows.reshape(-1)), _END + CHECKSUM_BYTES - FIRST  # type: ignore[arg-type]
         starts = range(FIRST, vehicles * _ROW_BYTES, _ROW_BYTES)
-        self._places = [slice(start, start + _END + CHECKSUM_BYTES - FIRST) for start in starts]
+        self._frames: Final = [data[start : start + length].toreadonly() for start in starts]
 
-    def at(self, time_us: int, accel_frd_m_s2: Array, gyro_frd_rad_s: Array, sequence: int) -> list[bytes]:
-        """Whole frames of samples (n, 3) and (n, 3), all with the same time and sequence number."""
+    def at(
+        self, time_us: int, accel_frd_m_s2: Array, gyro_frd_rad_s: Array, sequence: int
+    ) -> list[memoryview]:
+        """Whole frames of samples (n, 3) and (n, 3), all with the same time and sequence number.
+
+        They hold until they are asked for again.
+        """
         write_inertial(self._rows, time_us, sequence, accel_frd_m_s2, gyro_frd_rad_s)
-        data = self._rows.tobytes()
-        return [data[place] for place in self._places]
+        return self._frames
 
 
 @njit(cache=True)

@@ -83,11 +83,11 @@ class LocalSeat(Voice):
         """In the present step, and not yet taken in."""
         self._log_path = config.log_path
 
-    def hear(self, data: bytes) -> list[tuple[int, str]]:
+    def hear(self, data: bytes | memoryview) -> list[tuple[int, str]]:
         """Have the vehicle do its step on what the simulator sends; returns its warnings with their times."""
         warned: list[tuple[int, str]] = []
         host = self.host
-        size = host.put(data)
+        size = host.put(bytes(data))
         inertial = host.inertial_step(size)
         if inertial is not None:
             self.said += inertial
@@ -142,10 +142,10 @@ class LocalVehicles:
     def connect(self, wall_timeout_s: float, *, keep_waiting: Callable[[], bool]) -> None:
         """Everybody is here."""
 
-    def send(self, frames: Iterable[bytes | None]) -> None:
+    def send(self, frames: Sequence[bytes | memoryview]) -> None:
         """Give every living vehicle its sensors, upon which it does its step."""
         for seat, frame in zip(self.seats, frames, strict=True):
-            if seat.alive and not seat.killed and frame is not None:
+            if seat.alive and not seat.killed:
                 for time_us, text in seat.hear(frame):
                     self._emit(seat.host.name, Warned(name=seat.host.name, time_us=time_us, text=text))
 
@@ -156,7 +156,7 @@ class LocalVehicles:
             said, seat.said = seat.said, b""
             if seat.killed and seat.alive:
                 self._lose(seat)
-            elif len(said) == ANSWER_BYTES and seat.parser.is_between_frames:
+            elif len(said) == ANSWER_BYTES:
                 answers.hear(seat.instance, said)
             elif said:
                 others.append((seat, said))

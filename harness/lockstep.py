@@ -62,7 +62,6 @@ class Voice:
         """HIL_ACTUATOR_CONTROLS of the present step, once it is there, or what stands for it."""
         self.newest: HilActuatorControls | None = None
         """Of any step; kept of vehicles that may be late."""
-        self.answered_ever = False
         self.silent_since_s: float | None = None
         """Wall time since which a vehicle that may be late has not answered, if steps went on without it."""
 
@@ -80,14 +79,12 @@ class Voice:
                 self._heed(message)
             elif self.manners.late_after_s is not None and message.time_usec < time_us:
                 self.newest = message
-                self.answered_ever = True
                 self.silent_since_s = None
         return others
 
     def _heed(self, answer: HilActuatorControls) -> None:
         """Take the answer of the present step."""
         self.answer = self.newest = answer
-        self.answered_ever = True
         self.silent_since_s = None
 
 
@@ -104,11 +101,6 @@ class Seat(Voice):
     def alive(self) -> bool:
         """Whether the vehicle is still in the run."""
         return self.connection is not None
-
-    @property
-    def is_free(self) -> bool:
-        """Whether it starts and has not answered yet, so that nobody waits for it."""
-        return self.manners.starts_silent and not self.answered_ever
 
 
 class ConnectTimeout(TimeoutError):
@@ -148,6 +140,7 @@ class Lockstep:
         self._patience = patience
         self._on_message, self._on_silent, self._on_lost = on_message, on_silent, on_lost
         self._answers = Answers(len(listeners))
+        self._answers.voices["by_hand"] = [seat.manners != OWN for seat in self.seats]
         self._pending: list[Seat] = []
         """Seats that were sent this step's sensors and are waited for."""
         self._free: list[Seat] = []
@@ -187,7 +180,6 @@ class Lockstep:
             # steps go on without it, so it may leave megabytes unread, and must not hold up the others then
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _POLL_TIMEVAL)
         seat.connection, seat.parser = connection, arrival.parser
-        self._leave_to_kernel(seat)
         self.living += 1
         for message in arrival.said[1:]:  # the first was its introduction, which is no news of a flight
             self._on_message(seat.instance, message)
@@ -196,17 +188,18 @@ class Lockstep:
         """Take what a vehicle's parts say by another way; from any thread. Passed on with the answers."""
         self._overheard.append((instance, message))
 
-    def send(self, frames: Iterable[bytes | None]) -> None:
-        """Send every living vehicle its sensors.
+    def is_free(self, seat: Seat) -> bool:
+        """Whether a vehicle starts and has not answered yet, so that nobody waits for it."""
+        return seat.manners.starts_silent and not self._has_answered(seat)
 
-        Each frame is asked for when it is that vehicle's turn, so the first computes while others' are made.
-        """
+    def send(self, frames: Sequence[bytes | memoryview]) -> None:
+        """Send every living vehicle its sensors."""
         if self._free:
             time.sleep(max(0.0, self._wall_sent_s + FREE_STEP_S - time.monotonic()))
             self._free.clear()
         self._pending.clear()
         for seat, frame in zip(self.seats, frames, strict=True):
-            if seat.connection is None or frame is None:
+            if seat.connection is None:
                 continue
             try:
                 seat.connection.sendall(frame)
@@ -218,7 +211,7 @@ class Lockstep:
             except OSError:
                 self.lose(seat.instance, "its connection broke")
                 continue
-            (self._free if seat.is_free else self._pending).append(seat)
+            (self._free if self.is_free(seat) else self._pending).append(seat)
         self._wall_sent_s = time.monotonic()
         if self._tolerated:
             self._begin_tolerant()
@@ -277,12 +270,6 @@ class Lockstep:
         for seat in seats:
             if seat.answer is not None:
                 answers.put(seat.instance, seat.answer)
-            self._leave_to_kernel(seat)
-
-    def _leave_to_kernel(self, seat: Seat) -> None:
-        """Have a vehicle's answers taken at once if it is never late, and nothing is left in its parser."""
-        at_once = seat.manners == OWN and seat.parser.is_between_frames
-        self._answers.voices["by_hand"][seat.instance] = not at_once
 
     def judge(self, instances: Iterable[int]) -> None:
         """Decide on vehicles whose radio batches have not come, though they have answered."""
@@ -346,14 +333,14 @@ class Lockstep:
                 pass
             if seat.newest is not None:
                 self._answers.put(seat.instance, seat.newest)
-            if seat.is_free:
+            if self.is_free(seat):
                 seat.silent_since_s = seat.silent_since_s or self._wall_sent_s
                 if self._wall_sent_s - seat.silent_since_s > STARTING_LIMIT_S:
                     self.lose(seat.instance, f"it gave no answer in its first {STARTING_LIMIT_S:g} s")
 
     def _has_answered(self, seat: Seat) -> bool:
         """Whether it has ever."""
-        return seat.answered_ever or bool(self._answers.voices["ever"][seat.instance])
+        return bool(self._answers.voices["ever"][seat.instance])
 
     def _judge(self, seat: Seat) -> None:
         wall_s = time.monotonic()

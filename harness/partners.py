@@ -33,7 +33,7 @@ class Vehicles(Protocol):
     def connect(self, wall_timeout_s: float, *, keep_waiting: Callable[[], bool]) -> None:
         """Wait until every vehicle is there."""
 
-    def send(self, frames: Iterable[bytes | None]) -> None:
+    def send(self, frames: Sequence[bytes | memoryview]) -> None:
         """Give every living vehicle its sensors."""
 
     def answers(self, time_us: int) -> Answers:

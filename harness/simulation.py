@@ -18,7 +18,7 @@ from autopilot.mavlink.modes import mode_from_custom
 from autopilot.onboard.motion import STAYS_AWAY
 from autopilot.onboard.phases import Phase
 from harness import esc
-from harness.answers import ROTORS, Answers
+from harness.answers import Answers
 from harness.faults import MOST_ATTENUATION_DB, AnyFault, Faults, kind
 from harness.hil import TRUTH_PERIOD_US, SensorEncoder
 from harness.messages import (
@@ -101,7 +101,6 @@ class Simulation:
         self.time_us = self._step_us  # PX4 takes 0 for a clock that is not set
         self.formed = False
         self._answers = Answers(n)
-        self._stopped = np.zeros((n, ROTORS), dtype=bool)
         self._wind_now = WindNow(np.zeros((n, 3)), np.zeros((n, 3)))
         self._gone: tuple[int, ...] = ()
         """Vehicles that were lost."""
@@ -175,20 +174,18 @@ class Simulation:
         if air_begins:
             self.settle()
         if self._gone:
-            gone = list(self._gone)
-            self._stopped[gone], answers.armed[gone] = True, False
+            answers.armed[list(self._gone)] = False
         if air is not None and air_begins:
             if self.time_us >= self._air_record_us:
                 period_us = self._record_period_us
                 self._air_record_us = self.time_us - self.time_us % period_us + period_us
                 self._air_log.append([(self.time_us, air.busy_ns)])
             air.begin(self.time_us, self._step_us, truth, senders=answers.senders, silent=self._gone)
-        stopped = self._faults.rotor_stopped
         self._world.step(
             answers.controls,
             answers.armed,
             self._wind_now.force_ned_n,
-            rotors_stopped=self._stopped if stopped is None else stopped | self._stopped,
+            rotors_stopped=self._faults.rotor_stopped,
             air_vel_ned_m_s=self._wind_now.air_vel_ned_m_s,
             rotor_effectiveness=self._faults.rotor_effectiveness,
         )

@@ -72,6 +72,7 @@ class World:
         vehicles = len(spawn)
         self._air_at_rest = np.zeros((vehicles, 3))
         self._whole_rotors = np.ones((vehicles, 4))
+        self._none_stopped = np.zeros((vehicles, 4), dtype=np.bool_)
         self._density_ratio = np.ones(vehicles)
         self._applied = np.empty((vehicles, 2, 3))
         self._bodies = np.zeros(vehicles, BODY)
@@ -93,7 +94,7 @@ class World:
         armed: NDArray[np.bool_],
         wind_force_ned_n: Array,
         *,
-        rotors_stopped: NDArray[np.bool_],
+        rotors_stopped: NDArray[np.bool_] | None = None,
         air_vel_ned_m_s: Array | None = None,
         rotor_effectiveness: Array | None = None,
     ) -> None:
@@ -101,7 +102,7 @@ class World:
 
         ``controls`` (n, 4): motors, 0..1 in PX4's order; ``armed`` (n,); ``wind_force_ned_n`` (n, 3) at the
         centres of mass; ``rotors_stopped`` (n,) or (n, 4): vehicles or rotors that run down whatever the
-        controls say; ``air_vel_ned_m_s`` (n, 3): the wind as a velocity, None for air at rest;
+        controls say, None for none; ``air_vel_ned_m_s`` (n, 3): the wind as a velocity, None for air at rest;
         ``rotor_effectiveness`` (n, 4): part of its thrust and torques that a rotor still has, None for whole
         ones.
         """
@@ -109,7 +110,9 @@ class World:
         if self._environment.density != "standard":
             height_m = -before["pos_ned_m"][:, 2]
             self._density_ratio = self._environment.density_ratio(self._ground_altitude_m + height_m)
-        if rotors_stopped.ndim == 1:
+        if rotors_stopped is None:
+            rotors_stopped = self._none_stopped
+        elif rotors_stopped.ndim == 1:
             rotors_stopped = np.repeat(rotors_stopped[:, None], 4, axis=1)
         after, rows = np.empty_like(before), np.empty(len(before), TRUTH)
         changed = fly(

@@ -197,7 +197,8 @@ class Solo:
         self.now_us += STEP_US
         if self._setpoint is not None and self.now_us % SETPOINT_PERIOD_US == 0:
             self._to_send.append(self._setpoint)
-        (data,) = self._hil.encode(self.now_us, self._read_sensors(), self._escs())
+        (frame,) = self._hil.encode(self.now_us, self._read_sensors(), self._escs())
+        data = bytes(frame)  # to be kept: a frame holds until the next one
         if self.stream is not None:
             self.stream.append(data)
         messages = self._parser.push(data)

@@ -56,7 +56,7 @@ class Run:
         self.connect()
         begin_s = time.monotonic()
         steps = 0
-        while any(seat.alive and seat.is_free for seat in self.lockstep.seats):
+        while any(seat.alive and self.lockstep.is_free(seat) for seat in self.lockstep.seats):
             self.step()
             steps += 1
         return steps, time.monotonic() - begin_s
@@ -168,7 +168,7 @@ def test_one_that_dies_while_it_starts_or_later_is_lost_at_once(run):
     while not px4s.lost and time.monotonic() < deadline_s:
         px4s.step()
     assert px4s.lost == [(0, "its connection closed")]
-    while px4s.lockstep.seats[1].is_free:
+    while px4s.lockstep.is_free(px4s.lockstep.seats[1]):
         px4s.step()
     px4s.px4s[1].close()
     px4s.step()
@@ -200,7 +200,7 @@ def test_one_of_coflights_own_beside_a_px4_is_waited_for_from_the_first_step(run
     mixed = run(Manners(), Manners(), kinds=[OWN, PX4])
     mixed.px4s[0].silence_s = 0.0
     mixed.connect()
-    while mixed.lockstep.seats[1].is_free:
+    while mixed.lockstep.is_free(mixed.lockstep.seats[1]):
         assert mixed.step()[0] == mixed.time_us
     assert mixed.lockstep.late_answers == {1: 0}
 

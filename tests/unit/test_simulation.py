@@ -76,7 +76,7 @@ def test_the_lost_are_disarmed_from_their_last_step_on(folder):
     assert [vehicle.armed for vehicle in simulation.vehicles()] == [True, True]
     vehicles.seats[1].alive = False
     simulation.on_lost(1, "of the test")
-    for _ in range(6):  # a record is made each 20 ms, of 5 steps
+    for _ in range(11):  # a record is made each 40 ms, of 10 steps
         simulation.step()
     assert [vehicle.armed for vehicle in simulation.vehicles()] == [True, False]
     simulation.close()
