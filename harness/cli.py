@@ -115,10 +115,18 @@ def fly(
         waits = _waits(plan, one_process=one_process)
         factor = _speed(speed or ("1" if waits else "max"))
         display = display_for(messages)
+        before = _files(out)
         swarm = _swarm(plan, factor, out, port_offset, display, one_process=one_process, profile=profile)
         broken_off = _fly(swarm, display, until_interrupted=waits and duration is None)
         display.close()
-        _report(swarm, broken_off, messages, as_json=json, interruption_is_fine=waits and duration is None)
+        _report(
+            swarm,
+            broken_off,
+            messages,
+            before=before,
+            as_json=json,
+            interruption_is_fine=waits and duration is None,
+        )
     except BaseException as error:  # noqa: BLE001  every end has its status
         if display is not None:
             display.close()
@@ -207,12 +215,13 @@ def _report(
     broken_off: SwarmError | KeyboardInterrupt | None,
     messages: Console,
     *,
+    before: dict[str, int],
     as_json: bool,
     interruption_is_fine: bool,
 ) -> None:
     """Turn the records into results and show them; raises ``broken_off`` in the end.
 
-    Ctrl-C is how a run ends that goes on until then.
+    ``before`` are the `_files` that its folder held before. Ctrl-C is how a run ends that goes on until then.
     """
     interrupted = isinstance(broken_off, KeyboardInterrupt)
     messages.print("writing down what was flown" if interrupted else "computing patterns and figures")
@@ -230,7 +239,8 @@ def _report(
             if swarm.profile:
                 step_us = swarm.scenario.run.step_us
                 Console(highlight=False).print(profile_table(swarm.profile, step_us=step_us))
-    _list_files(messages, swarm.path)
+    written = [name for name, written_ns in _files(swarm.path).items() if before.get(name) != written_ns]
+    messages.print(f"written to {swarm.path}: {', '.join(written)}", soft_wrap=True)
     if isinstance(broken_off, SwarmError):
         raise broken_off
     if swarm.records_lost is not None:
@@ -260,10 +270,10 @@ def _default_folder(name: str) -> Path:
     return Path("runs") / f"{name}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
 
 
-def _list_files(messages: Console, folder: Path) -> None:
-    files = sorted(path.relative_to(folder).as_posix() for path in folder.glob("*") if path.is_file())
-    figures = sorted(path.relative_to(folder).as_posix() for path in folder.glob("figures/*"))
-    messages.print(f"written to {folder}: {', '.join([*files, *figures])}", soft_wrap=True)
+def _files(folder: Path) -> dict[str, int]:
+    """Files of a run that are in its folder, by name, figures last, and when each was written, ns."""
+    paths = [path for path in sorted(folder.glob("*")) if path.is_file()] + sorted(folder.glob("figures/*"))
+    return {path.relative_to(folder).as_posix(): path.stat().st_mtime_ns for path in paths}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

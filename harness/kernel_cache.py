@@ -35,7 +35,7 @@ _COMPILERS = {
 
 
 class CompileError(RuntimeError):
-    """A kernel does not compile; the text is one line."""
+    """The kernels cannot be compiled or kept; the text is one line."""
 
 
 def prepare(note: Callable[[str], None]) -> None:
@@ -51,9 +51,15 @@ def prepare(note: Callable[[str], None]) -> None:
     if complete.exists():
         environment()  # what is used is kept
         return
-    note("compiling the numerical kernels, which takes about a minute and is done once")
-    folder().mkdir(parents=True, exist_ok=True)
-    with (folder() / "lock").open("w") as lock:
+    try:
+        folder().mkdir(parents=True, exist_ok=True)
+        lock_file = (folder() / "lock").open("w")
+    except OSError as error:
+        raise CompileError(
+            f"compiled kernels cannot be kept in {folder()}: {error.strerror} (XDG_CACHE_HOME says where)"
+        ) from None
+    with lock_file as lock:
+        note("compiling the numerical kernels, which takes about a minute and is done once")
         fcntl.flock(lock, fcntl.LOCK_EX)  # given back when the file closes, however this process ends
         if not complete.exists():
             _compile()

@@ -175,8 +175,12 @@ class Processes:
         try:
             self._running = True
             self._start()
-        except (ResourceError, Px4Error, OSError) as error:
+        except (ResourceError, Px4Error) as error:
             raise SetupError(str(error)) from None
+        except OSError as error:
+            raise SetupError(
+                f"{error.filename}: {error.strerror}" if error.filename else str(error)
+            ) from None
         except (SupervisorError, kernel_cache.CompileError) as error:
             raise SwarmError(str(error)) from None
 

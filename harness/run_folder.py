@@ -57,6 +57,9 @@ class RunFolder:
     def create(cls, path: Path) -> "RunFolder":
         """Make the folder; raises FileExistsError if it holds a run already, or another OSError."""
         folder = cls(path)
+        if path.exists() and not path.is_dir():
+            raise NotADirectoryError(f"{path} is a file, and a run needs a folder")
+        path.mkdir(parents=True, exist_ok=True)
         if folder.config.exists():
             raise FileExistsError(f"{path} holds a run already")
         for part in (folder.raw, folder.config, folder.logs, folder.figures):

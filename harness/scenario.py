@@ -114,7 +114,12 @@ class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         return msgspec.structs.replace(self, **dict.fromkeys(self.numbers(), 0))
 
     def raised(self, offset: int, agents: int) -> "PortsConfig":
-        """The same, each raised by so much; what is 0 stays 0. Raises ValueError for a port that is none."""
+        """The same, each raised by so much; what is 0 stays 0.
+
+        Raises ValueError for less than 0, and for a port that is none.
+        """
+        if offset < 0:
+            raise ValueError(f"a port offset of {offset}: expected 0 or more")
         changed = {name: base + offset if base else 0 for name, base in self.numbers().items()}
         for name, port in changed.items():
             if not 0 <= port + agents - 1 <= 65_535:

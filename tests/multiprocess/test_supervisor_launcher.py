@@ -81,6 +81,29 @@ def test_run_that_is_fine(folder: Path) -> None:
     assert "written to run:" in launched.stderr
 
 
+def test_what_was_in_the_folder_before_was_not_written_by_the_run(folder: Path) -> None:
+    (folder / "run" / "figures").mkdir(parents=True)
+    for name in ("notes.txt", "figures/mine.png", "summary.json"):
+        (folder / "run" / name).touch()
+    code = LAUNCHER.replace("    return {", "    folder.summary.write_text('{}')\n    return {")
+    launched = subprocess.run(
+        [sys.executable, "-c", code, "fine.toml", "--duration", "0.5", "--out", "run"],
+        cwd=folder, capture_output=True, text=True, timeout=WALL_LIMIT_S, check=False,
+    )  # fmt: skip
+    assert launched.stderr.splitlines()[-1] == "written to run: summary.json"
+
+
+@pytest.mark.parametrize("place", ["a-file", "a-file/below"])
+def test_a_file_in_place_of_the_folder_is_named(folder: Path, place: str) -> None:
+    (folder / "a-file").touch()
+    launched = launch(folder, "fine.toml", "--out", place)
+    assert launched.returncode == 2
+    last_line = launched.stderr.splitlines()[-1]
+    assert last_line.startswith("coflight: a-file")
+    assert "Errno" not in last_line
+    assert "raw" not in last_line
+
+
 def test_json_is_alone_on_stdout(folder: Path) -> None:
     launched = launch(folder, "fine.toml", "--duration", "1.5", "--json")
     assert launched.returncode == 0

@@ -52,6 +52,7 @@ def test_missing_file_is_named(capsys: pytest.CaptureFixture[str]) -> None:
         (["--speed", "0"], ["'0'", "'max'"]),
         (["--speed", "inf"], ["'inf'", "'max'"]),
         (["--port-offset", "61000"], ["simulator_tcp", "61000"]),
+        (["--port-offset", "-1"], ["offset of -1", "0 or more"]),
         (["--hold", "--one-process"], ["--hold", "one process"]),
         (["--profile", "--one-process"], ["--profile", "one process"]),
         (["--no-such-option"], ["--no-such-option"]),
