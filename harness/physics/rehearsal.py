@@ -5,6 +5,7 @@ import numpy as np
 from autopilot.config import Site
 from harness.answers import Answers
 from harness.hil import SensorEncoder
+from harness.physics.environment import EnvironmentConfig
 from harness.physics.model import IRIS
 from harness.physics.world import World
 from harness.sensors.config import SensorsConfig
@@ -27,7 +28,13 @@ def rehearse() -> None:
         step_us=_STEP_US,
         seed=np.random.SeedSequence(0),
     )
-    with World(model=IRIS, spawn_pos_ned_m=spawn_ned_m, spawn_yaw_rad=0.0, step_us=_STEP_US) as world:
+    with World(
+        model=IRIS,
+        spawn_pos_ned_m=spawn_ned_m,
+        spawn_yaw_rad=0.0,
+        step_us=_STEP_US,
+        environment=EnvironmentConfig(ground_effect=True),
+    ) as world:
         forces, turbulent_air = (
             Wind(config, vehicles, np.random.default_rng(0), formation_height_m=10.0)
             for config in (WindConfig(), WindConfig(kind="velocity", turbulence="dryden"))
@@ -40,7 +47,6 @@ def rehearse() -> None:
                 np.full((vehicles, 4), 0.8),
                 np.ones(vehicles, dtype=bool),
                 forces.step(dt_s, time_us=step * _STEP_US, height_m=height_m).force_ned_n,
-                rotors_stopped=np.zeros(vehicles, dtype=bool),
                 air_vel_ned_m_s=turbulent_air.step(
                     dt_s, time_us=step * _STEP_US, height_m=height_m
                 ).air_vel_ned_m_s,

@@ -5,6 +5,7 @@ import socket
 
 import numpy as np
 import pytest
+from fastcrc import crc16
 from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot.mavlink.codec import Encoder
@@ -15,6 +16,7 @@ from harness.patience import Patience
 from netsim.wire.lockstep import BATCH_HANDED_OVER
 
 NOW_US = 4_000
+CRC_EXTRA = bytes([mavlink.mavlink_map[mavlink.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS].crc_extra])
 
 
 def answer(i, time_us=NOW_US, *, mode=129, flags=1, controls=(0.25, 0.5, 0.75, 1.0)):
@@ -53,6 +55,21 @@ def test_what_the_codec_makes_of_an_answer_is_taken_as_well():
     assert answers.controls.tolist() == [[0.5] * 4]
 
 
+def resealed(frame, at, byte):
+    """The frame with another byte at a place, and the checksum that belongs to it."""
+    changed = bytearray(frame)
+    changed[at] = byte
+    changed[-2:] = crc16.mcrf4xx(bytes(changed[1:-2]) + CRC_EXTRA).to_bytes(2, "little")
+    return bytes(changed)
+
+
+def test_a_resealed_frame_is_right():
+    """So what is refused of the frames below is not their sum."""
+    answers = Answers(1)
+    answers.hear(0, resealed(answer(0), 4, 200))  # another number in the sequence
+    assert answers.take(NOW_US) == 1
+
+
 def not_one_answer():
     frame = answer(0)
     assert len(frame) == ANSWER_BYTES
@@ -61,9 +78,15 @@ def not_one_answer():
     yield "more", frame + b"\0"
     yield "another message", heartbeat(0)
     yield "of another time", answer(0, NOW_US - 4_000)
-    yield "MAVLink 1", b"\xfe" + frame[1:]
-    for at in (1, 2, 4, 7, 8, 9, 10, 30, 89, 90, 91, 92):  # its checksum is wrong then, at the least
-        yield f"byte {at} wrong", frame[:at] + bytes((frame[at] ^ 0x40,)) + frame[at + 1 :]
+    for at in (1, 2, 4, 5, 10, 30, 89, 90, 91, 92):
+        yield f"a wrong sum for byte {at}", frame[:at] + bytes((frame[at] ^ 0x40,)) + frame[at + 1 :]
+    # these have the sum that belongs to them
+    yield "MAVLink 1", resealed(frame, 0, 0xFE)
+    yield "a shorter payload", resealed(frame, 1, frame[1] - 1)
+    yield "a longer payload", resealed(frame, 1, frame[1] + 1)
+    yield "a signed frame", resealed(frame, 2, 1)
+    for at in (7, 8, 9):
+        yield f"another kind, by byte {at}", resealed(frame, at, frame[at] ^ 1)
 
 
 @pytest.mark.parametrize(

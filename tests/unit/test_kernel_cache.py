@@ -20,7 +20,7 @@ from antenna.patterns import Pattern
 from antenna.ports import feed
 from antenna.rehearsal import rehearse
 from harness import kernel_cache
-from harness.kernel_cache import KEPT_S, KEPT_STATES, VARIABLE, digest, forget_old
+from harness.kernel_cache import KEPT_S, KEPT_STATES, VARIABLE, CompileError, digest, forget_old
 from harness.one_process import OneProcessSwarm
 
 ARTICLE = Path(__file__).parents[2] / "scenarios" / "article.toml"
@@ -186,10 +186,27 @@ def test_who_asks_where_the_kernels_are_marks_them_as_used(monkeypatch, tmp_path
     assert folder.stat().st_mtime > 1.0
 
 
+def test_a_folder_that_cannot_be_made_is_named_before_anything_is_said_to_be_compiled(monkeypatch, tmp_path):
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(kernel_cache, "folder", lambda: tmp_path / "file" / "state")
+    monkeypatch.delenv("NUMBA_DISABLE_JIT", raising=False)
+    said = []
+    with pytest.raises(CompileError, match=r"cannot be kept in .*/file/state: Not a directory"):
+        kernel_cache.prepare(said.append)
+    assert said == []
+
+
 def test_the_rehearsal_of_the_antenna_calls_every_kernel():
     needed = kernels(Path(kernel_folder.__file__).parent)
     assert len(needed) >= 10
     assert needed - called_by_rehearsal("antenna") == set()
+
+
+def test_the_rehearsal_of_the_physics_calls_every_kernel():
+    """But for those of the validation, which no flight calls."""
+    needed = kernels(Path(kernel_cache.__file__).parent, without="validation")
+    assert len(needed) >= 20
+    assert needed - called_by_rehearsal("harness.physics") == set()
 
 
 def test_after_the_rehearsal_of_the_antenna_nothing_is_left_to_be_compiled():

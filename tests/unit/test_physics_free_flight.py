@@ -1,5 +1,7 @@
 """Free flight is Bullet's, and Bullet has whoever may touch something."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ from harness.physics.world import GRAVITY_M_S2, LASTING, World
 
 INERTIA = np.array(IRIS.inertia_diagonal_kg_m2)
 HALF_DIAGONAL_M = 0.5 * float(np.linalg.norm(IRIS.box_m))
-BOTTOM_CORNERS_FRD_M = 0.5 * np.array(IRIS.box_m) * [(x, y, 1.0) for x in (-1.0, 1.0) for y in (-1.0, 1.0)]
+CORNERS_FRD_M = 0.5 * np.array(IRIS.box_m) * list(itertools.product((-1.0, 1.0), repeat=3))
 
 
 def thrown(rng, count, *, rate_rad_s):
@@ -75,13 +77,24 @@ def test_a_flight_of_five_seconds_stays_bullets():
     assert max(differences(free, bullets).values()) < 1e-10
 
 
-def test_bullet_limits_rates_as_free_flight_does():
-    before = thrown(np.random.default_rng(1), 1, rate_rad_s=0.0)
-    before["vel_ned_m_s"] = 0.0, 0.0, 99.9
-    applied, after = np.zeros((1, 2, 3)), np.zeros(1, BODY)
-    applied[0, 0, 2] = 1e3
-    coast(IRIS.mass_kg, INERTIA, GRAVITY_M_S2, 0.004, before, applied, after)
-    assert after["vel_ned_m_s"][0, 2] == MOST_RATE
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize(("field", "applied_as"), [("vel_ned_m_s", 0), ("omega_ned_rad_s", 1)])
+@pytest.mark.parametrize("axis", range(3))
+def test_bullet_limits_rates_as_free_flight_does(field, applied_as, axis, sign):
+    """Pushed over the limit in a step, along each axis; gravity would have it fall by 0.04 m/s besides."""
+    before = np.zeros(1, BODY)
+    before["pos_ned_m"], before["q_ned_frd"] = (0.0, 0.0, -500.0), (1.0, 0.0, 0.0, 0.0)
+    before[field][0, axis] = 99.9 * sign
+    applied = np.zeros((1, 2, 3))
+    applied[0, applied_as, axis] = 1e3 * sign
+    bullet = Bullet(IRIS, step_s=0.004, gravity_m_s2=GRAVITY_M_S2)
+    bullet.hold(0, before[0])
+    free, bullets = np.zeros(1, BODY), np.zeros(1, BODY)
+    coast(IRIS.mass_kg, INERTIA, GRAVITY_M_S2, 0.004, before, applied, free)
+    bullet.step(before, applied, bullets)
+    bullet.close()
+    assert free[field][0, axis] == bullets[field][0, axis] == sign * MOST_RATE
+    assert max(differences(free, bullets).values()) <= 2e-13
 
 
 def near(rows, was_near=None):
@@ -105,13 +118,31 @@ def test_who_is_within_reach_of_the_ground_or_another_is_near_until_it_is_a_quar
 
 
 def test_nobody_whom_bullet_has_not_reaches_anything():
-    """The corner of whoever leaves Bullet is a quarter of a metre above the ground, whatever its attitude."""
+    """Whoever is free is a quarter of a metre from the ground and from others, at any attitude.
+
+    Others are as near as their shapes' spheres: a bound, for which no two attitudes need be tried.
+    """
     rng = np.random.default_rng(2)
-    for _ in range(200):
-        attitude = rng.normal(size=4)
-        attitude /= np.linalg.norm(attitude)
-        lowest_m = max(quat_rotate(attitude, corner)[2] for corner in BOTTOM_CORNERS_FRD_M)
-        assert 2.0 * HALF_DIAGONAL_M - lowest_m > 0.25
+    with World(model=IRIS, spawn_pos_ned_m=[(0.0, 0.0, -9.0)], spawn_yaw_rad=0.0, step_us=4_000) as world:
+        reach_m, lasting = world._model.reach_m, world._model.lasting
+    free_ones, nearest_ground_m, nearest_other_m = 0, np.inf, np.inf
+    for _ in range(2_000):
+        rows, flags = np.zeros(2, BODY), rng.random(2) < 0.5
+        rows["q_ned_frd"] = rng.normal(size=(2, 4))
+        rows["q_ned_frd"] /= np.linalg.norm(rows["q_ned_frd"], axis=1)[:, None]
+        rows["pos_ned_m"][0, 2] = -rng.uniform(0.0, 1.5 * reach_m)
+        rows["pos_ned_m"][1] = rows["pos_ned_m"][0] + rng.uniform(-1.5, 1.5, 3) * reach_m
+        near_something(rows, reach_m, lasting, flags)
+        for row in rows[~flags]:
+            corners_m = [quat_rotate(row["q_ned_frd"], corner)[2] for corner in CORNERS_FRD_M]
+            nearest_ground_m = min(nearest_ground_m, -row["pos_ned_m"][2] - max(corners_m))
+            free_ones += 1
+        if not flags.all():  # one that is free must not be met by one that Bullet has
+            apart_m = np.linalg.norm(rows["pos_ned_m"][1] - rows["pos_ned_m"][0])
+            nearest_other_m = min(nearest_other_m, apart_m - 2.0 * HALF_DIAGONAL_M)
+    assert free_ones > 500
+    assert 0.25 < nearest_ground_m < 0.5  # and the limit is not wider than need be
+    assert 0.25 < nearest_other_m < 1.0
 
 
 def test_vehicles_come_and_go_between_free_flight_and_bullet():
