@@ -98,7 +98,7 @@ class Landing:
                 yaw_rad=guide.yaw_rad,
             )
         way = guide.follow(moment.dt_s)
-        assert way.vel_ned_m_s is not None  # noqa: S101  # PositionTrajectory gives all three groups
+        assert way.vel_ned_m_s is not None  # noqa: S101  # a leg's reference gives all three groups
         return TrajectorySetpoint(
             pos_ned_m=way.pos_ned_m,
             pos_axes=HORIZONTAL,
