@@ -183,14 +183,14 @@ def test_an_attenuation_that_no_link_can_have_is_refused_and_the_run_goes_on(tmp
 
 
 def test_a_killed_vehicle_is_gone_from_the_next_step_on_and_the_others_fly_on(tmp_path):
-    """Its log keeps whole blocks of 64 rows, as that of a killed process: of 99 rows in 2 s there are 64."""
+    """Its log keeps whole blocks of 64 rows, as that of a killed process: of 74 rows in 3 s there are 64."""
     with OneProcessSwarm(scenario(agents=3), out=tmp_path / "run") as swarm:
-        swarm.run(until_s=2.0)
+        swarm.run(until_s=3.0)
         swarm.kill(1)
-        swarm.run(until_s=2.5)
+        swarm.run(until_s=3.5)
         assert [vehicle.alive for vehicle in swarm.truth.vehicles] == [True, False, True]
         assert [(e.time_us, e.instance) for e in swarm.events if isinstance(e, VehicleLost)] == [
-            (2_000_000, 1)
+            (3_000_000, 1)
         ]
         rows = [path.stat().st_size // VEHICLE_RECORD.itemsize for path in uav_logs(swarm)]
         assert rows[1] == BLOCK_ROWS
@@ -198,10 +198,10 @@ def test_a_killed_vehicle_is_gone_from_the_next_step_on_and_the_others_fly_on(tm
     assert summary["deterministic"]
     reasons = [vehicle["lost"] for vehicle in summary["vehicles"]]
     assert reasons[::2] == [None, None]
-    assert reasons[1].endswith(", t = 2.00 s")
+    assert reasons[1].endswith(", t = 3.00 s")
     frames = radio_table(tmp_path / "run")
     sent_s = np.array(frames["start_ns"])[np.array(frames["source"]) == 1] * 1e-9
-    assert (sent_s < 2.0 + 0.02).all()  # but for what was on the air
+    assert (sent_s < 3.0 + 0.02).all()  # but for what was on the air
 
 
 def uav_logs(swarm):
