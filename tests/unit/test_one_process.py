@@ -138,8 +138,8 @@ def test_the_manifest_names_one_process_and_the_folder_holds_a_run(tmp_path):
     assert process["ending"] == f"one process (pid {os.getpid()}) ended with status 0"
     assert process["details"]["time_us"] == 1_000_000
     assert {"radio", "uav 0", "uav 1"} <= process["details"].keys()
-    # 50 records of each vehicle in a second: at 20 ms, 40 ms ... before 1 s, where the next step begins
-    assert len(flight_table(tmp_path / "run")["time_us"]) == 2 * 49
+    # 25 records of each vehicle in a second: at 40 ms, 80 ms ... before 1 s, where the next step begins
+    assert len(flight_table(tmp_path / "run")["time_us"]) == 2 * 24
     assert swarm.leftovers() == []
     with pytest.raises(SwarmError, match="a run already"), OneProcessSwarm(scenario(), out=tmp_path / "run"):
         pass
@@ -148,7 +148,7 @@ def test_the_manifest_names_one_process_and_the_folder_holds_a_run(tmp_path):
 def test_a_cut_channel_delivers_nothing_from_its_interval_on_and_a_restored_one_does(tmp_path):
     """What is on the air at the cut is judged by the power that it started with, so frames count by start.
 
-    The commands come in the middle of intervals of 20 ms, of which the next begin at 4 and 5 s.
+    The commands come in the middle of intervals of 40 ms, of which the next begin at 4 and 5 s.
     """
     with OneProcessSwarm(scenario(), out=tmp_path / "run") as swarm:
         for cut, until_s in ((False, 3.992), (True, 4.988), (False, 6.0)):
@@ -236,7 +236,7 @@ def test_an_error_in_a_vehicle_is_the_runs_and_its_traceback_is_in_the_log(tmp_p
     assert summary["status"] == "failed"
     assert "in fall" in (tmp_path / "run" / "logs" / "one-process.log").read_text()
     rows = flight_table(tmp_path / "run")["time_us"]
-    assert max(rows) == 480_000  # what was recorded up to then, every 20 ms, is there
+    assert max(rows) == 480_000  # what was recorded up to then, every 40 ms, is there
 
 
 def falling(monkeypatch, error, *, before=lambda: None):
@@ -299,7 +299,7 @@ def test_a_flight_is_read_back_as_it_was_reported(tmp_path, monkeypatch):
     flown = scenario("onboard.localisation=gps", agents=3)
     fly(flown, tmp_path, until_s=1.0)
     again = read_flight(RunFolder(tmp_path), flown)
-    assert len(again) == 49  # 50 records in a second, at 20 ms, 40 ms ... before 1 s
+    assert len(again) == 24  # 25 records in a second, at 40 ms, 80 ms ... before 1 s
     for field in dataclasses.fields(again):
         np.testing.assert_array_equal(getattr(again, field.name), getattr(reported[0], field.name))
 
