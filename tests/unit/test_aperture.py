@@ -112,8 +112,8 @@ def test_a_deck_that_cannot_be_made_is_a_line_and_status_2(run, tmp_path, capsys
         assert line.count("\n") == 1
         return line
 
-    assert "the run has t = 0.020 to" in refused(run.path, "--time", 1e4)
-    assert "the run has t = 0.020 to" in refused(run.path, "--time", "nan")
+    assert "the run has t = 0.040 to" in refused(run.path, "--time", 1e4)
+    assert "the run has t = 0.040 to" in refused(run.path, "--time", "nan")
     assert "it has no manifest.json" in refused(tmp_path, "--time", 1)
     assert "No such file" in refused(run.path, "--time", 5, "--out", tmp_path / "nowhere" / "x")
     other = RunFolder(tmp_path)

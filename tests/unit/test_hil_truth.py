@@ -70,7 +70,7 @@ def test_sequence_numbers_run_on_with_and_without_the_truth():
 def test_who_has_a_delivery_is_told_in_its_sensors_beside_what_is_new_in_them():
     quiet, told = (
         [
-            HilParser(HilSensor).push(frame)[0]
+            HilParser(HilSensor).push(bytes(frame))[0]
             for frame in SensorEncoder().encode(1_000, quiet_frame(3), **more)
         ]
         for more in ({}, {"delivered": (0, 2)})

@@ -137,23 +137,31 @@ def test_one_above_the_other_part_in_opposite_directions_unless_high_enough_apar
 @settings(deadline=None, max_examples=300)
 @given(st.integers(0, 10_000), st.integers(1, 5))
 def test_the_velocity_is_the_nearest_one_that_keeps_all_bounds(seed, count):
-    """Against all candidates of the plane: the wish, its feet on each line, and where two lines cross."""
+    """Against all candidates of the plane: the wish, its feet on each line, and where two lines cross.
+
+    Bounds are kept to 0.03 m/s. Where two lines meet at a small angle that is a longer way along them.
+    """
     rng = np.random.default_rng(seed)
     course = rng.uniform(-math.pi, math.pi, count)
     normals = np.column_stack((np.cos(course), np.sin(course)))
     bounds = rng.uniform(-1.0, -0.05, count)  # standing keeps them all
     wanted = rng.uniform(-1.5, 1.5, 2)
+    found = np.empty(2)
+    _nearest(normals, bounds, count, wanted, found)
+    assert (normals @ found >= bounds - 0.03).all()
+    least_m_s, best_m_s = (_least_change(normals, each, wanted) for each in (bounds - 0.03, bounds))
+    assert least_m_s - 1e-9 <= np.linalg.norm(found - wanted) <= best_m_s + 0.03
+
+
+def _least_change(normals, bounds, wanted):
+    """Distance from the wish to the nearest velocity that keeps all bounds."""
     candidates = [wanted, *(wanted + (b - n @ wanted) * n for n, b in zip(normals, bounds, strict=True))]
-    for i, j in itertools.combinations(range(count), 2):
+    for i, j in itertools.combinations(range(len(bounds)), 2):
         pair = normals[[i, j]]
         if abs(np.linalg.det(pair)) > 1e-9:
             candidates.append(np.linalg.solve(pair, bounds[[i, j]]))
     kept = [v for v in candidates if (normals @ v >= bounds - 1e-9).all()]
-    best_m_s = min(np.linalg.norm(v - wanted) for v in kept)
-    found = np.empty(2)
-    _nearest(normals, bounds, count, wanted, found)
-    assert (normals @ found >= bounds - 0.03).all()
-    assert np.linalg.norm(found - wanted) == pytest.approx(best_m_s, abs=0.03)
+    return min(np.linalg.norm(v - wanted) for v in kept)
 
 
 def test_a_silent_neighbour_is_kept_clear_of_where_the_plan_has_it_for_some_time():
