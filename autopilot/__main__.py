@@ -45,7 +45,7 @@ from netsim.radio import RadioClient
 
 RETRY_S = 0.1
 LINK_PERIOD_US = 20_000
-"""How often the links are looked at: two system calls that mostly find nothing."""
+"""How often the links are looked at, at the next whole step: two system calls that mostly find nothing."""
 WALL_LINK_PERIOD_S = 0.1
 """The same by wall clock, for simulated time may be slow."""
 SILENCE_S = 0.5

@@ -77,7 +77,7 @@ class CompanionLog:
         origin_ned_m = self._origin_ned_m()
         armed = bool(beat.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED)
         known = position is not None and not math.isnan(origin_ned_m[0])
-        estimate = self._app.estimate if known else None
+        estimate = self._app.estimate(at_us) if known else None
         return (
             at_us,
             armed,

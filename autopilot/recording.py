@@ -101,7 +101,7 @@ def record(vehicle: "Vehicle") -> bytes:
     if flight.origin_known:
         origin_n_m, origin_e_m, origin_d_m = vehicle.site.origin_ned_m(state)
         if app is not None:
-            believed_ned_m, std_ned_m, correction_ned_m, odometry_offset_ned_m = app.estimate
+            believed_ned_m, std_ned_m, correction_ned_m, odometry_offset_ned_m = app.estimate(flight.now_us)
     setpoint_n_m, setpoint_e_m, setpoint_d_m = _UNKNOWN
     setpoint = flight.setpoint
     if setpoint is not None and setpoint.pos_ned_m is not None:

@@ -23,6 +23,7 @@ from autopilot.onboard.hearing import Hearing
 from autopilot.onboard.localisation import CooperativeLocalisation, LocalisationModel
 from autopilot.onboard.neighbourhood import Neighbourhood
 from autopilot.onboard.phases import Phase
+from autopilot.sensors import BARO_FIELDS, IMU_FIELDS, MAG_FIELDS
 from autopilot.types import Array, RateSetpoint
 from autopilot.vehicle import Vehicle
 from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult, RxItem, TxItem
@@ -31,7 +32,6 @@ LIMIT_US = 40_000_000
 JOINING_STEPS = 250
 DISTANCE_M = 0.9
 LIFT_SPEED_M_S = 1.0
-_IMU, _MAG, _BARO = 0x3F, 0x1C0, 0x1A00
 _GPS_PERIOD_US = 200_000
 _GRAVITY_M_S2 = 9.8066
 
@@ -110,7 +110,7 @@ def _rehearse_inertial_step(ahead: Ahead) -> None:
     steps.open(ahead, 0)
     nothing = (0.0, 0.0, 0.0)
     accel = (0.0, 0.0, -_GRAVITY_M_S2)
-    at_rest = HilSensor(ahead.last.time_usec + 1, *accel, *nothing, *nothing, 0.0, 0.0, 0.0, 0.0, _IMU)
+    at_rest = HilSensor(ahead.last.time_usec + 1, *accel, *nothing, *nothing, 0.0, 0.0, 0.0, 0.0, IMU_FIELDS)
     frame = pack(at_rest, sequence=0, system=0, component=1)
     steps.incoming[: len(frame)] = frame
     if steps.step(len(frame)) is None:
@@ -162,7 +162,7 @@ def _sensors(site: Site, time_us: int, pos_ned_m: Array, climb_m_s: float) -> li
         )
     baro = (pressure_pa(float(alt_m)) / 100.0, 0.0, float(alt_m), 15.0)
     accel, gyro = (0.0, 0.0, -_GRAVITY_M_S2), (0.0, 0.0, 0.0)
-    fields = _IMU | _MAG | _BARO
+    fields = IMU_FIELDS | MAG_FIELDS | BARO_FIELDS
     messages.append(
         common.MAVLink_hil_sensor_message(
             time_us, *accel, *gyro, *site.magnetic_field_ned_gauss, *baro, fields, 0

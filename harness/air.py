@@ -81,7 +81,7 @@ class Air:
         """Let the emulator simulate the interval that begins now, unless the air stays quiet for so long.
 
         It works beside the physics, so it is given where the vehicles are and how they move now: what an
-        acceleration of 2 m/s2 changes in 20 ms are 0.4 mm. The ``senders`` have handed something over in
+        acceleration of 2 m/s2 changes in 40 ms are 1.6 mm. The ``senders`` have handed something over in
         this step; the ``silent`` are gone.
         """
         to_us = time_us + (step_us if self._free else self._period_us)

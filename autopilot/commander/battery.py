@@ -1,9 +1,9 @@
 """The battery: a model of the pack, and what the autopilot makes of its voltage and current.
 
 The simulator interface has no battery, so the autopilot carries the pack's model itself, as PX4 does in
-software in the loop. `BatterySimulator` is that plant and measures every 20 ms; `BatteryMonitor` knows only
-the measurements, as a power module gives them, and is PX4's estimator (src/lib/battery). What follows from a
-warning is left to the failsafes.
+software in the loop. `BatterySimulator` is that plant, measured ten times a second; `BatteryMonitor` knows
+only the measurements, as a power module gives them, and is PX4's estimator (src/lib/battery). What follows
+from a warning is left to the failsafes.
 """
 
 from enum import IntEnum

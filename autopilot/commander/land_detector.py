@@ -44,7 +44,7 @@ class LandDetectorParams(Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class LandDetector:
-    """One vehicle's stage between air and ground; `update` it as often as PX4, 50 Hz."""
+    """One vehicle's stage between air and ground; `update` it at every look at the flight."""
 
     def __init__(self, params: LandDetectorParams) -> None:
         self.params = params

@@ -1,6 +1,6 @@
 """What is fused most often, a magnetic field and a pressure of one moment, in one compiled call.
 
-The two come 50 times a second, so they are most of a filter's time beside its inertial samples: one call over
+The two come 25 times a second and are most of a filter's time beside its inertial samples: one call over
 the filter's own block of memory instead of four, each with a dozen arrays to be looked into. What follows
 from a refusal is `fusion`'s.
 """

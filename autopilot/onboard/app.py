@@ -323,9 +323,8 @@ class OnboardApp:
             counts["ranges_too_late"] = self.localisation.ranges_too_late
         return counts
 
-    @property
-    def estimate(self) -> Estimate:
-        """The present estimate."""
+    def estimate(self, now_us: int) -> Estimate:
+        """What it believes at ``now_us``, which may be after its last loop."""
         correction = self._guidance.correction
         if self.localisation is not None and self._support.holds:
             std_ned_m = self.localisation.std_ned_m()
@@ -335,7 +334,7 @@ class OnboardApp:
             model = self._model
             std_ned_m = (model.gps_bias_std_m, model.gps_bias_std_m, model.height_std_m)
         return Estimate(
-            self._guidance.believed_ned_m(self._own, self._now_us),
+            self._guidance.believed_ned_m(self._own, now_us),
             std_ned_m,
             (*correction.ne_m, self._guidance.down_error_m),
             _UNKNOWN if correction.offset_ne_m is None else (*correction.offset_ne_m, 0.0),

@@ -77,6 +77,8 @@ class Air:
         self.transmissions: list[Transmission] = []
         self.outcomes: list[Outcome] = []
         self.arrivals: list[tuple[int, int, bool]] = []
+        self.bodies: list[object] = []
+        """Of the frames to one station that have arrived"""
         self.links = GivenLinks(stations, powers_dbm or {}, delays_ns or {})
         self.radios = Radios(
             config=config,
@@ -108,6 +110,7 @@ class Air:
         retry_limit: int = 7,
         lifetime_us: int = 1_000_000,
         rates: RateControl | None = None,
+        body: object = None,
     ) -> Job:
         job = Job(
             kind=FrameKind.DATA,
@@ -119,6 +122,7 @@ class Air:
             done=lambda _job, outcome: self.outcomes.append(outcome),
             rts=rts,
             rates=rates,
+            body=body,
         )
         self.queue.at(1_000 * at_us, lambda job: self.stations[source].enqueue(category, job), job)
         return job
@@ -145,3 +149,4 @@ class _Upper:
         assert reception.power_mw > 0.0
         assert reception.end_ns > reception.start_ns
         self._air.arrivals.append((self._index, reception.source, reception.duplicate))
+        self._air.bodies.append(reception.body)

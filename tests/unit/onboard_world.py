@@ -216,7 +216,7 @@ class SwarmWorld:
                 assert now_us <= item.at_us < now_us + self.loop_us
                 self._transmit(i, item)
         if step % 25 == 0:
-            estimates = np.array([app.estimate.pos_ned_m for app in self.apps])
+            estimates = np.array([app.estimate(now_us).pos_ned_m for app in self.apps])
             self.log.append((now_us * 1e-6, self.pos.copy(), estimates))
             flying = [i for i in range(self.n) if self.pos[i, 2] < -0.5]
             for k, i in enumerate(flying):

@@ -10,6 +10,7 @@ from netsim_air import UNHEARD_DBM, A, Air, B, C, D
 
 from netsim.mac.access import DCF, EDCA
 from netsim.mac.jobs import Outcome
+from netsim.phy.modes import phy_mode
 
 SLOT_US, SIFS_US, AIFS_VO_US, AIFS_BE_US = 9, 16, 34, 43
 EXCHANGE_US = 160 + SIFS_US + 44
@@ -111,6 +112,35 @@ def test_txop_ends_before_the_exchange_that_does_not_fit(category, limit_us, win
     assert starts_us[fit] == last_us + EXCHANGE_US + AIFS_VO_US + SLOT_US
     assert last_us + EXCHANGE_US <= 1000 + limit_us < last_us + SIFS_US + 2 * EXCHANGE_US
     assert air.outcomes == [Outcome.ACKNOWLEDGED] * 14
+
+
+class Always:
+    """A rate control that always chooses the same mode."""
+
+    def __init__(self, mode):
+        self._mode = phy_mode(mode, 20)
+
+    def mode_for(self, *_, **__):
+        return self._mode
+
+    def report(self, *_, **__):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("mode", "start_us"),
+    [
+        ("ofdm54", 1000 + EXCHANGE_US + SIFS_US),  # 380 us: in the same TXOP
+        ("ofdm6", 1000 + EXCHANGE_US + AIFS_VO_US + 3 * SLOT_US),  # 3 ms: after backing off three slots
+    ],
+)
+def test_a_mode_that_is_chosen_too_late_for_a_txop_waits_for_one_of_its_own(mode, start_us):
+    air = Air(2, access=EDCA, backoffs={A: [(3, 7)]})
+    air.send(1000, A, B, category="vi")
+    air.send(1000, A, B, category="vi", frame_bytes=2200, rates=Always(mode))
+    starts_us = [start for start, _, source, _ in air.run() if source == A]
+    assert starts_us == [1000, start_us]
+    assert air.outcomes == 2 * [Outcome.ACKNOWLEDGED]
 
 
 def test_best_effort_sends_one_frame_and_backs_off():

@@ -103,6 +103,17 @@ def test_silence_completes_the_frame_on_the_air_and_ends_the_others():
     assert len(air.outcomes) == 2
 
 
+def test_what_a_frame_on_the_air_carries_outlives_its_stations_silence():
+    """Another's frame is made meanwhile, and must not be taken for it."""
+    air = Air(3)
+    air.send(1000, A, B, body="of A")
+    air.queue.at(1_100_000, lambda _: air.stations[A].silence(), None)
+    air.send(1110, C, B, body="of C")
+    air.run()
+    assert air.outcomes[0] is Outcome.EXPIRED  # nobody is there to hear that it has come
+    assert air.bodies == ["of A", "of C"]
+
+
 def test_group_frame_of_which_the_rts_alone_is_on_the_air_expires_in_silence():
     air = Air(2)
     air.send(1000, B)

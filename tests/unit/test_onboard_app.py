@@ -68,7 +68,7 @@ def test_gps_alone_needs_no_localising_sends_no_requests_and_corrects_nothing():
     w.run_until(phase_is(Phase.ON_STATION), limit_s=20.0)
     assert w.sent[FtmRequest] == 0
     assert w.sent[Broadcast] > 0
-    assert not any(any(app.estimate.correction_ned_m) for app in w.apps)
+    assert not any(any(app.estimate(w.now_us).correction_ned_m) for app in w.apps)
 
 
 def test_a_lone_uav_flies():
@@ -246,7 +246,7 @@ def test_without_distances_it_takes_off_after_the_timeout_and_says_so():
     assert w.now_us - began_us == pytest.approx(10_000_000, abs=200_000)
     w.run_until(phase_is(Phase.ON_STATION), limit_s=20.0)
     for app, autopilot in zip(w.apps, w.autopilots, strict=True):
-        assert not any(app.estimate.correction_ned_m)
+        assert not any(app.estimate(w.now_us).correction_ned_m)
         assert [text for _, text in autopilot.texts] == ["formation not localised: taking off all the same"]
 
 
@@ -375,9 +375,8 @@ def test_the_estimate_is_of_now():
     )
     app.on_mavlink(common.MAVLink_local_position_ned_message(4, 1, 2, -3, 10, 0, -1), 4_000)
     for now_us, ahead_s in ((4_000, 0.0), (24_000, 0.020), (54_000, 0.050), (400_000, 0.050)):
-        app.on_timer(now_us)
         expected_ned_m = (1.0 + 10.0 * ahead_s, 2.0, -3.0 - ahead_s)
-        assert app.estimate.pos_ned_m == pytest.approx(expected_ned_m, abs=1e-9)
+        assert app.estimate(now_us).pos_ned_m == pytest.approx(expected_ned_m, abs=1e-9)
 
 
 def test_who_is_told_the_truth_says_so():
@@ -390,7 +389,7 @@ def test_who_is_told_the_truth_says_so():
         devices=Devices(),
         rng=np.random.default_rng(1),
     )
-    assert app.estimate.std_ned_m[0] == truth.gps_bias_std_m
+    assert app.estimate(0).std_ned_m[0] == truth.gps_bias_std_m
     lat, lon = round(SITE.latitude_deg * 1e7), round(SITE.longitude_deg * 1e7)
     alt_mm = round(SITE.altitude_m * 1e3)
     told = common.MAVLink_hil_state_quaternion_message(
@@ -398,7 +397,7 @@ def test_who_is_told_the_truth_says_so():
     )
     app.on_mavlink(told, 4_000)
     # 1e-7 degrees are 11 mm
-    assert app.estimate.std_ned_m == (0.01, 0.01, 0.01)
+    assert app.estimate(4_000).std_ned_m == (0.01, 0.01, 0.01)
 
 
 def test_a_cut_channel_is_said_once_and_so_is_its_return():

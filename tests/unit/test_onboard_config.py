@@ -88,6 +88,6 @@ def test_estimates_are_numbers_at_the_ends_of_the_filters_settings(end):
     world = SwarmWorld(places_ned_m=PAIR, seed=1, config=OnboardConfig(**end))
     world.run(8.0)
     for app in world.apps:
-        assert np.isfinite(app.estimate.pos_ned_m).all()
+        assert np.isfinite(app.estimate(world.now_us).pos_ned_m).all()
         assert np.isfinite(app.localisation.cov).all()
         assert (app.localisation.cov.diagonal() >= 0.0).all()

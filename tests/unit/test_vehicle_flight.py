@@ -1,6 +1,7 @@
 """The whole vehicle over the real physics and sensors: timelines as ground station and simulator see them."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from vehicle_world import STEP_US, Flight, vehicle_config
 from autopilot.config import OnboardConfig, VehicleConfig
 from autopilot.mavlink.codec import Encoder, Parser, stamp
 from autopilot.mavlink.modes import FlightMode
+from autopilot.onboard.app import Estimate
+from autopilot.onboard.phases import Phase
 from autopilot.params import ParameterError
 from autopilot.protocol.service import COMPANION, GROUND_STATION, Addressed, Partner
 from autopilot.recording import VEHICLE_RECORD, record
@@ -296,6 +299,18 @@ def test_the_record_stands_in_the_sites_frame(flight):
     assert np.abs(row["gps_pos_ned_m"] - truth).max() < 12.0
     assert row["estimator_pos_ned_m"][2] == state.pos_ned_m[2]
     assert np.isnan(row["onboard_pos_ned_m"]).all()
+
+
+def test_what_the_application_believes_is_on_record_at_the_records_instant(flight):
+    """Not at its last loop's: records may be more frequent than that."""
+    take_off(flight)
+
+    def estimate(now_us):
+        return Estimate((now_us, 0.0, 0.0), *[(0.0, 0.0, 0.0)] * 3)
+
+    flight.vehicle.app = SimpleNamespace(phase=Phase.ON_STATION, estimate=estimate)
+    row = np.frombuffer(record(flight.vehicle), dtype=VEHICLE_RECORD)[0]
+    assert row["onboard_pos_ned_m"][0] == row["time_us"] == flight.now_us
 
 
 def test_nothing_is_known_before_the_origin_and_the_record_says_so():
