@@ -17,9 +17,10 @@ import msgspec
 import psutil
 from msgspec import Struct
 
-from harness import kernel_cache, px4_seat
+from harness import kernel_cache, placement, px4_seat
 from harness.interrupts import interrupts_deferred
 from harness.messages import AnyCommand, AnyEvent, Formed, Paused, Progress, SetPid, VehicleLost
+from harness.placement import Placement
 from harness.px4_seat import Px4Error
 from harness.resources import HAS_NAMED_SOCKETS, ResourceError, allow_descriptors, bind, bind_local
 from harness.run_folder import RunFolder
@@ -113,6 +114,7 @@ class Processes:
         self._px4 = px4_seat.instances(scenario)
         self._has_hangar = len(self._px4) < scenario.agents
         self._running = False
+        self._placement: Placement | None = None
         self._met = False
         """Whether every vehicle has connected to the physics server."""
         self.ready: dict[str, Ready] = {}
@@ -246,6 +248,18 @@ class Processes:
             details = self.ready[uav(i)].details
             self._ports |= {details["gcs_local_udp"], details["companion_local_udp"]}
             self.send(SetPid(instance=i, pid=self.ready[uav(i)].pid))
+        self._place()
+
+    def _place(self) -> None:
+        """Have the processes keep to processors of their own while nobody else needs those."""
+        vehicles = list(map(uav, range(self._scenario.agents)))
+        processors = placement.own_processors()
+        places = placement.homes(vehicles, processors, first=RADIO, last=PHYSICS)
+        if places is not None and places.keys() <= self.pids.keys() and not self._px4:
+            self._placement = Placement(self._living, places, processors)
+
+    def _living(self) -> dict[str, int]:
+        return {name: pid for name, pid in self.pids.items() if self._supervisor.alive(name)}
 
     def _own_link_name(self, run_id: str) -> str | None:
         """Name of the Unix socket at which own vehicles meet the simulator; None: at its TCP ports."""
@@ -296,6 +310,8 @@ class Processes:
             return
         with interrupts_deferred():
             self._running = False
+            if self._placement is not None:
+                self._placement.end()
             forced: list[str] = []
             # a vehicle ends when its simulator hangs up, and the radio outlives those who use it
             vehicles = [*map(uav, range(self._scenario.agents)), *map(application, self._px4)]

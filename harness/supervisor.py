@@ -176,8 +176,10 @@ class Supervisor:
         return name in self._children and not self._children[name].gone.is_set()
 
     def start(self, name: str, command: Sequence[str], *, pass_fds: Iterable[int] = ()) -> int:
-        """Start a child in a session of its own and return its process id.
+        """Start a child in a process group of its own and return its process id.
 
+        Ctrl-C does not reach it then. It stays in this session, for Linux (autogroup) shares processors out
+        among sessions first, and what a process yields goes to others of its own.
         ``pass_fds`` are the only file descriptors that it inherits, under the same numbers.
         Raises SupervisorError if the command cannot be run, or if the children are being stopped.
         """
@@ -189,7 +191,7 @@ class Supervisor:
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     stderr=log,
-                    start_new_session=True,
+                    process_group=0,
                     pass_fds=tuple(pass_fds),
                     env=os.environ | self._environment | self._mark(name),
                 )
@@ -220,7 +222,7 @@ class Supervisor:
         return pid
 
     def fork(self, name: str, arguments: Sequence[str], *, forker: str) -> int:
-        """Have a child forked by another, in a session of its own, and return its process id.
+        """Have a child forked by another, in a process group of its own, and return its process id.
 
         ``arguments`` are the command line that it gets. Raises SupervisorError if it cannot be forked, or if
         the children are being stopped.

@@ -117,7 +117,7 @@ def _become(request: Fork, stdio: list[int], main: Main) -> None:
     """Be the process that was asked for; does not return."""
     status = 1
     try:
-        os.setsid()
+        os.setpgid(0, 0)
         for number, fd in enumerate(stdio):
             os.dup2(fd, number)
         for fd in (int(path.name) for path in list(Path("/dev/fd").iterdir())):

@@ -5,6 +5,7 @@ in one process. Does no I/O but for its logs.
 """
 
 import contextlib
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import msgspec
@@ -148,6 +149,10 @@ class HostedEmulator:
             np.vstack([motion.vel_ned_m_s, np.zeros((guests, 3))]),
             np.vstack([motion.q_ned_frd, np.tile([1.0, 0.0, 0.0, 0.0], (guests, 1))]),
         )
+
+    def give_way(self, how: Callable[[], object] | None) -> None:
+        """Have ``how`` called between events from now on; None calls nothing."""
+        self._emulator.queue.between = how
 
     def advance(self, request: Advance) -> dict[Station, RxBatch]:
         """Simulate what an `Advance` asks for and return its deliveries.

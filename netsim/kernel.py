@@ -36,13 +36,15 @@ class EventQueue:
     A machine's events, such as those of the air (`netsim.mac.radios`), come among them in their order.
     """
 
-    __slots__ = ("_heap", "machine", "now_ns", "scheduled")
+    __slots__ = ("_heap", "between", "machine", "now_ns", "scheduled")
 
     def __init__(self) -> None:
         self.now_ns = 0
         self.scheduled = 0
         """Calls and events so far."""
         self.machine: Machine | None = None
+        self.between: Callable[[], object] | None = None
+        """Done between calls; it may change nothing of what they know."""
         self._heap: list[Event] = []
 
     def at(self, time_ns: int, action: Callable[[T], None], argument: T) -> Event:
@@ -71,6 +73,8 @@ class EventQueue:
         """Run everything up to and including ``time_ns``, which the clock then shows."""
         heap, machine = self._heap, self.machine
         while True:
+            if self.between is not None:
+                self.between()
             while heap and heap[0][_ACTION] is None:
                 heappop(heap)
             due = bool(heap) and heap[0][0] <= time_ns

@@ -27,7 +27,7 @@ FORKER = """
         commands(object, inbox)
         fds = sorted(int(fd) for fd in os.listdir("/proc/self/fd") if os.path.exists("/proc/self/fd/" + fd))
         emit(Ready(name=name, pid=os.getpid(), details={
-            "fds": fds, "session": os.getsid(0), "mark": os.environ["COFLIGHT_CHILD"], "parent": os.getppid(),
+            "fds": fds, "group": os.getpgid(0), "mark": os.environ["COFLIGHT_CHILD"], "parent": os.getppid(),
         }))
         first = inbox.get()
         emit(Finished(name=name, details=first))
@@ -77,16 +77,16 @@ def supervisor(tmp_path: Path) -> Iterator[Supervisor]:
     assert supervisor.strays() == []
 
 
-def test_it_has_a_session_streams_a_name_and_a_mark_of_its_own_and_nothing_else(
+def test_it_has_a_group_streams_a_name_and_a_mark_of_its_own_and_nothing_else(
     supervisor: Supervisor,
 ) -> None:
     pid = supervisor.fork("uav 3", ["polite", "uav 3"], forker="forker")
     ready = hear(supervisor, Ready, "uav 3")
     assert isinstance(ready, Ready)
-    assert ready.pid == pid == ready.details["session"]
+    assert ready.pid == pid == ready.details["group"]
     assert ready.details == {
         "fds": [0, 1, 2],
-        "session": pid,
+        "group": pid,
         "mark": f"{supervisor.token}/uav 3",
         "parent": supervisor.pids["forker"],
     }

@@ -33,6 +33,20 @@ def test_cancelled_calls_neither_run_nor_count_as_next():
     assert not ran
 
 
+def test_what_is_done_between_calls_comes_before_each_and_changes_none():
+    queue, ran = EventQueue(), []
+    for time_ns in (10, 20, 20):
+        queue.at(time_ns, ran.append, time_ns)
+    queue.between = lambda: ran.append("between")
+    queue.run_until(20)
+    assert [each for each in ran if each != "between"] == [10, 20, 20]
+    assert all(ran[i - 1] == "between" for i, each in enumerate(ran) if each != "between")
+    queue.between, before = None, ran.count("between")
+    queue.at(30, ran.append, 30)
+    queue.run_until(30)
+    assert ran.count("between") == before
+
+
 def test_the_past_cannot_be_scheduled():
     queue = EventQueue()
     queue.run_until(10)
