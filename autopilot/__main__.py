@@ -10,9 +10,9 @@ import argparse
 import contextlib
 import gc
 import os
+import select
 import selectors
 import socket
-import struct
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -52,7 +52,7 @@ SILENCE_S = 0.5
 """Wall time after which a simulator that says nothing is taken to stand still."""
 HEARTBEAT_S = 1.0
 """Wall time after which a heartbeat goes out whatever simulated time does: ground stations wait for three."""
-_SILENCE_TIMEVAL = struct.pack("ll", 0, round(SILENCE_S * 1e6))
+_SILENCE_MS = round(SILENCE_S * 1e3)
 _LINK_NAMES = {GROUND_STATION: "ground_station", COMPANION: "companion"}
 
 
@@ -113,8 +113,10 @@ class Process:
         self._wall_poll_s = self._wall_heartbeat_s = time.monotonic()
         self._simulator = stack.enter_context(connect_simulator(ports, config.connect_timeout_s))
         self._simulator.sendall(self._host.introduction())
-        # the kernel's time limit, for Python's own costs a system call more each time
-        self._simulator.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _SILENCE_TIMEVAL)
+        self._saying = select.poll()
+        """Tells when the simulator has said something. Waiting in `recv` it would be woken once more in each
+        step: when the simulator takes the answer, which makes room to send."""
+        self._saying.register(self._simulator, select.POLLIN)
         self._waiting = stack.enter_context(contextlib.closing(selectors.DefaultSelector()))
         self._waiting.register(self._simulator, selectors.EVENT_READ)
         for link in self._links:
@@ -175,11 +177,9 @@ class Process:
 
         Meanwhile the links are attended to.
         """
-        while True:
-            try:
-                return self._simulator.recv_into(self._host.incoming)
-            except BlockingIOError:
-                self._wait()
+        while not self._saying.poll(_SILENCE_MS):
+            self._wait()
+        return self._simulator.recv_into(self._host.incoming)
 
     def _wait(self) -> None:
         """Attend to the links until the simulator says something: time stands, so answers are of its last."""
