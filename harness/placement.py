@@ -127,9 +127,14 @@ class Placement:
         if sys.platform != "linux":
             return
         for name, pid in self._pids().items():
-            if name in self._places:
-                with contextlib.suppress(OSError):  # it is gone
-                    os.sched_setaffinity(pid, [self._places[name]] if self.placed else self._processors)
+            with contextlib.suppress(OSError):  # it is gone
+                if name not in self._places:
+                    continue
+                if self.placed:  # the one thread that does the work: Zenoh's may help out
+                    os.sched_setaffinity(pid, [self._places[name]])
+                    continue
+                for thread in Path(f"/proc/{pid}/task").iterdir():  # some may have been started meanwhile
+                    os.sched_setaffinity(int(thread.name), self._processors)
 
     def _now(self) -> Times:
         return self._count(self._processors, (os.getpid(), *self._pids().values()))

@@ -100,7 +100,7 @@ class Server:
         """
         while (request := clock.receive()) is not None:
             self._hosted.give_way(_pass_on if _shares_a_processor() else None)
-            clock.send(self.advance(request))
+            self.advance(request, clock.send)
         return {"counters": self._hosted.counters, "malformed": self._malformed}
 
     def close(self) -> None:
@@ -108,22 +108,24 @@ class Server:
         self._transport.close()
         self._hosted.close()
 
-    def advance(self, request: Advance) -> Advanced:
-        """Simulate and deliver what an `Advance` asks for, if all that it takes is there.
+    def advance(self, request: Advance, answer: Callable[[Advanced], None] = lambda _: None) -> None:
+        """Simulate what an `Advance` asks for, if all that it takes is there; answer it, and deliver.
 
-        Raises ValueError for what the time master cannot mean.
+        In this order: the time master goes on, and who hears from it of a batch waits for that. Raises
+        ValueError for what the time master cannot mean.
         """
         missing = self._take_in(request)
         if missing:
-            return self._hosted.advanced(missing=tuple(sorted(missing)))
-        delivered = []
-        for station, batch in self._hosted.advance(request).items():
+            answer(self._hosted.advanced(missing=tuple(sorted(missing))))
+            return
+        batches = self._hosted.advance(request)
+        delivered = sorted(batches.keys() & self._senders.keys())
+        answer(self._hosted.advanced(delivered=tuple(delivered)))
+        for station, batch in batches.items():
             if (asker := self._askers.get(station)) is not None:
                 asker.ask(encode(batch))  # it may not be there, or slow: nobody waits for it
             else:
                 self._send(self._senders[station], batch)
-                delivered.append(station)
-        return self._hosted.advanced(delivered=tuple(sorted(delivered)))
 
     def _take_in(self, request: Advance) -> set[Station]:
         """Take what vehicles have sent; returns those whose batches do not come."""
