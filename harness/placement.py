@@ -1,9 +1,9 @@
 """Which processors a swarm's processes keep to, as long as it has the machine for itself.
 
-In lockstep everybody waits for the last. A scheduler that balances load cannot know that: every few steps
-five of eight vehicles are on one of two processors, and those that move leave their caches behind. So each
-process is given a processor, the vehicles in turn. While somebody else works too, all may go where they like:
-one that is held where others work would hold up the whole swarm.
+In lockstep everybody waits for the last, which a scheduler that balances load cannot know: it need not leave
+four of eight vehicles on each of two processors, nor any of them where its caches are. So each process is
+given a processor, the vehicles in turn. While somebody else works too, all may go where they like: one that
+is held where others work would hold up the whole swarm.
 
 The emulator, told by the one processor it may use that it shares it with vehicles, gives way to them between
 its events (`netsim.server`).
@@ -84,6 +84,7 @@ def counted(processors: Sequence[int], pids: Iterable[int]) -> Times:
 class Placement:
     """Keeps processes on processors of their own as long as nobody else works, on a thread of its own.
 
+    It places the thread that does a process's work, its first; Zenoh's go where there is room.
     ``pids`` tells the processes that there are now by name; ``places`` is of `homes`, ``count`` is `counted`.
     """
 
@@ -93,13 +94,13 @@ class Placement:
         places: Mapping[str, int],
         processors: Sequence[int],
         *,
-        count: Callable[[Sequence[int], Iterable[int]], Times] | None = None,
+        count: Callable[[Sequence[int], Iterable[int]], Times] = counted,
         period_s: float = LOOK_PERIOD_S,
     ) -> None:
         self._pids = pids
         self._places = places
         self._processors = processors
-        self._count = count or counted
+        self._count = count
         self._period_s = period_s
         self._ended = threading.Event()
         self.placed = False
@@ -124,17 +125,19 @@ class Placement:
 
     def _place(self) -> None:
         """Give every process its processor, or all of them again."""
-        if sys.platform != "linux":
-            return
         for name, pid in self._pids().items():
-            with contextlib.suppress(OSError):  # it is gone
-                if name not in self._places:
-                    continue
-                if self.placed:  # the one thread that does the work: Zenoh's may help out
-                    os.sched_setaffinity(pid, [self._places[name]])
-                    continue
-                for thread in Path(f"/proc/{pid}/task").iterdir():  # some may have been started meanwhile
-                    os.sched_setaffinity(int(thread.name), self._processors)
+            if name in self._places:
+                with contextlib.suppress(OSError):  # it is gone
+                    if self.placed:
+                        os.sched_setaffinity(pid, [self._places[name]])
+                    else:
+                        _free(pid, self._processors)
 
     def _now(self) -> Times:
         return self._count(self._processors, (os.getpid(), *self._pids().values()))
+
+
+def _free(pid: int, processors: Sequence[int]) -> None:
+    """Let a process go anywhere; those of its threads too that were started while it was placed."""
+    for thread in Path(f"/proc/{pid}/task").iterdir():
+        os.sched_setaffinity(int(thread.name), processors)

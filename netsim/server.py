@@ -99,7 +99,8 @@ class Server:
         Raises ValueError for what it cannot mean.
         """
         while (request := clock.receive()) is not None:
-            self._hosted.give_way(_pass_on if _shares_a_processor() else None)
+            # Linux weighs who yields among the processes of one session
+            self._hosted.give_way(os.sched_yield if _shares_a_processor() else None)
             self.advance(request, clock.send)
         return {"counters": self._hosted.counters, "malformed": self._malformed}
 
@@ -173,12 +174,6 @@ def _shares_a_processor() -> bool:
     Where it may go anywhere, others work too, and would take what it leaves.
     """
     return sys.platform == "linux" and len(os.sched_getaffinity(0)) == 1
-
-
-def _pass_on() -> None:
-    """Let who waits for this processor go first; Linux weighs that among the processes of one session."""
-    if sys.platform == "linux":
-        os.sched_yield()
 
 
 def run(config_path: Path, clock_fd: int, *, supervised: bool) -> None:

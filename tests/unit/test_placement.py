@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
@@ -85,7 +86,8 @@ class Machine:
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="there is one processor")
 def test_processes_keep_to_their_processors_while_nobody_else_works():
     processors = sorted(os.sched_getaffinity(0))
-    wait = [sys.executable, "-c", "input()"]
+    # a word from the test starts a second thread, which has the affinity that the first has then
+    wait = [sys.executable, "-c", "import threading; input(); threading.Thread(target=input).start()"]
     children = {name: subprocess.Popen(wait, stdin=subprocess.PIPE) for name in ("uav 0", "uav 1", "hangar")}
     places = {"uav 0": processors[0], "uav 1": processors[1], "physics": processors[1]}
     machine = Machine()
@@ -97,6 +99,9 @@ def test_processes_keep_to_their_processors_while_nobody_else_works():
         count=machine.count,
         period_s=0.01,
     )
+
+    def threads(name):
+        return [int(thread.name) for thread in Path(f"/proc/{children[name].pid}/task").iterdir()]
 
     def allowed(name):
         return sorted(os.sched_getaffinity(children[name].pid))
@@ -110,10 +115,13 @@ def test_processes_keep_to_their_processors_while_nobody_else_works():
         wait_for(lambda: allowed("uav 1") == [processors[1]])
         assert allowed("uav 0") == [processors[0]]
         assert allowed("hangar") == processors  # it is none of those that have a place
+        children["uav 0"].stdin.write(b"\n")
+        children["uav 0"].stdin.flush()
+        wait_for(lambda: len(threads("uav 0")) == 2)
         children["uav 1"].kill()
         children["uav 1"].wait()
         machine.others = 0.5
-        wait_for(lambda: allowed("uav 0") == processors)
+        wait_for(lambda: all(sorted(os.sched_getaffinity(each)) == processors for each in threads("uav 0")))
         placement.end()
         placement.end()
         machine.others = 0.0
