@@ -107,8 +107,9 @@ class Process:
             stack.enter_context(contextlib.closing(self._radio))
         self._host = stack.enter_context(contextlib.closing(Host(config, self._radio)))
         self._link_messages = 0
-        self._link_active = tuple(link.active for link in self._links)
-        """Whether somebody listens, as of the last look at the links"""
+        self._link_active: tuple[bool, ...] = ()
+        """Whether somebody listens, as of what was last received or sent"""
+        self._look_who_listens()
         self._poll_us = 0
         self._wall_poll_s = self._wall_heartbeat_s = time.monotonic()
         self._simulator = stack.enter_context(connect_simulator(ports, config.connect_timeout_s))
@@ -117,6 +118,10 @@ class Process:
         """Tells when the simulator has said something. Waiting in `recv` it would be woken once more in each
         step: when the simulator takes the answer, which makes room to send."""
         self._saying.register(self._simulator, select.POLLIN)
+        self._calling = select.poll()
+        """Tells whether something has come on a link: one system call, where reading takes one for each."""
+        for link in self._links:
+            self._calling.register(link, select.POLLIN)
         self._waiting = stack.enter_context(contextlib.closing(selectors.DefaultSelector()))
         self._waiting.register(self._simulator, selectors.EVENT_READ)
         for link in self._links:
@@ -184,20 +189,20 @@ class Process:
     def _wait(self) -> None:
         """Attend to the links until the simulator says something: time stands, so answers are of its last."""
         while not any(key.fileobj is self._simulator for key, _ in self._waiting.select(WALL_LINK_PERIOD_S)):
-            incoming = self._receive(time.monotonic())
+            incoming = self._receive()
             if incoming:
                 self._send(self._host.attend(incoming))
+            self._wall_poll_s = time.monotonic()
             self._keep_beating()
 
-    def _receive(self, wall_s: float) -> Links:
+    def _receive(self) -> Links:
         """What has come on the links, which ends the run's determinism."""
-        self._wall_poll_s = wall_s
         incoming = [
             Addressed(Partner(i, number), message)
             for i, link in enumerate(self._links)
             for number, message in link.receive()
         ]
-        self._link_active = tuple(link.active for link in self._links)
+        self._look_who_listens()
         if incoming and not self._link_messages:
             emit(Influenced(name=self._host.name, by="a ground station or companion"))
         self._link_messages += len(incoming)
@@ -209,6 +214,10 @@ class Process:
             self._wall_heartbeat_s = time.monotonic()
         for i, link in enumerate(self._links):
             link.send([(to.number, message) for to, message in outgoing if to.link == i])
+        self._look_who_listens()
+
+    def _look_who_listens(self) -> None:
+        self._link_active = tuple(link.active for link in self._links)
 
     def _keep_beating(self) -> None:
         """Send a heartbeat if simulated time has been too slow for one."""
@@ -223,7 +232,9 @@ class Process:
         wall_s = time.monotonic()
         if now_us >= self._poll_us or wall_s - self._wall_poll_s >= WALL_LINK_PERIOD_S:
             self._poll_us = now_us - now_us % LINK_PERIOD_US + LINK_PERIOD_US
-            incoming = self._receive(wall_s)
+            if self._calling.poll(0):
+                incoming = self._receive()
+            self._wall_poll_s = wall_s
             self._keep_beating()
         answer, outgoing = self._host.step(
             simulator_messages, link_messages=incoming, link_active=self._link_active

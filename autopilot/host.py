@@ -5,7 +5,7 @@ and radio are carried: over sockets (``autopilot.__main__``), or by plain calls 
 """
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -39,8 +39,11 @@ class Radio(Protocol):
     def send(self, now_us: int, items: Sequence[TxItem]) -> None:
         """Hand over transmissions."""
 
-    def receive(self, now_us: int) -> Sequence[RxItem]:
-        """What may be seen from ``now_us`` on, for a step in which there is something."""
+    def receive(self, now_us: int) -> Iterable[RxItem]:
+        """What may be seen from ``now_us`` on, for a step in which there is something; to be gone through.
+
+        It may still be on its way when this is called.
+        """
 
 
 class Host:
@@ -57,7 +60,7 @@ class Host:
         self._parser = HilParser(*TO_VEHICLE)
         system = config.instance + 1
         self._encoder = HilEncoder(system=system, component=AUTOPILOT_COMPONENT)
-        self._inertial = InertialSteps(system=system, component=AUTOPILOT_COMPONENT)
+        self._inertial = InertialSteps()
         self.incoming = self._inertial.incoming
         """Where the simulator's bytes go, for `inertial_step` and then for `push`"""
         self._waiting: list[Message] = []
@@ -115,7 +118,7 @@ class Host:
             return self._encoder.encode(repeated.actuators), []
         if self._links_waiting:
             link_messages, self._links_waiting = self._links_waiting + link_messages, []
-        radio_items: Sequence[RxItem] = ()
+        radio_items: Iterable[RxItem] = ()
         if self._radio is not None and clock.fields_updated & BATCH_DELIVERED:
             radio_items = self._radio.receive(now_us)
         output = self.vehicle.step(
@@ -136,12 +139,11 @@ class Host:
             actuators = actuators._replace(flags=actuators.flags | BATCH_HANDED_OVER)
         if self._log is not None and now_us % self._config.record_period_us == 0:
             self._log.append_packed(record(self.vehicle))
-        answer = self._encoder.encode(actuators)
-        if output.simulator:
-            answer = b"".join(map(self._encoder.encode, output.simulator)) + answer
+        before = b"".join(map(self._encoder.encode, output.simulator)) if output.simulator else b""
+        frame = self._encoder.encode(actuators)
         if not any(link_active):  # who listens hears of every sample
-            self._look_ahead(now_us)
-        return answer, output.links
+            self._look_ahead(now_us, frame)
+        return before + frame, output.links
 
     def attend(self, link_messages: Links) -> Links:
         """What goes out on the links in answer to messages that come while the simulator is silent.
@@ -160,8 +162,8 @@ class Host:
             answers += messaging.take_outgoing()
         return answers
 
-    def _look_ahead(self, now_us: int) -> None:
-        """Let inertial steps follow, if that may be, up to the next look at anything else."""
+    def _look_ahead(self, now_us: int, answer: bytes) -> None:
+        """Let inertial steps follow on this answer, if that may be, up to the next look at anything else."""
         if self._waiting or not self._parser.is_between_frames or self._flight_log is not None:
             return
         ahead = self.vehicle.ahead
@@ -171,7 +173,7 @@ class Host:
             period_us = self._config.record_period_us
             next_record_us = now_us - now_us % period_us + period_us
             ahead = ahead._replace(until_us=min(ahead.until_us, next_record_us))
-        self._inertial.open(ahead, self._encoder.sequence)
+        self._inertial.open(ahead, answer, self._encoder.sequence)
 
     def _catch_up(self) -> bool:
         """Bring the vehicle to where inertial steps have got, which then are over; False: it is there."""

@@ -21,8 +21,9 @@ from autopilot.estimation.horizon import ACC, DELAY_US, OMEGA, STD, WAITING, adv
 from autopilot.estimation.horizon import Block as Horizon
 from autopilot.estimation.kernels import GYRO_BIAS, POS, VEL, is_plausible
 from autopilot.mavlink.frame import CHECKSUM_BYTES, FIRST, HEADER_BYTES, PAYLOAD, Octets, payload_bytes, seal
-from autopilot.mavlink.hil import HilActuatorControls, HilSensor, pack
+from autopilot.mavlink.hil import HilSensor
 from autopilot.sensors import BARO_FIELDS, IMU_FIELDS, MAG_FIELDS
+from netsim.wire.lockstep import BATCH_HANDED_OVER
 
 # HIL_SENSOR: time in eight bytes, then floats, acceleration and rates first, then what of it is new in four
 _SENSOR_KIND = common.MAVLINK_MSG_ID_HIL_SENSOR
@@ -36,7 +37,7 @@ _AIDS = MAG_FIELDS | BARO_FIELDS
 # HIL_ACTUATOR_CONTROLS: time and flags in eight bytes each, sixteen floats, the mode
 _ACTUATORS_EXTRA = common.mavlink_map[common.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS].crc_extra
 _ACTUATORS_BYTES = 81
-_CONTROLS, _MODE = PAYLOAD + 16, PAYLOAD + 80
+_FLAGS, _CONTROLS, _MODE = PAYLOAD + 8, PAYLOAD + 16, PAYLOAD + 80
 _ROTORS = 4
 _RECEIVE_BYTES = 4096
 US_PER_S = 1_000_000
@@ -56,8 +57,8 @@ MOMENT = np.dtype(
 class Ahead(NamedTuple):
     """A vehicle between two steps that look at more than inertial samples, as long as nobody listens."""
 
-    last: HilActuatorControls
-    """Its answer to the last sample"""
+    now_us: int
+    """Time of the last sample"""
     flies: bool
     """It follows a trajectory; else its controls stay as they are."""
     until_us: int
@@ -135,13 +136,12 @@ class InertialSteps:
 
     """
 
-    def __init__(self, *, system: int, component: int) -> None:
-        """Answer as this component of this system."""
-        self._own = (system, component)
+    def __init__(self) -> None:
         incoming = np.zeros(FIRST + _RECEIVE_BYTES, np.uint8)
         answer = np.zeros(PAYLOAD + _ACTUATORS_BYTES + CHECKSUM_BYTES, np.uint8)
         self.incoming = incoming.data[FIRST:]
         self._answer = answer.data[FIRST:]
+        self._flags: NDArray[np.int64] = answer[_FLAGS:_CONTROLS].view(np.int64)
         self._moment: NDArray[np.void] = np.zeros(1, MOMENT)
         self._octets = (incoming, answer, self._moment)
         self._blocks: tuple[Horizon, Horizon, Cascade] | None = None
@@ -153,13 +153,13 @@ class InertialSteps:
             return self._answer
         return None
 
-    def open(self, ahead: Ahead, sequence: int) -> None:
-        """Let such steps follow; ``sequence`` is the number of the next answer's frame."""
-        system, component = self._own
-        self._answer[:] = pack(ahead.last, sequence=sequence, system=system, component=component)
-        self._opened_us = now_us = ahead.last.time_usec
+    def open(self, ahead: Ahead, answer: bytes, sequence: int) -> None:
+        """Let such steps follow the one that was answered by this frame; ``sequence`` is the next one's."""
+        self._answer[:] = answer
+        self._flags[0] &= ~BATCH_HANDED_OVER
+        self._opened_us = ahead.now_us
         self._moment[0] = (
-            now_us, ahead.until_us, ahead.aids_us, ahead.sound_until_us, sequence, ahead.flies
+            ahead.now_us, ahead.until_us, ahead.aids_us, ahead.sound_until_us, sequence, ahead.flies
         )  # fmt: skip
         self._blocks = (ahead.horizon, ahead.samples, ahead.cascade)
 

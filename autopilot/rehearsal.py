@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.config import Site, VehicleConfig
 from autopilot.estimation.atmosphere import pressure_pa
 from autopilot.inertial_step import Ahead, InertialSteps
-from autopilot.mavlink.hil import HilSensor, pack
+from autopilot.mavlink.hil import HilActuatorControls, HilSensor, pack
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.navigation.manual import ManualInput
@@ -106,11 +106,12 @@ def _rehearse_distances(vehicle: Vehicle, now_us: int) -> None:
 
 def _rehearse_inertial_step(ahead: Ahead) -> None:
     """Make a step as `autopilot.host` does without its vehicle. Raises RehearsalError."""
-    steps = InertialSteps(system=1, component=1)
-    steps.open(ahead, 0)
+    steps = InertialSteps()
+    answer = HilActuatorControls(ahead.now_us, [0.0] * 16, 1, 0)
+    steps.open(ahead, pack(answer, sequence=0, system=1, component=1), 1)
     nothing = (0.0, 0.0, 0.0)
     accel = (0.0, 0.0, -_GRAVITY_M_S2)
-    at_rest = HilSensor(ahead.last.time_usec + 1, *accel, *nothing, *nothing, 0.0, 0.0, 0.0, 0.0, IMU_FIELDS)
+    at_rest = HilSensor(ahead.now_us + 1, *accel, *nothing, *nothing, 0.0, 0.0, 0.0, 0.0, IMU_FIELDS)
     frame = pack(at_rest, sequence=0, system=0, component=1)
     steps.incoming[: len(frame)] = frame
     if steps.step(len(frame)) is None:

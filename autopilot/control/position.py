@@ -175,6 +175,9 @@ def control_position(
     decided[ATTITUDE] = _attitude(thrust, yaw_rad)
 
 
+_NO_AXES = (False, False, False)
+
+
 class PositionOutput:
     """What the position controller decided: each stage, for telemetry."""
 
@@ -294,8 +297,8 @@ class PositionController:
             (setpoint.vel_ned_m_s, setpoint.vel_axes),
             (setpoint.acc_ned_m_s2, setpoint.acc_axes),
         )
-        for row, (values, axes) in enumerate(groups):
-            self.mask[row] = False if values is None else axes
+        self.mask[:] = [_NO_AXES if values is None else axes for values, axes in groups]
+        for row, (values, _) in enumerate(groups):
             if values is not None:
                 self.wanted[row] = values
         if not (state.position_valid and state.height_valid):

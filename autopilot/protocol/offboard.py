@@ -40,6 +40,8 @@ class OffboardService(Listener):
         self._received: dict[Partner, Received] = {}
         self._counts: Partner | None = None
         """The source that is flown by, or would be."""
+        self.setpoint: Setpoint | None = None
+        """The newest of the source that counts."""
         self._asker: Partner | None = None
         self._timeout_us = round(flight.commander.params.offboard_loss_s * US_PER_S)
 
@@ -49,14 +51,8 @@ class OffboardService(Listener):
         return self._counts
 
     @property
-    def setpoint(self) -> Setpoint | None:
-        """The newest of the source that counts."""
-        received = self._newest
-        return None if received is None else received.setpoint
-
-    @property
     def received_us(self) -> int | None:
-        """When that came."""
+        """When the setpoint came."""
         received = self._newest
         return None if received is None else received.time_us
 
@@ -88,6 +84,8 @@ class OffboardService(Listener):
             del self._received[min(self._idle_sources(), key=lambda source: self._received[source].time_us)]
         if not self._is_flown:
             self._choose(now_us)
+        elif partner == self._counts:
+            self.setpoint = setpoint
         return ()
 
     @property
@@ -109,6 +107,8 @@ class OffboardService(Listener):
             self._counts = self._asker
         elif self._received:
             self._counts = max(self._received, key=lambda source: self._received[source].time_us)
+        received = self._newest
+        self.setpoint = None if received is None else received.setpoint
 
     def _idle_sources(self) -> list[Partner]:
         return [source for source in self._received if source != self._counts]

@@ -22,6 +22,7 @@ from autopilot.types import (
     RateSetpoint,
     Setpoint,
     TrajectorySetpoint,
+    Vector,
 )
 
 _LOCAL = common.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
@@ -52,9 +53,12 @@ _GREATEST = 1e9
 _NORM_ERROR_MAX = 0.1
 """Of a quaternion, which is then made one: further off it means something else, or nothing"""
 
-_Group = tuple[Array | None, tuple[bool, bool, bool]]
+_Axes = tuple[bool, bool, bool]
+_Group = tuple[Vector | None, _Axes]
 """Vector, 0 on axes that are left out, and the axes that count."""
-_ALL_AXES = (True, True, True)
+_AXES: tuple[_Axes, ...] = tuple((not bits & 1, not bits & 2, not bits & 4) for bits in range(8))
+"""By the three bits that leave axes out."""
+_ALL_AXES, _NO_AXES = _AXES[0], _AXES[7]
 
 
 def decode(message: Message, flight: FlightData) -> Setpoint | None:
@@ -65,31 +69,34 @@ def decode(message: Message, flight: FlightData) -> Setpoint | None:
     pos = _global_position(message, flight) if kind == _GLOBAL else _local_position(message, flight)
     if pos is None:
         return None
-    return _trajectory(message, pos, flight.state)
+    by_heading = kind == _LOCAL and message.coordinate_frame in _BY_HEADING
+    return _trajectory(message, pos, flight.state, by_heading=by_heading)
 
 
 # ---- positions, velocities, accelerations
 
 
-def _trajectory(message: Message, pos: _Group, state: EstimatorState) -> TrajectorySetpoint | None:
+def _trajectory(
+    message: Message, pos: _Group, state: EstimatorState, *, by_heading: bool
+) -> TrajectorySetpoint | None:
     mask = message.type_mask
     vel = _group(mask >> 3, (message.vx, message.vy, message.vz))
     acc = _group(mask >> 6, (message.afx, message.afy, message.afz))
     yaw_rad = None if mask & _YAW_IGNORED else message.yaw
     yaw_rate_rad_s = 0.0 if mask & _YAW_RATE_IGNORED else message.yaw_rate
-    numbers = [number for vector, _ in (pos, vel, acc) if vector is not None for number in vector.tolist()]
+    numbers = (*(pos[0] or ()), *(vel[0] or ()), *(acc[0] or ()))
     if not numbers or (mask & _FORCE and acc[0] is not None):
         return None
     if not _are_sane((*numbers, 0.0 if yaw_rad is None else yaw_rad, yaw_rate_rad_s)):
         return None
-    if message.get_msgId() == _LOCAL and message.coordinate_frame in _BY_HEADING:
+    if by_heading:
         if not (_turns(vel) and _turns(acc)):
             return None
         vel, acc = _by_heading(vel, state), _by_heading(acc, state)
     return TrajectorySetpoint(
-        pos_ned_m=pos[0],
-        vel_ned_m_s=vel[0],
-        acc_ned_m_s2=acc[0],
+        pos_ned_m=None if pos[0] is None else np.array(pos[0], float),
+        vel_ned_m_s=None if vel[0] is None else np.array(vel[0], float),
+        acc_ned_m_s2=None if acc[0] is None else np.array(acc[0], float),
         pos_axes=pos[1],
         vel_axes=vel[1],
         acc_axes=acc[1],
@@ -112,8 +119,8 @@ def _local_position(message: Message, flight: FlightData) -> _Group | None:
         if not _turns(group):
             return None
         pos = _to_ned(pos, state)
-    here_ned_m: Array = np.where(axes, state.pos_ned_m, 0.0)
-    return here_ned_m + pos, axes
+    north_m, east_m, down_m = np.where(axes, state.pos_ned_m, 0.0).tolist()
+    return (north_m + pos[0], east_m + pos[1], down_m + pos[2]), axes
 
 
 def _global_position(message: Message, flight: FlightData) -> _Group | None:
@@ -130,15 +137,15 @@ def _global_position(message: Message, flight: FlightData) -> _Group | None:
         return None  # a circle of latitude is no place, and degrees mean nothing without an origin
     if axes[0] and not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0):
         return None  # INT32_MAX is MAVLink's mark of nothing
-    ned_m = np.zeros(3)
+    north_m = east_m = down_m = 0.0
     if axes[0]:
-        ned_m[:2] = horizontal_ned_m(lat_deg, lon_deg, state)
+        north_m, east_m = horizontal_ned_m(lat_deg, lon_deg, state).tolist()
     if axes[2]:
         if frame in _ABOVE_HOME and home is None:
             return None
         zero_amsl_m = home.alt_m if frame in _ABOVE_HOME and home is not None else 0.0
-        ned_m[2] = state.origin_alt_m - (zero_amsl_m + message.alt)
-    return ned_m, axes
+        down_m = state.origin_alt_m - (zero_amsl_m + message.alt)
+    return (north_m, east_m, down_m), axes
 
 
 def horizontal_ned_m(lat_deg: float, lon_deg: float, state: EstimatorState) -> Array:
@@ -154,14 +161,15 @@ def horizontal_ned_m(lat_deg: float, lon_deg: float, state: EstimatorState) -> A
     return ned_m[:2]
 
 
-def _group(ignore_bits: int, values: tuple[float, float, float]) -> _Group:
+def _group(ignore_bits: int, values: Vector) -> _Group:
     """Take of a group's values those that the lowest three bits do not leave out."""
-    axes = (not ignore_bits & 1, not ignore_bits & 2, not ignore_bits & 4)
-    if not any(axes):
+    axes = _AXES[ignore_bits & 7]
+    if axes is _ALL_AXES:
+        return values, axes
+    if axes is _NO_AXES:
         return None, _ALL_AXES
-    if all(axes):
-        return np.array(values, float), axes
-    return np.array([value if used else 0.0 for value, used in zip(values, axes, strict=True)]), axes
+    x, y, z = values
+    return (x if axes[0] else 0.0, y if axes[1] else 0.0, z if axes[2] else 0.0), axes
 
 
 def _are_sane(numbers: Sequence[float]) -> bool:
@@ -184,15 +192,12 @@ def _by_heading(group: _Group, state: EstimatorState) -> _Group:
     return group if group[0] is None else (_to_ned(group[0], state), group[1])
 
 
-def _to_ned(vector: Array, state: EstimatorState) -> Array:
+def _to_ned(vector: Vector, state: EstimatorState) -> Vector:
     """Forward, right, down by the heading into NED."""
     yaw_rad = quat_to_euler(state.q_ned_frd)[2]
     cos_yaw, sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
-    return np.array([
-        cos_yaw * vector[0] - sin_yaw * vector[1],
-        sin_yaw * vector[0] + cos_yaw * vector[1],
-        vector[2],
-    ])  # fmt: skip
+    x, y, z = vector
+    return cos_yaw * x - sin_yaw * y, sin_yaw * x + cos_yaw * y, z
 
 
 # ---- attitudes and rates

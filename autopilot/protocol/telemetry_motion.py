@@ -60,9 +60,7 @@ class Motion(Part):
         state = self._flight.state
         if not (state.position_valid and state.height_valid):
             return None
-        return LocalPosition(
-            self.boot_ms(), *singles(state.pos_ned_m.tolist()), *singles(state.vel_ned_m_s.tolist())
-        )
+        return LocalPosition(self.boot_ms(), *singles(state.pos_ned_m.tolist() + state.vel_ned_m_s.tolist()))
 
     def global_position_int(self) -> Message | None:
         """GLOBAL_POSITION_INT."""
