@@ -100,6 +100,8 @@ class FormationPlan:
         places_ned_m = np.array(places_ned_m, float).reshape(-1, 3)
         centre_ned_m = places_ned_m.mean(axis=0)
         self._motion = motion
+        self.moves = motion is not None
+        """There is a motion at all."""
         self._heading_rad = math.radians(heading_deg)
         self._north_m, self._east_m = float(centre_ned_m[0]), float(centre_ned_m[1])
         self._offset_north_m, self._offset_east_m = (places_ned_m - centre_ned_m)[:, :2].T.copy()
@@ -125,11 +127,6 @@ class FormationPlan:
         self._course_cos, self._course_sin = math.cos(course_rad), math.sin(course_rad)
         self._course_rad = course_rad
         self._turns = isinstance(motion, RacetrackMotion) and motion.heading == "track"
-
-    @property
-    def moves(self) -> bool:
-        """Whether there is a motion at all."""
-        return self._motion is not None
 
     def at(self, since_start_s: float) -> PlanState:
         """State of all N places."""

@@ -16,8 +16,8 @@ from autopilot.config import VehicleConfig
 from autopilot.flight_log import FlightLog
 from autopilot.inertial_step import InertialSteps
 from autopilot.mavlink.codec import Encoder, Message
-from autopilot.mavlink.hil import TO_VEHICLE, HilEncoder, HilParser
-from autopilot.protocol.service import AUTOPILOT_COMPONENT, GROUND_STATION, Addressed
+from autopilot.mavlink.hil import TO_VEHICLE, HilActuatorControls, HilEncoder, HilParser
+from autopilot.protocol.service import AUTOPILOT_COMPONENT, GROUND_STATION, NEVER_US, Addressed
 from autopilot.protocol.status import TEXT_BYTES
 from autopilot.recording import VEHICLE_RECORD, record
 from autopilot.vehicle import Vehicle, is_clock
@@ -136,7 +136,8 @@ class Host:
             self._save_parameters()  # how it ended is told in the next step
         if output.radio and self._radio is not None:
             self._radio.send(now_us, output.radio)
-            actuators = actuators._replace(flags=actuators.flags | BATCH_HANDED_OVER)
+            time_us, controls, mode, flags = actuators
+            actuators = HilActuatorControls(time_us, controls, mode, flags | BATCH_HANDED_OVER)
         if self._log is not None and now_us % self._config.record_period_us == 0:
             self._log.append_packed(record(self.vehicle))
         before = b"".join(map(self._encoder.encode, output.simulator)) if output.simulator else b""
@@ -166,14 +167,11 @@ class Host:
         """Let inertial steps follow on this answer, if that may be, up to the next look at anything else."""
         if self._waiting or not self._parser.is_between_frames or self._flight_log is not None:
             return
-        ahead = self.vehicle.ahead
-        if ahead is None:
-            return
-        if self._log is not None:
-            period_us = self._config.record_period_us
-            next_record_us = now_us - now_us % period_us + period_us
-            ahead = ahead._replace(until_us=min(ahead.until_us, next_record_us))
-        self._inertial.open(ahead, answer, self._encoder.sequence)
+        period_us = self._config.record_period_us
+        next_record_us = NEVER_US if self._log is None else now_us - now_us % period_us + period_us
+        ahead = self.vehicle.ahead(next_record_us)
+        if ahead is not None:
+            self._inertial.open(ahead, answer, self._encoder.sequence)
 
     def _catch_up(self) -> bool:
         """Bring the vehicle to where inertial steps have got, which then are over; False: it is there."""

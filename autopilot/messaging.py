@@ -186,7 +186,7 @@ class Messaging:
     def stream_to_application(self, now_us: int) -> None:
         """Give the application the telemetry that is due."""
         streams = self.streams[APPLICATION]
-        if self.tell_application is not None and now_us >= streams.next_deadline_us():
+        if self.tell_application is not None and now_us >= streams.deadline_us:
             for message in streams.on_timer(now_us):
                 self.tell_application(message, now_us)
 
@@ -207,7 +207,7 @@ class Messaging:
         for link in _OUTSIDE:
             streams = self.streams[link]
             streams.active = link_active[link]
-            if now_us >= streams.next_deadline_us():
+            if now_us >= streams.deadline_us:
                 self._outgoing += reply(Partner(link), *streams.on_timer(now_us))
         outgoing = self.take_outgoing()
         if not self.shapers:

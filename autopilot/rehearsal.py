@@ -23,6 +23,7 @@ from autopilot.onboard.hearing import Hearing
 from autopilot.onboard.localisation import CooperativeLocalisation, LocalisationModel
 from autopilot.onboard.neighbourhood import Neighbourhood
 from autopilot.onboard.phases import Phase
+from autopilot.protocol.service import NEVER_US
 from autopilot.sensors import BARO_FIELDS, IMU_FIELDS, MAG_FIELDS
 from autopilot.types import Array, RateSetpoint
 from autopilot.vehicle import Vehicle
@@ -63,7 +64,7 @@ def rehearse() -> None:
         joining_steps += all(
             vehicle.app is not None and vehicle.app.phase >= Phase.JOINING for vehicle in vehicles
         )
-        ahead = vehicles[0].ahead if joining_steps > JOINING_STEPS else None
+        ahead = vehicles[0].ahead(NEVER_US) if joining_steps > JOINING_STEPS else None
         if ahead is not None:
             _rehearse_inertial_step(ahead)
             _rehearse_modes(vehicles[0])

@@ -241,13 +241,15 @@ class Vehicle:
         """From when on a step has to look at more than what its messages bring, if no link asks before."""
         return min(self._decide_us, self._loop_us, self.messaging.next_deadline_us())
 
-    @property
-    def ahead(self) -> Ahead | None:
-        """The steps up to the next look at anything but inertial samples; None: the next is that look."""
+    def ahead(self, limit_us: int) -> Ahead | None:
+        """The steps up to the next look at anything but inertial samples; None: the next is that look.
+
+        Somebody else looks at ``limit_us``.
+        """
         filtered, now_us, flies = self.estimator.filter, self.flight.now_us, self.pilot.flies_on
         if filtered is None or (self.commander.armed and not flies):
             return None
-        until_us, sound_until_us = self.next_look_us, self.estimator.sound_until_us
+        until_us, sound_until_us = min(self.next_look_us, limit_us), self.estimator.sound_until_us
         if until_us <= now_us + self.config.step_us:
             return None
         return Ahead(

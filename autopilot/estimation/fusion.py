@@ -104,8 +104,9 @@ class Fusion:
         self._field_ned = np.array(params.magnetic_field_ned_gauss)
         self._field_checks = field_checks(params)
         self._bias_limits = np.array([params.gyro_bias_limit_rad_s, params.accel_bias_limit_m_s2])
+        self._heading_var_rad2 = params.heading_noise_rad**2
         self._limits[0] = (
-            params.magnetic_field_ned_gauss, self._field_checks, params.heading_noise_rad**2,
+            params.magnetic_field_ned_gauss, self._field_checks, self._heading_var_rad2,
             params.heading_gate, params.baro_noise_m**2, params.baro_gate, self._bias_limits,
         )  # fmt: skip
         vel_var = params.gps_vel_noise_m_s**2
@@ -123,9 +124,8 @@ class Fusion:
     def fuse_mag(self, time_us: int, field_frd_gauss: Array) -> bool:
         """Magnetic field (3,) FRD: its heading."""
         x, cov, compass = self._delayed.x, self._delayed.cov, self.compass
-        variance = self._params.heading_noise_rad**2
         innovation_rad, innovation_var, ratio, compass.disturbed = kernels.fuse_field(
-            x, cov, field_frd_gauss, self._field_ned, self._field_checks, variance,
+            x, cov, field_frd_gauss, self._field_ned, self._field_checks, self._heading_var_rad2,
             self._params.heading_gate, self._bias_limits, not compass.faulty,
         )  # fmt: skip
         return self._judge_heading(time_us, innovation_rad, innovation_var, ratio)
@@ -135,7 +135,6 @@ class Fusion:
     ) -> bool:
         """Note what became of a field, and what follows where it was refused for long."""
         x, cov, compass = self._delayed.x, self._delayed.cov, self.compass
-        variance = self._params.heading_noise_rad**2
         usable = not (compass.disturbed or compass.faulty)
         self.heading.innovation[0] = innovation_rad
         self.heading.innovation_var[0] = innovation_var
@@ -155,7 +154,7 @@ class Fusion:
             if abs(math.remainder(innovation_rad - turn_rad, 2.0 * math.pi)) > COMPASS_ERROR_RAD:
                 compass.faulty = abs(turn_rad) < COMPASS_ERROR_RAD
                 return False
-        self._turn(innovation_rad, variance)
+        self._turn(innovation_rad, self._heading_var_rad2)
         self.heading.accepted_us = time_us
         return True
 

@@ -221,9 +221,8 @@ class OnboardApp:
         for item in items:
             match item:
                 case Delivery():
-                    if pages.full:
+                    if pages.put(item.source, item.payload):
                         self._read(now_us)
-                    pages.put(item.source, item.payload)
                 case FtmResult():
                     self._read(now_us)
                     self._on_ranged(item, now_us)
@@ -280,23 +279,20 @@ class OnboardApp:
             mavlink += map(messages.warning, self._flight.texts)
             self._flight.texts.clear()
         radio: tuple[TxItem, ...] = ()
-        ranges = self._ranges
-        if self._own.time_us >= 0 and self._traffic.next_deadline_us(ranging=ranges) < now_us + step_us:
+        ranges = self.localisation is not None and told[0] is not Phase.WAITING
+        radio_us = self._traffic.next_deadline_us(ranging=ranges)
+        if self._own.time_us >= 0 and radio_us < now_us + step_us:
             radio = self._traffic.due(
                 self._own, now_us, now_us + step_us,
                 ranging=ranges, variance_m2=self._distance_variance_m2,
                 phase=told[0], motion_start_ms=self._motion_start_ms, gps_error=self._say_gps_error,
             )  # fmt: skip
-        self._due_us = self.next_deadline_us()
+            radio_us = self._traffic.next_deadline_us(ranging=ranges)
+        self._due_us = 0  # until positions come
+        if self._own.time_us >= 0:
+            commands_us = self._commands.next_deadline_us()
+            self._due_us = min(self._setpoint_us, commands_us, self._heartbeat_out_us, radio_us)
         return OnboardOutput(mavlink, radio) if mavlink or radio else NOTHING
-
-    def next_deadline_us(self) -> int:
-        """When `on_timer` next has something to do, if no message comes before; 0 until positions come."""
-        if self._own.time_us < 0:
-            return 0
-        commands_us = self._commands.next_deadline_us()
-        radio_us = self._traffic.next_deadline_us(ranging=self._ranges)
-        return min(self._setpoint_us, commands_us, self._heartbeat_out_us, radio_us)
 
     @property
     def phase(self) -> Phase:
@@ -420,10 +416,6 @@ class OnboardApp:
         if self._flight.phase is not Phase.LOCALISING or not self.localisation.located.all():
             return float("inf")
         return self.localisation.shape_std_m(now_us)
-
-    @property
-    def _ranges(self) -> bool:
-        return self.localisation is not None and self._flight.phase is not Phase.WAITING
 
     @property
     def _motion_start_ms(self) -> int | None:

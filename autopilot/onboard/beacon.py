@@ -163,7 +163,8 @@ def encode(beacon: Beacon) -> bytes:
         )
     ]  # fmt: skip
     parts += [
-        _RANGE.pack(item.peer, item.time_ms, item.distance_m, _mm(item.std_m)) for item in beacon.distances
+        _RANGE.pack(item.peer, item.time_ms, item.distance_m, round(min(item.std_m, _STD_MAX_M) * 1e3))
+        for item in beacon.distances
     ]
     return b"".join(parts)
 
@@ -182,19 +183,18 @@ class Pages:
         self.count = 0
         self._octets = self.rows.view(np.uint8).data
 
-    @property
-    def full(self) -> bool:
-        """Whether there is no room for another."""
-        return self.count == len(self.rows)
+    def put(self, source: int, payload: bytes) -> bool:
+        """Write a station's datagram on the next page; of one that is too long, its length alone.
 
-    def put(self, source: int, payload: bytes) -> None:
-        """Write a station's datagram on the next page; of one that is too long, its length alone."""
+        Returns whether that was the last page.
+        """
         begin, size = self.count * PAGE.itemsize, len(payload)
         self.count += 1
         _LETTERHEAD.pack_into(self._octets, begin, source, size)
         if size <= _CAPACITY:
             begin += _LETTERHEAD.size
             self._octets[begin : begin + size] = payload
+        return self.count == len(self.rows)
 
 
 @njit(cache=True)

@@ -266,8 +266,9 @@ class CooperativeLocalisation:
 
     def std_ned_m(self) -> Vector:
         """One sigma of the own position, the formation's place as a whole included."""
-        at = STATES * self.own
-        return self._std_m(at), self._std_m(at + 1), self._std_m(at + 2)
+        at, variance = STATES * self.own, self.cov.item
+        north_m2, east_m2, down_m2 = variance(at, at), variance(at + 1, at + 1), variance(at + 2, at + 2)
+        return math.sqrt(max(north_m2, 0.0)), math.sqrt(max(east_m2, 0.0)), math.sqrt(max(down_m2, 0.0))
 
     @property
     def offsets_ned_m(self) -> Array:
@@ -316,9 +317,6 @@ class CooperativeLocalisation:
         Inf with fewer than two.
         """
         return shape_std_m(self.positions_ned_m(now_us), self.cov, self._members(now_us))
-
-    def _std_m(self, at: int) -> float:
-        return math.sqrt(max(self.cov.item(at, at), 0.0))
 
     def _present(self, now_us: int) -> Flags:
         """(N,) who has been heard of within `SILENCE_US`."""

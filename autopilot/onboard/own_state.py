@@ -25,6 +25,7 @@ class OwnState:
         odometry_ned_m: horizontal from where the application started, down from the ground.
         vel_ned_m_s: of the same time.
         local_ned_m: the autopilot's position from its own origin.
+        autopilot_ned_m: the same in the site's frame; down from where it started.
         origin_ned_m: the autopilot's origin in the site's frame, or None.
         origin_alt_m: its altitude above mean sea level, as the autopilot has it.
         fix: newest GPS position, with the accuracy that the receiver states.
@@ -38,7 +39,7 @@ class OwnState:
         self.time_us = -1
         self.odometry_ned_m = _ZERO
         self.vel_ned_m_s = _ZERO
-        self.local_ned_m = _ZERO
+        self.local_ned_m = self.autopilot_ned_m = _ZERO
         self.origin_ned_m: Vector | None = None
         self.origin_alt_m = 0.0
         self.fix: Fix | None = None
@@ -52,14 +53,6 @@ class OwnState:
         self._gps_delay_ms = round(gps_delay_s * 1e3)
         self._boot_offset_us: int | None = None
         self._standing_down_m: float | None = None
-
-    @property
-    def autopilot_ned_m(self) -> Vector:
-        """The autopilot's position in the site's frame; down from where it started."""
-        if self.origin_ned_m is None:
-            return self.local_ned_m
-        north_m, east_m, down_m = self.local_ned_m
-        return north_m + self.origin_ned_m[0], east_m + self.origin_ned_m[1], down_m
 
     def on_local_position(self, msg: Message | LocalPosition, now_us: int) -> bool:
         """Take a LOCAL_POSITION_NED; False if it is no news."""
@@ -79,6 +72,7 @@ class OwnState:
             east_m += half_s * (vel_e + before_e)
         self.odometry_ned_m = (north_m, east_m, down_m)
         self.local_ned_m = (msg.x, msg.y, down_m)
+        self._place()
         self.vel_ned_m_s = (vel_n, vel_e, msg.vz)
         self.time_us = time_us
         return True
@@ -99,6 +93,7 @@ class OwnState:
         """Take a GPS_GLOBAL_ORIGIN."""
         self.origin_alt_m = msg.altitude * 1e-3
         self.origin_ned_m = self._site_ned_m(msg.latitude, msg.longitude, msg.altitude)
+        self._place()
 
     def on_truth(self, msg: common.MAVLink_hil_state_quaternion_message) -> None:
         """Take a HIL_STATE_QUATERNION."""
@@ -121,6 +116,12 @@ class OwnState:
         self.failsafe = self.armed and msg.system_status >= common.MAV_STATE_CRITICAL
         self.main_mode = msg.custom_mode >> 16 & 0xFF
         self.heartbeat_us = now_us
+
+    def _place(self) -> None:
+        """Put the autopilot's position into the site's frame, as soon as its origin is known."""
+        north_m, east_m, down_m = self.local_ned_m
+        origin_n_m, origin_e_m, _ = self.origin_ned_m or _ZERO
+        self.autopilot_ned_m = (north_m + origin_n_m, east_m + origin_e_m, down_m)
 
     def _site_ned_m(self, lat_deg_e7: int, lon_deg_e7: int, alt_mm: int) -> Vector:
         site = self._site

@@ -120,7 +120,8 @@ class Streams:
             message_id: _Stream(interval_us, 0, message_id not in ON_NEW_DATA)
             for message_id, interval_us in self._default_us.items()
         }
-        self._deadline_us = 0
+        self.deadline_us = 0
+        """When the next stream is due."""
 
     @property
     def active(self) -> bool:
@@ -131,11 +132,11 @@ class Streams:
     def active(self, active: bool) -> None:
         if active is not self._active:
             self._active = active
-            self._deadline_us = 0
+            self.deadline_us = 0
 
     def on_timer(self, now_us: int) -> Sequence[Message]:
         """Messages that are due."""
-        if now_us < self._deadline_us:
+        if now_us < self.deadline_us:
             return ()
         if not self._active:
             return self._heartbeat_alone(now_us)
@@ -151,31 +152,27 @@ class Streams:
                         messages.append(message)
                 if stream.has_new_data:
                     deadline_us = min(deadline_us, stream.due_us)
-        self._deadline_us = deadline_us
+        self.deadline_us = deadline_us
         return messages
 
     def _heartbeat_alone(self, now_us: int) -> Sequence[Message]:
         stream = self._streams.get(_HEARTBEAT)
         if stream is None:
-            self._deadline_us = NEVER_US
+            self.deadline_us = NEVER_US
             return ()
         message = None
         if now_us >= stream.due_us:
             stream.postpone(now_us)
             message = self.form(_HEARTBEAT)
-        self._deadline_us = stream.due_us
+        self.deadline_us = stream.due_us
         return () if message is None else [message]
-
-    def next_deadline_us(self) -> int:
-        """When the next stream is due."""
-        return self._deadline_us
 
     def on_new_data(self, message_id: int) -> None:
         """Note that a message of `ON_NEW_DATA` has something new to say."""
         stream = self._streams.get(message_id)
         if stream is not None and not stream.has_new_data:
             stream.has_new_data = True
-            self._deadline_us = min(self._deadline_us, stream.due_us)
+            self.deadline_us = min(self.deadline_us, stream.due_us)
 
     def knows(self, message_id: int) -> bool:
         """Whether the message can be formed at all."""
@@ -191,7 +188,7 @@ class Streams:
         stream = self._streams.get(message_id)
         if stream is not None and self._active:
             stream.due_us = now_us
-            self._deadline_us = min(self._deadline_us, now_us)
+            self.deadline_us = min(self.deadline_us, now_us)
 
     def interval_us(self, message_id: int) -> int:
         """Give what MESSAGE_INTERVAL says of a message: -1 if it is not sent, 0 if it does not exist here."""
@@ -217,5 +214,5 @@ class Streams:
             self._streams[message_id] = _Stream(
                 max(interval_us, STEP_US), now_us, message_id not in ON_NEW_DATA
             )
-            self._deadline_us = min(self._deadline_us, now_us)
+            self.deadline_us = min(self.deadline_us, now_us)
         return True

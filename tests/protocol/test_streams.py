@@ -78,9 +78,9 @@ def test_the_deadline_says_when_the_next_message_comes():
     now_us = 0
     for _ in range(200):
         assert streams.on_timer(now_us)
-        assert streams.next_deadline_us() > now_us
-        assert streams.on_timer(streams.next_deadline_us() - 1) == ()
-        now_us = streams.next_deadline_us()
+        assert streams.deadline_us > now_us
+        assert streams.on_timer(streams.deadline_us - 1) == ()
+        now_us = streams.deadline_us
 
 
 def test_intervals_can_be_set_stopped_and_restored():
