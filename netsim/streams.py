@@ -5,6 +5,7 @@ A stream depends on the run's seed, its model and its indices alone: not on whic
 
 from collections.abc import Callable
 from enum import IntEnum
+from itertools import chain, islice, repeat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,23 +44,17 @@ class Streams:
 class _Draws:
     """Floats from one Generator, in blocks because single draws cost a microsecond."""
 
-    __slots__ = ("_block", "_more")
+    __slots__ = ("_floats", "draw")
     BLOCK = 256
 
     def __init__(self, more: Callable[[int], NDArray[np.float64]]) -> None:
-        self._more = more
-        self._block: list[float] = []
-
-    def draw(self) -> float:
-        """Next float of the stream."""
-        if not self._block:
-            self._block = self._more(self.BLOCK).tolist()
-            self._block.reverse()
-        return self._block.pop()
+        self._floats = chain.from_iterable(more(size).tolist() for size in repeat(self.BLOCK))
+        self.draw: Callable[[], float] = self._floats.__next__
+        """Gives the next float of the stream."""
 
     def take(self, count: int) -> list[float]:
         """Give the next floats of the stream."""
-        return [self.draw() for _ in range(count)]
+        return list(islice(self._floats, count))
 
 
 class Uniforms(_Draws):

@@ -1,6 +1,7 @@
 """A channel with given powers and delays, stations with given backoffs, and a log of who sent what when."""
 
 from collections.abc import Mapping, Sequence
+from itertools import chain
 
 import numpy as np
 
@@ -51,10 +52,9 @@ class GivenBackoffs(Uniforms):
 
     def __init__(self, draws: Sequence[tuple[int, int]]) -> None:
         super().__init__(np.random.default_rng(1))
-        self._draws = [(slots + 0.5) / (window + 1) for slots, window in reversed(draws)]
-
-    def draw(self) -> float:
-        return self._draws.pop() if self._draws else super().draw()
+        given = [(slots + 0.5) / (window + 1) for slots, window in draws]
+        self._floats = chain(given, self._floats)
+        self.draw = self._floats.__next__
 
 
 class Air:
