@@ -112,7 +112,6 @@ class Emulator:
             losses = (self._streams.generator(Model.HOST_LOSS, i) for i in range(stations))
             self._host_losses = [Uniforms(generator) for generator in losses]
         self._range_offsets_m: Mapping[int, float] = {}
-        self._bias_m: dict[tuple[int, int], float] = {}
         own = {each.station: each for each in config.stations}
         self._modes = [
             datagram_modes(config, own.get(i, StationConfig(station=i)), self._streams)
@@ -394,12 +393,8 @@ class Emulator:
         config = self._config.ftm
         if config.calibration_bias_std_m == 0.0:
             return config.calibration_bias_m
-        pair = (min(a, b), max(a, b))
-        if pair not in self._bias_m:
-            generator = self._streams.generator(Model.CALIBRATION, *pair)
-            own_m = float(generator.normal(0.0, config.calibration_bias_std_m))
-            self._bias_m[pair] = config.calibration_bias_m + own_m
-        return self._bias_m[pair]
+        generator = self._streams.generator(Model.CALIBRATION, min(a, b), max(a, b))
+        return config.calibration_bias_m + float(generator.normal(0.0, config.calibration_bias_std_m))
 
     def blocked(self, a: int, b: int, at_ns: int) -> bool:
         """Whether something stands in the line of sight between two stations."""

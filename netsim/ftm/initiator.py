@@ -9,7 +9,7 @@ from msgspec import Struct
 from netsim.ftm.elements import Measurement, Parameters, Request, Status
 from netsim.ftm.negotiation import TIME_UNIT_NS, Schedule, wish
 from netsim.ftm.port import ObservedRequest, Port
-from netsim.ftm.stamps import difference_ps, distance_m
+from netsim.ftm.stamps import measured_m
 from netsim.kernel import Event
 from netsim.mac.access import SIFS_NS
 from netsim.mac.jobs import Job, Outcome, Reception
@@ -88,6 +88,7 @@ class _Session:
         """The last measurement frame."""
         self.measurements = 0
         self.round_trips: list[tuple[float, _Arrival]] = []
+        """Their distances in metres, and what they began with here."""
 
 
 class Initiator:
@@ -172,7 +173,7 @@ class Initiator:
 
     def _await_burst(self, session: _Session, schedule: Schedule) -> None:
         session.burst_begin = None
-        if session.burst < schedule.bursts:
+        if session.burst <= schedule.last:
             begin_ns = max(self._queue.now_ns, schedule.begin_ns(session.burst))
             session.burst_begin = self._queue.at(begin_ns, self._on_burst, session)
 
@@ -209,9 +210,8 @@ class Initiator:
             return  # of a session that has ended here
         arrival = session.arrival
         if arrival is not None and arrival.token == body.followed:
-            there_ps = difference_ps(body.t4_ps, body.t1_ps)
-            here_ps = difference_ps(arrival.t3_ps, arrival.t2_ps)
-            session.round_trips.append((there_ps - here_ps * arrival.rate_ratio, arrival))
+            trip_m = measured_m(body.t1_ps, arrival.t2_ps, arrival.t3_ps, body.t4_ps, arrival.rate_ratio)
+            session.round_trips.append((trip_m, arrival))
         if not reception.duplicate:
             session.measurements += 1
         if body.token == 0:
@@ -263,9 +263,15 @@ class Initiator:
             )
             return
         count = len(round_trips)
-        distances_m = [distance_m(round_trip_ps) for round_trip_ps, _ in round_trips]
-        mean_m = sum(distances_m) / count
-        squares_m2 = sum((d - mean_m) ** 2 for d in distances_m)
+        at_ns, power_mw, true_m, sum_m, squares_m2 = 0, 0.0, 0.0, 0.0, 0.0
+        for trip_m, arrival in round_trips:
+            at_ns += arrival.at_ns
+            power_mw += arrival.power_mw
+            true_m += arrival.true_distance_m
+            sum_m += trip_m
+        mean_m = sum_m / count
+        for trip_m, _ in round_trips:
+            squares_m2 += (trip_m - mean_m) ** 2
         self._on_result(
             Ranging(
                 initiator=self._port.station,
@@ -273,11 +279,11 @@ class Initiator:
                 seq=session.seq,
                 status="ok",
                 ended_ns=now,
-                measured_ns=sum(arrival.at_ns for _, arrival in round_trips) // count,
-                true_distance_m=sum(arrival.true_distance_m for _, arrival in round_trips) / count,
+                measured_ns=at_ns // count,
+                true_distance_m=true_m / count,
                 distance_m=mean_m,
                 distance_std_m=sqrt(squares_m2 / (count - 1)) if count > 1 else 0.0,
-                rssi_dbm=10.0 * log10(sum(arrival.power_mw for _, arrival in round_trips) / count),
+                rssi_dbm=10.0 * log10(power_mw / count),
                 round_trips=count,
                 measurements=session.measurements,
             )

@@ -24,6 +24,11 @@ LEAST_WAIT_NS = 10_000_000
 LONGEST_BURST_US = SHORTEST_BURST_US << len(BURST_DURATION_CODES) - 1
 LONGEST_RETRY_S = 31
 _PARTIAL_TSF = 2**16
+_FORMATS_WITHIN = {
+    widest: {NON_HT_FORMAT, *(code for width, code in VHT_FORMATS.items() if width <= widest)}
+    for widest in VHT_FORMATS
+}
+"""By the width of a channel in MHz: codes of the formats that fit into it."""
 
 
 def wish(config: FtmConfig, format_and_bandwidth: int) -> Parameters:
@@ -44,8 +49,8 @@ def wish(config: FtmConfig, format_and_bandwidth: int) -> Parameters:
 
 def can_measure(wanted: Parameters, bandwidth_mhz: BandwidthMhz) -> bool:
     """Whether frames of the wanted format fit into the responder's channel."""
-    formats = {NON_HT_FORMAT, *(code for width, code in VHT_FORMATS.items() if width <= bandwidth_mhz)}
-    return wanted.format_and_bandwidth is None or wanted.format_and_bandwidth in formats
+    code = wanted.format_and_bandwidth
+    return code is None or code in _FORMATS_WITHIN[bandwidth_mhz]
 
 
 def grant(wanted: Parameters, config: FtmConfig, format_and_bandwidth: int, now_ns: int) -> Parameters:
@@ -99,7 +104,8 @@ class Schedule(Struct, frozen=True, kw_only=True):
     first_ns: int
     period_ns: int
     duration_ns: int
-    bursts: int
+    last: int
+    """Number of the last burst; the first is number 0."""
 
     @classmethod
     def of(cls, granted: Parameters, now_ns: int) -> "Schedule":
@@ -108,21 +114,16 @@ class Schedule(Struct, frozen=True, kw_only=True):
             first_ns=from_partial_tsf_ns(granted.partial_tsf or 0, now_ns),
             period_ns=1_000_000 * (granted.burst_period_ms or 0),
             duration_ns=1_000 * (granted.burst_duration_us or LONGEST_BURST_US),
-            bursts=1 << (granted.bursts_exponent or 0),
+            last=(1 << (granted.bursts_exponent or 0)) - 1,
         )
 
     def begin_ns(self, burst: int) -> int:
-        """Beginning of a burst; the first is number 0."""
+        """Beginning of a burst."""
         return self.first_ns + burst * self.period_ns
 
     def end_ns(self, burst: int) -> int:
         """When the time of a burst is over."""
         return self.begin_ns(burst) + self.duration_ns
-
-    @property
-    def last(self) -> int:
-        """Number of the last burst."""
-        return self.bursts - 1
 
     def burst_at(self, at_ns: int) -> int | None:
         """Number of the burst that a time is in, or None between them."""

@@ -5,6 +5,7 @@ both arrivals stands for all that a round trip has.
 """
 
 from collections.abc import Callable
+from functools import partial
 from math import sqrt
 from typing import Protocol
 
@@ -44,7 +45,7 @@ class ObservedRequest(Request, frozen=True, kw_only=True):
 
 
 class Port:
-    """Clock, noise and MAC of one station. ``mac`` is set before anything is sent."""
+    """Clock, noise and MAC of one station, which is attached before anything is sent."""
 
     def __init__(
         self,
@@ -62,10 +63,18 @@ class Port:
         self.bandwidth_mhz: BandwidthMhz = config.bandwidth_mhz
         self.mode: PhyMode = phy_mode(config.ftm.mode, config.bandwidth_mhz)
         self.format_and_bandwidth = format_and_bandwidth(self.mode)
-        self.environment = environment
         self.queue = environment.queue
         self.clock = clocks[station]
         self.mac: Sender
+        self.send: Callable[[Job], None]
+        """Queues a frame; a full queue ends its job at once."""
+        self._trajectories = environment.trajectories
+        self._blocked = environment.blocked
+        self._bias_m = [
+            environment.calibration_bias_m(peer, station) if peer != station else 0.0
+            for peer in range(stations)
+        ]
+        """By peer: what calibration left belongs to the pair."""
         self._clocks = clocks
         self._carrier_hz = config.frequency_mhz * 1e6
         self._lifetime_ns = 1_000 * config.queue_lifetime_us
@@ -74,23 +83,28 @@ class Port:
         self._floor_ps = round_trip_std_ps(config.ftm, config.bandwidth_mhz) / sqrt(2.0)
         self._errors = Normals(generator)
 
+    def attach(self, mac: Sender) -> None:
+        """Give it the MAC to send through."""
+        self.mac = mac
+        self.send = partial(mac.enqueue, self.config.access_category)
+
     def distance_m(self, peer: int) -> float:
         """True distance to another station now; 0.0 to one that does not exist."""
         if not 0 <= peer < self.stations:
             return 0.0
-        return self.environment.trajectories.distance_m(self.station, peer, self.queue.now_ns)
+        return self._trajectories.distance_m(self.station, peer, self.queue.now_ns)
 
     def arrival_ps(self, reception: Reception, excess_m: float) -> tuple[int, float]:
         """Stamp of a frame's arrival here, and the standard deviation of its noise in picoseconds.
 
-        What calibration left belongs to the pair, and while the line of sight is blocked the session's excess
-        is added: each way takes its share, so that a round trip grows by twice the range's.
+        To what calibration left the session's excess is added while the line of sight is blocked: each way
+        takes its share, so that a round trip grows by twice the range's.
         """
         source, start_ns = reception.source, reception.start_ns
-        environment = self.environment
-        true_ps = 1_000 * start_ns + environment.trajectories.delay_ps(source, self.station, start_ns)
-        bias_m = environment.calibration_bias_m(source, self.station)
-        if excess_m and environment.blocked(source, self.station, start_ns):
+        way_m = self._trajectories.distance_m(source, self.station, start_ns)
+        true_ps = 1_000 * start_ns + round(way_m / SPEED_OF_LIGHT_M_S * 1e12)
+        bias_m = self._bias_m[source]
+        if excess_m and self._blocked(source, self.station, start_ns):
             bias_m += excess_m
         std_ps = arrival_std_ps(self._floor_ps, self.bandwidth_mhz, reception.power_mw / self._noise_mw)
         error_ps = std_ps * self._errors.draw() + bias_m * PS_PER_M
@@ -124,7 +138,3 @@ class Port:
             seq=seq,
             body=body,
         )
-
-    def send(self, job: Job) -> None:
-        """Queue a frame; a full queue ends its job at once."""
-        self.mac.enqueue(self.config.access_category, job)

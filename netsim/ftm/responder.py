@@ -1,12 +1,14 @@
 """The responder's side of ranging sessions: grants or refuses them and sends the measurement frames."""
 
+from functools import partial
+
 import msgspec
 
 from netsim.ftm.elements import Measurement, Parameters, Request, Status, error_exponent
 from netsim.ftm.negotiation import Schedule, can_measure, grant, refusal
 from netsim.ftm.port import ObservedRequest, Port
 from netsim.kernel import Event
-from netsim.mac.jobs import Job, Outcome, Reception
+from netsim.mac.jobs import Job, Outcome
 
 HIGHEST_TOKEN = 255
 DEPARTURE_ERROR_EXPONENT = error_exponent(1.0)
@@ -121,23 +123,21 @@ class Responder:
         session.number += 1
         if session.burst >= 0:
             session.number_in_burst += 1
-        session.token = 0 if self._is_last(session) else session.token % HIGHEST_TOKEN + 1
+        is_last = (
+            session.burst == session.schedule.last
+            and session.number_in_burst == session.granted.ftms_per_burst
+        )
+        session.token = 0 if is_last else session.token % HIGHEST_TOKEN + 1
         granted = None if session.known else session.granted
         body = msgspec.structs.replace(session.followed, token=session.token, parameters=granted)
         session.job = self._port.job(
             body,
             session.initiator,
-            lambda job, outcome: self._on_sent(session, job, outcome),
+            partial(self._on_sent, session),
             seq=session.number,
             expires_ns=session.burst_end_ns,  # what has not gone out by then is of no use
         )
         self._port.send(session.job)
-
-    def _is_last(self, session: _Session) -> bool:
-        return (
-            session.burst == session.schedule.last
-            and session.number_in_burst == session.granted.ftms_per_burst
-        )
 
     def _on_sent(self, session: _Session, job: Job, outcome: Outcome) -> None:
         if self._sessions.get(session.initiator) is not session or session.job is not job:
@@ -151,7 +151,15 @@ class Responder:
         sent_ns = job.sent_ns
         session.followed = _NOTHING
         if acknowledged and sent_ns is not None and job.ack is not None:
-            session.followed = self._follow_up(session, sent_ns, job.ack)
+            t4_ps, std_ps = self._port.arrival_ps(job.ack, session.excess_m)
+            session.followed = Measurement(
+                token=0,
+                followed=session.token,
+                t1_ps=self._port.clock.stamp_ps(1_000 * sent_ns),
+                t4_ps=t4_ps,
+                t1_error_exponent=DEPARTURE_ERROR_EXPONENT,
+                t4_error_exponent=error_exponent(ARRIVAL_ERROR_STD * std_ps),
+            )
         over = sent_ns is None or session.number_in_burst == session.granted.ftms_per_burst
         next_ns = self._queue.now_ns
         if sent_ns is not None:
@@ -160,18 +168,6 @@ class Responder:
             self._queue.at(next_ns, self._send_next, session)
         elif session.burst == session.schedule.last:
             self._end(session)
-
-    def _follow_up(self, session: _Session, sent_ns: int, ack: Reception) -> Measurement:
-        port = self._port
-        t4_ps, std_ps = port.arrival_ps(ack, session.excess_m)
-        return Measurement(
-            token=0,
-            followed=session.token,
-            t1_ps=port.clock.stamp_ps(1_000 * sent_ns),
-            t4_ps=t4_ps,
-            t1_error_exponent=DEPARTURE_ERROR_EXPONENT,
-            t4_error_exponent=error_exponent(ARRIVAL_ERROR_STD * std_ps),
-        )
 
     def _end(self, session: _Session) -> None:
         del self._sessions[session.initiator]

@@ -75,7 +75,7 @@ class FtmRadio:
 
     def attach(self, mac: Sender) -> None:
         """Give it the MAC to send through."""
-        self._port.mac = mac
+        self._port.attach(mac)
 
     def request(self, peer: int, seq: int, timeout_ns: int) -> None:
         """Range to a peer: see `netsim.ftm.initiator.Initiator.request`."""

@@ -15,6 +15,9 @@ from netsim.phy.propagation import SPEED_OF_LIGHT_M_S
 
 FIELD_PS = 2**48
 """Time stamps are 48-bit counts of picoseconds and wrap after 281 s."""
+_HALF_FIELD_PS = FIELD_PS // 2
+_ROUND_TRIP_M_PER_PS = 0.5 * SPEED_OF_LIGHT_M_S * 1e-12
+_SQRT_12 = sqrt(12.0)
 MEASURED_ROUND_TRIP_STD_PS = {20: 2563.0, 40: 1075.0}
 """Over cable, at high SNR (Zubow et al., WONS 2022)."""
 LONG_TRAINING_S = 6.4e-6
@@ -41,7 +44,7 @@ def arrival_std_ps(floor_ps: float, bandwidth_mhz: float, snr_linear: float) -> 
     """
     bandwidth_hz = bandwidth_mhz * 1e6
     energy_ratio = snr_linear * bandwidth_hz * LONG_TRAINING_S
-    bound_ps = 1e12 / (2.0 * pi * bandwidth_hz / sqrt(12.0) * sqrt(2.0 * energy_ratio))
+    bound_ps = 1e12 / (2.0 * pi * bandwidth_hz / _SQRT_12 * sqrt(2.0 * energy_ratio))
     return sqrt(floor_ps**2 + bound_ps**2)
 
 
@@ -58,28 +61,30 @@ def frequency_ratio_std(carrier_hz: float, bandwidth_mhz: float, snr_linear: flo
 class Clock:
     """A radio's clock, which stamps in picoseconds: it has an offset and runs at ``rate`` times true time."""
 
-    __slots__ = ("_offset_ps", "excess")
+    __slots__ = ("_excess", "_offset_ps", "rate")
 
     def __init__(self, max_ppm: float, generator: np.random.Generator) -> None:
-        self.excess = float(generator.uniform(-max_ppm, max_ppm)) * 1e-6
-        """Rate less one."""
-        self._offset_ps = int(generator.integers(FIELD_PS))
-
-    @property
-    def rate(self) -> float:
+        self._excess = float(generator.uniform(-max_ppm, max_ppm)) * 1e-6
+        self.rate = 1.0 + self._excess
         """Picoseconds of this clock in one of true time."""
-        return 1.0 + self.excess
+        self._offset_ps = int(generator.integers(FIELD_PS))
 
     def stamp_ps(self, true_ps: int) -> int:
         """Return what the clock shows, without noise, in the width of the field."""
-        return (self._offset_ps + true_ps + round(true_ps * self.excess)) % FIELD_PS
-
-
-def difference_ps(later_ps: int, earlier_ps: int) -> int:
-    """Difference of two stamps of one clock, across the field's wrap: in [-2^47, 2^47)."""
-    return (later_ps - earlier_ps + FIELD_PS // 2) % FIELD_PS - FIELD_PS // 2
+        return (self._offset_ps + true_ps + round(true_ps * self._excess)) % FIELD_PS
 
 
 def distance_m(round_trip_ps: float) -> float:
     """Distance that a round trip stands for, c/2 times it."""
-    return 0.5 * SPEED_OF_LIGHT_M_S * 1e-12 * round_trip_ps
+    return _ROUND_TRIP_M_PER_PS * round_trip_ps
+
+
+def measured_m(t1_ps: int, t2_ps: int, t3_ps: int, t4_ps: int, rate_ratio: float) -> float:
+    """Distance that the round trip (t4 - t1) - (t3 - t2) stands for.
+
+    Differences are across the field's wrap, in [-2^47, 2^47). ``rate_ratio`` is the rate of the clock of t1
+    and t4 in terms of that of t2 and t3.
+    """
+    there_ps = (t4_ps - t1_ps + _HALF_FIELD_PS) % FIELD_PS - _HALF_FIELD_PS
+    here_ps = (t3_ps - t2_ps + _HALF_FIELD_PS) % FIELD_PS - _HALF_FIELD_PS
+    return _ROUND_TRIP_M_PER_PS * (there_ps - here_ps * rate_ratio)

@@ -205,10 +205,6 @@ class Trajectories:
         (ua, va, wa), (ub, vb, wb) = velocities[a], velocities[b]
         return hypot(xa - xb + dt_s * (ua - ub), ya - yb + dt_s * (va - vb), za - zb + dt_s * (wa - wb))
 
-    def delay_ps(self, a: int, b: int, at_ns: int) -> int:
-        """Propagation time between two stations, in picoseconds."""
-        return round(self.distance_m(a, b, at_ns) / SPEED_OF_LIGHT_M_S * 1e12)
-
     def body_z_ned(self) -> Doubles:
         """The bodies' z axes, (stations, 3)."""
         if self._axes_ned is None:

@@ -16,9 +16,9 @@ from netsim.ftm.stamps import (
     FIELD_PS,
     Clock,
     arrival_std_ps,
-    difference_ps,
     distance_m,
     frequency_ratio_std,
+    measured_m,
     round_trip_std_ps,
 )
 from netsim.wire.messages import FtmResult
@@ -198,16 +198,17 @@ def test_noise_of_an_arrival_grows_as_the_signal_fades():
     assert frequency_ratio_std(5.2e9, 20, 1000.0) == pytest.approx(3.3e-8, rel=0.05)
 
 
-def test_stamps_wrap_and_differences_do_not():
+def test_stamps_wrap_and_round_trips_do_not():
     clock = Clock(20.0, np.random.default_rng(4))
     earlier_ps = 0
     while clock.stamp_ps(earlier_ps + 10**12) > clock.stamp_ps(earlier_ps):
         earlier_ps += 10**12
     assert earlier_ps < FIELD_PS
-    assert difference_ps(clock.stamp_ps(earlier_ps + 10**12), clock.stamp_ps(earlier_ps)) == pytest.approx(
-        10**12 * clock.rate, abs=1
-    )
-    assert difference_ps(3, 5) == -2
+    stamps_ps = clock.stamp_ps(earlier_ps), clock.stamp_ps(earlier_ps + 10**12)
+    second_m = distance_m(10**12 * clock.rate)
+    assert measured_m(stamps_ps[0], 0, 0, stamps_ps[1], 1.0) == pytest.approx(second_m, abs=2e-4)
+    assert measured_m(0, *stamps_ps, 0, 2.0) == pytest.approx(-2 * second_m, abs=4e-4)
+    assert measured_m(5, 0, 0, 3, 1.0) == distance_m(-2.0)
     assert distance_m(1.0) == pytest.approx(1.5e-4, rel=1e-3)
 
 

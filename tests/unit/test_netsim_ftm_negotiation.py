@@ -80,7 +80,7 @@ def test_both_sides_read_the_same_times_out_of_a_grant(config, now_ns, later_us)
         assert 0 <= now_ns - first_ns < TIME_UNIT_NS
     else:
         assert LEAST_WAIT_NS <= first_ns - now_ns < LEAST_WAIT_NS + TIME_UNIT_NS
-    assert schedule.bursts == 2**config.bursts_exponent
+    assert schedule.last == 2**config.bursts_exponent - 1
     for burst in {0, schedule.last // 2, schedule.last}:
         begin_ns, end_ns = schedule.begin_ns(burst), schedule.end_ns(burst)
         assert begin_ns == first_ns + burst * 1_000_000 * (granted.burst_period_ms or 0)
@@ -91,7 +91,7 @@ def test_both_sides_read_the_same_times_out_of_a_grant(config, now_ns, later_us)
 
 
 def test_between_bursts_there_is_none():
-    schedule = Schedule(first_ns=0, period_ns=100_000_000, duration_ns=4_000_000, bursts=2)
+    schedule = Schedule(first_ns=0, period_ns=100_000_000, duration_ns=4_000_000, last=1)
     assert schedule.burst_at(4_000_001) is None
     assert schedule.burst_at(99_999_999) is None
     assert schedule.burst_at(100_000_000) == 1
