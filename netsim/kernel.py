@@ -20,6 +20,9 @@ _ARGUMENT = 3
 class Machine(Protocol):
     """Something that has events of its own in the same order."""
 
+    def begin(self) -> None:
+        """Take note of what has changed since time last went on."""
+
     def next_ns(self) -> int:
         """Time of its next event, or `NEVER_NS`."""
 
@@ -72,6 +75,8 @@ class EventQueue:
     def run_until(self, time_ns: int) -> None:
         """Run everything up to and including ``time_ns``, which the clock then shows."""
         heap, machine = self._heap, self.machine
+        if machine is not None:
+            machine.begin()
         while True:
             if self.between is not None:
                 self.between()

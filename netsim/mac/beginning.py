@@ -18,42 +18,40 @@ MODE_NAMES: list[Mode] = list(get_args(Mode))
 """In the order of the tables' rows."""
 
 
-class ModeRows:
-    """Rows of the modes, which are filled when a mode is first asked for."""
+class ModeRows(dict[PhyMode, int]):
+    """Rows of the modes in ``tables``, which are filled when a mode is first asked for."""
 
-    def __init__(self) -> None:
-        self._rows: dict[str, int] = {}
+    def __init__(self, tables: Tables) -> None:
+        self.tables = tables
 
-    def of(self, mode: PhyMode, tables: Tables) -> int:
-        """Row of a mode, which has its numbers and those of its answers from now on."""
-        row = self._rows.get(mode.name)
-        if row is None:
-            row = self._rows[mode.name] = MODE_NAMES.index(mode.name)
-            errors = error_model(mode)
-            columns = [c.PREAMBLE, c.BITS_PER_SYMBOL, c.VHT, c.HAZARDS]
-            tables.modes[row, columns] = (
-                mode.preamble_ns, mode.bits_per_symbol, mode.vht, len(errors.log_hazards),
-            )  # fmt: skip
-            tables.hazards[row, 0] = errors.clean_linear
-            tables.hazards[row, 1 : 1 + len(errors.log_hazards)] = errors.log_hazards
-            tables.modes[row, c.RESPONSE_MODE] = self.of(response_mode(mode), tables)
+    def __missing__(self, mode: PhyMode) -> int:
+        """Fill the row of a mode with its numbers and those of its answers."""
+        row = self[mode] = MODE_NAMES.index(mode.name)
+        errors, tables = error_model(mode), self.tables
+        columns = [c.PREAMBLE, c.BITS_PER_SYMBOL, c.VHT, c.HAZARDS]
+        tables.modes[row, columns] = (
+            mode.preamble_ns, mode.bits_per_symbol, mode.vht, len(errors.log_hazards),
+        )  # fmt: skip
+        tables.hazards[row, 0] = errors.clean_linear
+        tables.hazards[row, 1 : 1 + len(errors.log_hazards)] = errors.log_hazards
+        tables.modes[row, c.RESPONSE_MODE] = self[response_mode(mode)]
         return row
 
 
 def silent_air(
-    config: RadioConfig, *, stations: int, queues: Sequence[AccessParameters], observed: bool, modes: ModeRows
-) -> Air:
+    config: RadioConfig, *, stations: int, queues: Sequence[AccessParameters], observed: bool
+) -> tuple[Air, ModeRows]:
     """Tables of stations that have these queues each; ``observed`` has the end of every frame told."""
     air = t.new_air(stations=stations, categories=len(queues))
     tables = t.tables_of(air)
+    modes = ModeRows(tables)
     noise_mw = thermal_noise_mw(config.bandwidth_mhz, config.noise_figure_db)
     preamble_mw = max(10.0 ** (config.cca_preamble_dbm / 10.0), PREAMBLE_SINR * noise_mw)
     energy_mw = 10.0 ** (config.cca_energy_dbm / 10.0)
     tables.levels_mw[0, [c.NOISE_MW, c.ENERGY_MW, c.PREAMBLE_MW]] = noise_mw, energy_mw, preamble_mw
     tables.levels_mw[0, c.SENSED_MW] = min(energy_mw, preamble_mw)
     air[c.QUEUE_FRAMES] = config.queue_frames
-    air[c.CONTROL_MODE] = modes.of(phy_mode(config.control_mode, config.bandwidth_mhz), tables)
-    modes.of(phy_mode("ofdm6", config.bandwidth_mhz), tables)
+    air[c.CONTROL_MODE] = modes[phy_mode(config.control_mode, config.bandwidth_mhz)]
     air[c.OBSERVED] = observed
     air[c.DRAWS_LOW] = 1
     air[c.DUE] = c.NOTHING
@@ -71,4 +69,4 @@ def silent_air(
         )  # fmt: skip
     tables.heard_ns[...] = -NEVER_NS
     tables.budgets[:, c.BUDGET_UNTIL] = -1
-    return air
+    return air, modes

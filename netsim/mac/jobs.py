@@ -2,7 +2,9 @@
 
 from collections.abc import Callable
 from enum import StrEnum
-from typing import NamedTuple, Protocol
+from typing import Protocol
+
+from msgspec import Struct
 
 from netsim.frames import FrameKind
 from netsim.mac.rates import RateControl
@@ -22,7 +24,7 @@ class Outcome(StrEnum):
     """The queue was full."""
 
 
-class Reception(NamedTuple):
+class Reception(Struct, frozen=True):
     """A frame as one station has received it."""
 
     source: int
@@ -38,7 +40,7 @@ class Reception(NamedTuple):
     """The same has been received before."""
 
 
-class GroupReception(NamedTuple):
+class GroupReception(Struct, frozen=True):
     """A datagram to all as those have received it who did: lists are by receiver."""
 
     source: int
@@ -51,55 +53,35 @@ class GroupReception(NamedTuple):
     powers_mw: list[float]
 
 
-class Job:
+class Job(Struct, kw_only=True, eq=False):
     """One frame to be delivered, by as many transmissions as it takes."""
 
-    __slots__ = (
-        "ack", "attempts", "body", "cancelled", "destination", "done", "expires_ns", "failures",
-        "frame_bytes", "kind", "mode", "rates", "retry_limit", "row", "rts", "sent_ns", "seq", "sequence",
-    )  # fmt: skip
-
-    def __init__(
-        self,
-        *,
-        kind: FrameKind,
-        destination: int,
-        mode: PhyMode,
-        frame_bytes: int,
-        expires_ns: int,
-        retry_limit: int,
-        done: Callable[["Job", Outcome], None],
-        seq: int = 0,
-        body: object = None,
-        rts: bool = False,
-        rates: RateControl | None = None,
-    ) -> None:
-        self.kind = kind
-        self.destination = destination
-        self.mode = mode
-        self.rates = rates
-        """Chooses ``mode`` anew before each attempt; None keeps it."""
-        self.frame_bytes = frame_bytes
-        self.expires_ns = expires_ns
-        self.retry_limit = retry_limit
-        """Failed exchanges after which the next failure gives the frame up."""
-        self.done = done
-        self.seq = seq
-        """The host's number of it."""
-        self.sequence = 0
-        self.body = body
-        self.rts = rts
-        """Reserve the medium first: with the destination, or for a group frame with a neighbour."""
-        self.cancelled = False
-        self.attempts = 0
-        """Transmissions of the frame itself; this and the rest is known when it has ended."""
-        self.failures = 0
-        self.sent_ns: int | None = None
-        """When it last went on the air."""
-        self.ack: Reception | None = None
-        """The acknowledgement that ended it."""
-        self.row: int | None = None
-        """Where it is kept by who sends it."""
+    kind: FrameKind
+    destination: int
+    mode: PhyMode
+    rates: RateControl | None = None
+    """Chooses ``mode`` anew before each attempt; None keeps it."""
+    frame_bytes: int
+    expires_ns: int
+    retry_limit: int
+    """Failed exchanges after which the next failure gives the frame up."""
+    done: Callable[["Job", Outcome], None]
+    seq: int = 0
+    """The host's number of it."""
+    body: object = None
+    rts: bool = False
+    """Reserve the medium first: with the destination, or for a group frame with a neighbour."""
+    cancelled: bool = False
+    attempts: int = 0
+    """Transmissions of the frame itself; this and the rest is known when it has ended."""
+    failures: int = 0
+    sequence: int = 0
+    sent_ns: int | None = None
+    """When it last went on the air."""
+    ack: Reception | None = None
+    """The acknowledgement that ended it."""
+    row: int | None = None
+    """Where it is kept by who sends it."""
 
 
 class Sender(Protocol):

@@ -19,9 +19,12 @@ from netsim.phy.path_loss import Doubles
 from netsim.tables import Air, Integers, end_signal
 
 # Why `run` comes back.
-REACHED, TELLS, WANTS_BUDGET, WANTS_MODE, WANTS_DRAWS, WANTS_ROOM = range(6)
+REACHED, TELLS, WANTS_BUDGET, WANTS_MODE, WANTS_ROOM = range(5)
 """It is through; has calls to be told; lacks the link budget of the station `netsim.columns.WANTED`, which
-sends now; the mode of the next frame of the queue `netsim.columns.DUE`; draws; free rows."""
+sends now; the mode of the next frame of the queue `netsim.columns.DUE`; draws or free rows."""
+
+# What becomes of a job in `enqueue`.
+TAKEN, REFUSED, LACKS_ROOM = range(3)
 
 
 @njit(cache=True)
@@ -61,13 +64,7 @@ def _run_next(air: Air, fading: Doubles) -> int:
     event = t.events(air, 0)
     what, about = event[c.WHAT], event[c.ABOUT]
     air[c.NOW] = event[c.AT]
-    if air[c.DRAWS_LOW]:
-        return WANTS_DRAWS
-    if (
-        air[c.FREE_SIGNAL] == c.NOTHING
-        or air[c.EVENTS] + spare_events(air) > air[c.EVENT_ROWS]
-        or air[c.RECORDS] == c.RECORD_ROWS
-    ):
+    if not has_room(air):
         return WANTS_ROOM
     if what in (c.SEND_JOB, c.SEND_FRAME):
         sender = mac.sender(air, what, about)
@@ -107,6 +104,17 @@ def _lacks_budget(air: Air, sender: int) -> bool:
     """
     air[c.WANTED] = sender
     return bool(air[c.NOW] > t.budgets(air, sender)[c.BUDGET_UNTIL])
+
+
+@njit(cache=True)
+def has_room(air: Air) -> bool:
+    """Whether there are draws, and free rows, for all that one event may take."""
+    return bool(
+        not air[c.DRAWS_LOW]
+        and air[c.FREE_SIGNAL] != c.NOTHING
+        and air[c.EVENTS] + spare_events(air) <= air[c.EVENT_ROWS]
+        and air[c.RECORDS] < c.RECORD_ROWS
+    )
 
 
 @njit(cache=True)
@@ -193,8 +201,13 @@ def enqueue(
     adapts: int,
     seq: int,
     cancelled: int,
-) -> bool:
-    """Have a queue take a job, a free row of jobs; False if its station's queues are full or it is silent."""
+) -> int:
+    """Have a queue take a job, a free row of jobs.
+
+    It is refused if its station's queues are full or it is silent; nothing is done without `has_room`.
+    """
+    if not has_room(air):
+        return LACKS_ROOM
     row = t.jobs(air, job)
     row[:] = 0
     row[c.NEXT_JOB], row[c.JOB_KIND], row[c.JOB_TO], row[c.JOB_MODE] = c.NOTHING, kind, to, mode
@@ -202,9 +215,9 @@ def enqueue(
     row[c.JOB_RTS], row[c.JOB_ADAPTS], row[c.JOB_SEQ], row[c.JOB_CANCELLED] = rts, adapts, seq, cancelled
     station = q // air[c.CATEGORIES]
     if t.stations(air, station)[c.DEAF] or is_full(air, station):
-        return False
+        return REFUSED
     contend(air, station, q, job)
-    return True
+    return TAKEN
 
 
 @njit(cache=True)

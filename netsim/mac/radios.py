@@ -5,6 +5,7 @@ interferers' and everybody's random streams) and whom it tells.
 """
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -17,7 +18,7 @@ from netsim.frames import Frame
 from netsim.kernel import NEVER_NS, EventQueue
 from netsim.mac import loop
 from netsim.mac.access import AccessParameters
-from netsim.mac.beginning import ModeRows, silent_air
+from netsim.mac.beginning import silent_air
 from netsim.mac.bursts import Bursts
 from netsim.mac.jobs import GroupReception, Job, OnGroupFrame, Outcome, Reception, Upper
 from netsim.mac.observed import KINDS, transmission_of
@@ -73,29 +74,21 @@ class Radios:
         self._streams = streams
         self._on_group_frame = on_group_frame
         self._on_ended = on_ended
-        self._stations = stations
         parameters = list(dict.fromkeys(access.values()))
         self._categories = {category: parameters.index(access[category]) for category in access}
         """Those with the same parameters share a queue (DCF)."""
-        self._modes = ModeRows()
-        self._air = silent_air(
-            config,
-            stations=stations,
-            queues=parameters,
-            observed=on_ended is not None,
-            modes=self._modes,
+        self._air, self._modes = silent_air(
+            config, stations=stations, queues=parameters, observed=on_ended is not None
         )
         self._head = memoryview(self._air.data)
         self._tables = t.tables_of(self._air)
-        self._fading = links.fading
-        self._fading_block = _NO_FADING if self._fading is None else self._fading.block
+        self._fading_block = _NO_FADING if links.fading is None else links.fading.block
         self._links_version = links.version
-        self._spare_events = loop.spare_events(self._air)
         self._uppers: list[Upper] = []
         self._backoffs: list[Uniforms] = []
         self._receptions = [Uniforms(streams.generator(Model.RECEPTION, i)) for i in range(stations)]
-        self._jobs: list[Job | None] = []
-        """By row, and which rows are free."""
+        self._jobs: list[Job] = []
+        """By row; a free one has its last."""
         self._free_jobs: list[int] = []
         self._taken: list[Integers] = []
         """Records that had to make room."""
@@ -115,26 +108,34 @@ class Radios:
 
     def enqueue(self, station: int, category: str, job: Job) -> None:
         """See `netsim.mac.jobs.Sender`."""
-        self._make_ready()
-        row = self._free_jobs.pop() if self._free_jobs else self._new_job_row()
-        self._jobs[row] = job
+        if self._free_jobs:
+            row = self._free_jobs.pop()
+            self._jobs[row] = job
+        else:
+            row = self._new_job_row(job)
         job.row = row
-        taken = loop.enqueue(
-            self._air, station * self._head[c.CATEGORIES] + self._categories[category], row,
-            KIND_ROWS[job.kind], job.destination, self._modes.of(job.mode, self._tables), job.frame_bytes,
-            job.expires_ns, job.retry_limit, int(job.rts), int(job.rates is not None), job.seq,
-            int(job.cancelled),
+        queue, head = self._queue, self._head
+        head[c.NOW], head[c.SCHEDULED] = queue.now_ns, queue.scheduled
+        what = (
+            station * head[c.CATEGORIES] + self._categories[category], row,
+            KIND_ROWS[job.kind], job.destination, self._modes[job.mode], job.frame_bytes, job.expires_ns,
+            job.retry_limit, job.rts, job.rates is not None, job.seq, job.cancelled,
         )  # fmt: skip
-        self._queue.scheduled = self._head[c.SCHEDULED]
-        self._tell()
-        if not taken:
-            self._jobs[row] = job.row = None
+        end = loop.enqueue(self._air, *what)
+        if end == loop.LACKS_ROOM:
+            self._make_ready()
+            end = loop.enqueue(self._air, *what)
+        queue.scheduled = self._head[c.SCHEDULED]
+        if self._head[c.CALLS]:
+            self._tell()
+        if end == loop.REFUSED:
+            job.row = None
             self._free_jobs.append(row)
             job.done(job, Outcome.OVERFLOW)
 
-    def _new_job_row(self) -> int:
+    def _new_job_row(self, job: Job) -> int:
         row = len(self._jobs)
-        self._jobs.append(None)
+        self._jobs.append(job)
         if row == self._head[c.JOB_ROWS]:
             self._grow(jobs=2 * row)
         return row
@@ -161,7 +162,7 @@ class Radios:
     def transmit(self, frame: Frame) -> None:
         """Have a station send a frame now, whatever it senses."""
         self._make_ready()
-        what = KIND_ROWS[frame.kind] * c.MODES + self._modes.of(frame.mode, self._tables)
+        what = KIND_ROWS[frame.kind] * c.MODES + self._modes[frame.mode]
         schedule(
             self._air,
             self._queue.now_ns,
@@ -216,14 +217,17 @@ class Radios:
         """See `netsim.kernel.Machine`."""
         return int(loop.next_ns(self._air, NEVER_NS))
 
+    def begin(self) -> None:
+        """See `netsim.kernel.Machine`."""
+        version = self._links.version
+        if version != self._links_version:
+            self._links_version = version
+            self._tables.budgets[:, c.BUDGET_UNTIL] = -1
+
     def run(self, until_ns: int, until_order: int) -> bool:
         """See `netsim.kernel.Machine`."""
         queue, head = self._queue, self._head
-        head[c.NOW] = queue.now_ns
-        head[c.SCHEDULED] = queue.scheduled
-        if self._links.version != self._links_version:
-            self._links_version = self._links.version
-            self._tables.budgets[:, c.BUDGET_UNTIL] = -1
+        head[c.NOW], head[c.SCHEDULED] = queue.now_ns, queue.scheduled
         while (why := loop.run(self._air, self._fading_block, until_ns, until_order)) != loop.REACHED:
             queue.now_ns, queue.scheduled = head[c.NOW], head[c.SCHEDULED]
             if why == loop.WANTS_BUDGET:
@@ -243,15 +247,15 @@ class Radios:
     def _make_ready(self) -> None:
         """Have draws, and room for what an event may add, and the clock right."""
         head = self._head
-        head[c.NOW] = self._queue.now_ns
-        head[c.SCHEDULED] = self._queue.scheduled
+        head[c.NOW], head[c.SCHEDULED] = self._queue.now_ns, self._queue.scheduled
         if head[c.DRAWS_LOW]:
             head[c.DRAWS_LOW] = 0
             tables = self._tables
             _draw_ahead(tables.stations, c.BACKOFFS, tables.backoffs, self._backoffs)
             _draw_ahead(tables.stations, c.RECEPTIONS, tables.receptions, self._receptions)
-        if head[c.EVENTS] + self._spare_events > head[c.EVENT_ROWS]:
-            self._grow(events=2 * head[c.EVENT_ROWS] + self._stations)
+        events = head[c.EVENTS] + loop.spare_events(self._air)
+        if events > head[c.EVENT_ROWS]:
+            self._grow(events=2 * events)
         if head[c.FREE_SIGNAL] == c.NOTHING:
             self._grow(signals=2 * head[c.SIGNAL_ROWS])
         if head[c.RECORDS] == c.RECORD_ROWS:
@@ -260,21 +264,19 @@ class Radios:
     def _grow(self, *, events: int = 0, jobs: int = 0, signals: int = 0) -> None:
         self._air = t.grown(self._air, events=events, jobs=jobs, signals=signals)
         self._head = memoryview(self._air.data)
-        self._tables = t.tables_of(self._air)
+        self._tables = self._modes.tables = t.tables_of(self._air)
 
     def _have_budget(self, source: int, at_ns: int) -> None:
         row = self._links.row(source, at_ns)
         until_ns = max(row.until_ns, at_ns)
         loop.have_budget(self._air, source, row.powers_mw, row.delays_ns, until_ns, row.longest_delay_ns)
-        if self._fading is not None:
-            self._fading.prepare(source)
 
     def _choose_mode(self, q: int) -> None:
         self._tell()
         tables = self._tables
         row = int(tables.queues[q, c.FIRST])
         job = self._jobs[row]
-        if job is None or job.rates is None:
+        if job.rates is None:
             raise AssertionError("a frame that chooses no mode waits for one")
         job.mode = job.rates.mode_for(
             job.destination,
@@ -282,7 +284,7 @@ class Radios:
             failures=int(tables.jobs[row, c.JOB_FAILURES]),
             now_ns=self._queue.now_ns,
         )
-        tables.jobs[row, c.JOB_MODE] = self._modes.of(job.mode, self._tables)
+        tables.jobs[row, c.JOB_MODE] = self._modes[job.mode]
         self._head[c.CHOSEN] = 1
 
     # --- interferers
@@ -309,21 +311,33 @@ class Radios:
             return
         self._head[c.CALLS] = 0
         calls, powers_mw = tables.calls[:count].tolist(), tables.calls_mw[:count, 0].tolist()
-        told = [(call, self._jobs[call[c.CALL_JOB]] if call[c.CALL_JOB] >= 0 else None) for call in calls]
-        for call, job in told:
+        told: list[tuple[list[int], float, Job | None]] = []
+        # who is told may have something sent, for which all rows that are free now may be taken
+        for call, power_mw in zip(calls, powers_mw, strict=True):
+            row = call[c.CALL_JOB]
+            job = self._jobs[row] if row >= 0 else None
+            told.append((call, power_mw, job))
             if call[c.CALL] == c.DONE and job is not None:
-                self._note_end(job, call[c.CALL_JOB], keep=keep)
-        for (call, job), power_mw in zip(told, powers_mw, strict=True):
+                kept = tables.jobs[row].tolist()
+                job.attempts, job.failures = kept[c.JOB_ATTEMPTS], kept[c.JOB_FAILURES]
+                job.sequence = kept[c.JOB_SEQUENCE]
+                job.sent_ns = kept[c.JOB_SENT_AT] if job.attempts else None
+                job.row = None
+                if not keep:
+                    self._free_jobs.append(row)
+        for call, power_mw, job in told:
             what = call[c.CALL]
             if what == c.FRAME:
-                reception = _received(call, power_mw, job)
-                self._uppers[call[c.CALL_STATION]].on_frame(reception)
+                _, station, _, again, source, start_ns, end_ns = call[: c.CALL_END + 1]
+                seq, body = (0, None) if job is None else (job.seq, job.body)
+                reception = Reception(source, start_ns, end_ns, power_mw, seq, body, bool(again))
+                self._uppers[station].on_frame(reception)
             elif what == c.GROUP_FRAME:
                 self._tell_all(job, call[c.CALL_DETAIL])
             elif what == c.FRAME_ENDED:
                 self._tell_ended(job)
             elif job is not None:
-                self._tell_sender(job, call, power_mw)
+                _tell_sender(job, call, power_mw)
 
     def _tell_all(self, job: Job | None, frame: int) -> None:
         """Tell of a frame to all that has just ended."""
@@ -344,35 +358,6 @@ class Radios:
             )
         )
 
-    def _tell_sender(self, job: Job, call: list[int], power_mw: float) -> None:
-        if call[c.CALL] == c.FAILED:
-            self._report(job, acknowledged=False)
-            return
-        outcome = OUTCOMES[call[c.CALL_DETAIL]]
-        if outcome is Outcome.ACKNOWLEDGED:
-            job.ack = _received(call, power_mw, None)
-            self._report(job, acknowledged=True)
-        job.done(job, outcome)
-
-    def _note_end(self, job: Job, row: int, *, keep: bool) -> None:
-        kept = self._tables.jobs[row].tolist()
-        job.sequence, job.attempts, job.failures = (
-            kept[c.JOB_SEQUENCE],
-            kept[c.JOB_ATTEMPTS],
-            kept[c.JOB_FAILURES],
-        )
-        if job.attempts:
-            job.sent_ns = kept[c.JOB_SENT_AT]
-        job.row = None
-        if not keep:
-            self._jobs[row] = None
-            self._free_jobs.append(row)
-
-    @staticmethod
-    def _report(job: Job, *, acknowledged: bool) -> None:
-        if job.rates is not None:
-            job.rates.report(job.destination, job.mode, acknowledged=acknowledged)
-
     def _tell_ended(self, job: Job | None) -> None:
         """Tell of the frame that has ended, and let go of it."""
         ended = self._head[c.ENDED]
@@ -383,11 +368,15 @@ class Radios:
             self._on_ended(transmission)
 
 
-def _received(call: list[int], power_mw: float, job: Job | None) -> Reception:
-    _, _, _, detail, source, start_ns, end_ns = call[: c.CALL_END + 1]
-    if job is None:
-        return Reception(source, start_ns, end_ns, power_mw)
-    return Reception(source, start_ns, end_ns, power_mw, job.seq, job.body, bool(detail))
+def _tell_sender(job: Job, call: list[int], power_mw: float) -> None:
+    """Tell that an attempt has failed, or that the job has ended."""
+    outcome = None if call[c.CALL] == c.FAILED else OUTCOMES[call[c.CALL_DETAIL]]
+    if outcome is Outcome.ACKNOWLEDGED:
+        job.ack = Reception(call[c.CALL_SOURCE], call[c.CALL_START], call[c.CALL_END], power_mw)
+    if job.rates is not None and outcome in (None, Outcome.ACKNOWLEDGED):
+        job.rates.report(job.destination, job.mode, acknowledged=outcome is not None)
+    if outcome is not None:
+        job.done(job, outcome)
 
 
 def _draw_ahead(stations: Integers, column: int, draws: Doubles, streams: list[Uniforms]) -> None:
@@ -406,14 +395,7 @@ class Station:
 
     def __init__(self, index: int, radios: Radios) -> None:
         self.index = index
+        self.enqueue = partial(radios.enqueue, index)
         self.cancel = radios.cancel
         self.has_begun = radios.has_begun
-        self._radios = radios
-
-    def enqueue(self, category: str, job: Job) -> None:
-        """Take a frame for transmission. A full queue, and a station that is silent, ends the job at once."""
-        self._radios.enqueue(self.index, category, job)
-
-    def silence(self) -> None:
-        """End for good: nothing is sent, answered or heard any more."""
-        self._radios.silence(self.index)
+        self.silence = partial(radios.silence, index)

@@ -104,14 +104,17 @@ class RicianFading:
         self._doppler_hz = doppler_hz
         self._wavelength_m = SPEED_OF_LIGHT_M_S / (frequency_mhz * 1e6)
         self._stations = stations
-        self._streams = streams
         self._pos_ned_m: Doubles | None = None
         self.block = np.zeros(2 + stations**2 * (2 + 5 * SECTORS))
         """All that `fade` needs: since when the parts hold, in nanoseconds, the steady ray, and the parts."""
         self.block[1] = (k / (k + 1.0)) ** 0.5
         self._theta_rad, self._rates_rad_ns, self._cosines, self._weights = _parts(self.block, stations)
         self._rates_rad_ns[...] = 2e-9 * pi * doppler_hz
-        self._drawn = [False] * stations
+        for a in range(stations):
+            for b in range(a + 1, stations):
+                cosines, weights = self._waves(streams.generator(Model.FADING, a, b))
+                self._cosines[a, b] = self._cosines[b, a] = cosines
+                self._weights[a, b] = self._weights[b, a] = weights
 
     def move(self, at_ns: int, pos_ned_m: Doubles, vel_ned_m_s: Doubles) -> None:
         """At ``at_ns`` the stations are at these places (n, 3), and go on with these velocities (n, 3).
@@ -134,25 +137,15 @@ class RicianFading:
 
     def gains(self, source: int, at_ns: int) -> Doubles:
         """Gain of each link of ``source``, by station; of no meaning for itself."""
-        self.prepare(source)
         gains = np.ones(self._stations)
         fade(self.block, source, at_ns, gains)
         return gains
 
-    def prepare(self, source: int) -> None:
-        """Have a station's waves in the block."""
-        if not self._drawn[source]:
-            self._drawn[source] = True
-            self._draw(source)
-
-    def _draw(self, source: int) -> None:
-        cosines, weights = self._cosines[source], self._weights[source]
-        for other in range(self._stations):
-            if other == source:
-                continue
-            generator = self._streams.generator(Model.FADING, min(source, other), max(source, other))
-            cosines[other] = np.cos(pi / SECTORS * (np.arange(SECTORS) + generator.random(SECTORS)))
-            ahead, behind = self._amplitude * np.exp(2j * pi * generator.random((2, SECTORS)))
-            # ahead e^(ix) + behind e^(-ix)
-            of_cosine, of_sine = ahead + behind, 1j * (ahead - behind)
-            weights[other] = np.stack((of_cosine.real, of_sine.real, of_cosine.imag, of_sine.imag), axis=1)
+    def _waves(self, generator: np.random.Generator) -> tuple[Doubles, Doubles]:
+        """Draw the waves of one link: their cosines (sectors,) and weights (sectors, 4)."""
+        cosines = np.cos(pi / SECTORS * (np.arange(SECTORS) + generator.random(SECTORS)))
+        ahead, behind = self._amplitude * np.exp(2j * pi * generator.random((2, SECTORS)))
+        # ahead e^(ix) + behind e^(-ix)
+        of_cosine, of_sine = ahead + behind, 1j * (ahead - behind)
+        weights = np.stack((of_cosine.real, of_sine.real, of_cosine.imag, of_sine.imag), axis=1)
+        return cosines, weights

@@ -8,6 +8,7 @@ from netsim import columns as c
 from netsim import tables as t
 from netsim.events import drop_next, schedule
 from netsim.kernel import EventQueue
+from netsim.mac.access import EDCA
 from netsim.mac.jobs import Outcome
 
 STATIONS, CATEGORIES = 5, 3
@@ -86,6 +87,13 @@ def test_python_and_the_air_share_one_order_of_events():
     air.queue.at(1_050_000, lambda _: air.queue.at(1_160_000, note, None), None)
     air.run(2_000)
     assert seen == [[], [Outcome.SENT]]
+
+
+def test_a_first_frame_has_room_however_many_stations_may_have_to_be_told():
+    air = Air(40, access=EDCA)
+    air.send(1000, 0, category="be")
+    air.run(2_000)
+    assert air.outcomes == [Outcome.SENT]
 
 
 def test_a_queue_without_a_machine_is_a_queue():
