@@ -8,7 +8,7 @@ stations' batches of one step were submitted.
 from collections.abc import Callable, Mapping
 from functools import partial
 from math import isfinite, log10
-from operator import itemgetter
+from operator import attrgetter, itemgetter
 
 import msgspec
 import numpy as np
@@ -47,6 +47,7 @@ Doubles = NDArray[np.float64]
 _Received = tuple[int, int, int, RxItem]
 """Something that has reached a station: time, source, sequence number, what it is."""
 _ORDER = itemgetter(0, 1, 2)
+_ITEM_ORDER = attrgetter("at_us", "seq")
 
 
 class _Host:
@@ -62,8 +63,9 @@ class _Host:
         if not isinstance(reception.body, bytes):
             self._ftm.on_frame(reception)
         elif not reception.duplicate:
-            source, seq, end_ns = reception.source, reception.seq, reception.end_ns
-            self._emulator.deliver(self._index, source, seq, end_ns, reception.power_mw, reception.body)
+            source, seq, body = reception.source, reception.seq, reception.body
+            ends_ns, powers_mw = [reception.end_ns], [reception.power_mw]
+            self._emulator.deliver(GroupReception(source, seq, body, [self._index], ends_ns, powers_mw))
 
 
 class Emulator:
@@ -102,7 +104,7 @@ class Emulator:
             links=self._links,
             stations=stations,
             streams=self._streams,
-            on_group_frame=self._on_group_frame,
+            on_group_frame=self.deliver,
             on_ended=on_transmission,
         )
         self._host_jitter = [Uniforms(self._streams.generator(Model.HOST, i)) for i in range(stations)]
@@ -158,7 +160,7 @@ class Emulator:
         if batch.station >= self._stations:
             raise ValueError(f"there is no station {batch.station}: this channel has {self._stations}")
         station = batch.station
-        for item in sorted(batch.items, key=lambda item: (item.at_us, item.seq)):
+        for item in sorted(batch.items, key=_ITEM_ORDER):
             jitter_ns = int(1_000 * self._config.host_jitter_us * self._host_jitter[station].draw())
             ready_ns = 1_000 * (item.at_us + self._config.host_latency_us) + jitter_ns
             # a host's queue keeps its order
@@ -195,7 +197,7 @@ class Emulator:
         if to_ns < self.queue.now_ns:
             raise ValueError(f"cannot go back to {to_us} us: it is {self.queue.now_ns // 1_000} us")
         self.trajectories.set(1_000 * at_us, positions, velocities, q_ned_frd)
-        self._submitted.sort(key=lambda entry: entry[:3])
+        self._submitted.sort(key=_ORDER)
         for ready_ns, station, _, item in self._submitted:
             self.queue.at(ready_ns, self._on_ready, (station, item))
         self._submitted.clear()
@@ -294,22 +296,18 @@ class Emulator:
             sent = Sent(destination=destination, seq=seq, ended_ns=ended_ns, status=status, attempts=attempts)
             self._received[station].append((ended_ns, destination, seq, sent))
 
-    def _on_group_frame(self, heard: GroupReception) -> None:
-        if isinstance(heard.body, bytes):
-            source, seq, payload = heard.source, heard.seq, heard.body
-            for station, end_ns, power_mw in zip(heard.stations, heard.ends_ns, heard.powers_mw, strict=True):
-                self.deliver(station, source, seq, end_ns, power_mw, payload)
-
-    def deliver(
-        self, station: int, source: int, seq: int, end_ns: int, power_mw: float, payload: bytes
-    ) -> None:
-        """Put a datagram that has reached a station among its deliveries, unless its host loses it."""
-        if self._host_losses and self._host_loses(station):
-            self._tally.lost_by_hosts += 1
-            return
-        rssi_dbm = 10.0 * log10(power_mw)
-        item = Delivery(source=source, seq=seq, received_ns=end_ns, rssi_dbm=rssi_dbm, payload=payload)
-        self._received[station].append((end_ns, source, seq, item))
+    def deliver(self, heard: GroupReception) -> None:
+        """Put a datagram among the deliveries of those whom it has reached, unless their hosts lose it."""
+        source, seq, payload = heard.source, heard.seq, heard.body
+        if not isinstance(payload, bytes):
+            raise TypeError("stations exchange no other frames by group")
+        for station, end_ns, power_mw in zip(heard.stations, heard.ends_ns, heard.powers_mw, strict=True):
+            if self._host_losses and self._host_loses(station):
+                self._tally.lost_by_hosts += 1
+                continue
+            rssi_dbm = 10.0 * log10(power_mw)
+            item = Delivery(source=source, seq=seq, received_ns=end_ns, rssi_dbm=rssi_dbm, payload=payload)
+            self._received[station].append((end_ns, source, seq, item))
 
     def _host_loses(self, station: int) -> bool:
         return bool(self._host_losses) and self._host_losses[station].draw() < self._config.drop_fraction

@@ -6,6 +6,7 @@ in one process. Does no I/O but for its logs.
 
 import contextlib
 from collections.abc import Callable
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import msgspec
@@ -34,6 +35,7 @@ class Motion(NamedTuple):
     q_ned_frd: Doubles
 
 
+_BATCH_ORDER = attrgetter("now_us", "station")
 _REFUSED = "the 802.11 emulator refuses to go on as it is told"
 STREAM = 802
 """Sets the emulator's random streams apart from those of the run's other processes."""
@@ -134,7 +136,7 @@ class HostedEmulator:
             raise ValueError(_REFUSED)
         possible = is_possible(pos_ned_m, vel_ned_m_s, q_ned_frd)
         named = (*request.senders, *request.silent, *(station for station, _ in request.range_offsets_m))
-        known = all(station < self.stations for station in named)
+        known = max(named, default=0) < self.stations
         if not (known and possible and request.to_us > self._reached_us):
             raise ValueError(_REFUSED)
         return self._with_guests(Motion(pos_ned_m, vel_ned_m_s, q_ned_frd))
@@ -185,7 +187,7 @@ class HostedEmulator:
         later = [batch for batch in batches if batch.now_us >= request.to_us]
         self._submitted.extend(later)
         due = [batch for batch in batches if batch.now_us < request.to_us]
-        for batch in sorted(due, key=lambda batch: (batch.now_us, batch.station)):
+        for batch in sorted(due, key=_BATCH_ORDER):
             self._emulator.submit(batch)
         self._emulator.set_extra_attenuation_db(request.extra_attenuation_db)
         self._emulator.set_range_offsets(dict(request.range_offsets_m))
