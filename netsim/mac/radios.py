@@ -310,13 +310,12 @@ class Radios:
         if not count:
             return
         self._head[c.CALLS] = 0
-        calls, powers_mw = tables.calls[:count].tolist(), tables.calls_mw[:count, 0].tolist()
         told: list[tuple[list[int], float, Job | None]] = []
         # who is told may have something sent, for which all rows that are free now may be taken
-        for call, power_mw in zip(calls, powers_mw, strict=True):
+        for i, call in enumerate(tables.calls[:count].tolist()):
             row = call[c.CALL_JOB]
             job = self._jobs[row] if row >= 0 else None
-            told.append((call, power_mw, job))
+            told.append((call, tables.calls_mw.item(i), job))
             if call[c.CALL] == c.DONE and job is not None:
                 kept = tables.jobs[row].tolist()
                 job.attempts, job.failures = kept[c.JOB_ATTEMPTS], kept[c.JOB_FAILURES]
