@@ -25,7 +25,7 @@ from netsim.mac.jobs import GroupReception, Job, Outcome, Reception, Sender
 from netsim.mac.rates import datagram_modes
 from netsim.phy.propagation import Links, Trajectories, is_possible
 from netsim.phy.signals import Transmission
-from netsim.records import Counters, FrameRecord, SessionRecord, Tally, frame_records
+from netsim.records import Counters, FrameRecord, Tally, frame_records
 from netsim.settings import check
 from netsim.streams import Model, Streams, Uniforms
 from netsim.tables import Integers
@@ -48,24 +48,6 @@ _Received = tuple[int, int, int, RxItem]
 """Something that has reached a station: time, source, sequence number, what it is."""
 _ORDER = itemgetter(0, 1, 2)
 _ITEM_ORDER = attrgetter("at_us", "seq")
-
-
-class _Host:
-    """Between one station's MAC and its applications: hands datagrams up and FTM frames to the ranging."""
-
-    def __init__(self, emulator: "Emulator", index: int, ftm: FtmRadio) -> None:
-        self._emulator = emulator
-        self._index = index
-        self._ftm = ftm
-
-    def on_frame(self, reception: Reception) -> None:
-        """See `netsim.mac.jobs.Upper`."""
-        if not isinstance(reception.body, bytes):
-            self._ftm.on_frame(reception)
-        elif not reception.duplicate:
-            source, seq, body = reception.source, reception.seq, reception.body
-            ends_ns, powers_mw = [reception.end_ns], [reception.power_mw]
-            self._emulator.deliver(GroupReception(source, seq, body, [self._index], ends_ns, powers_mw))
 
 
 class Emulator:
@@ -104,7 +86,7 @@ class Emulator:
             links=self._links,
             stations=stations,
             streams=self._streams,
-            on_group_frame=self.deliver,
+            on_group_frame=self._deliver,
             on_ended=on_transmission,
         )
         self._host_jitter = [Uniforms(self._streams.generator(Model.HOST, i)) for i in range(stations)]
@@ -144,8 +126,9 @@ class Emulator:
             generator=self._streams.generator(Model.TIME_STAMP, station),
             nlos_generator=self._streams.generator(Model.NLOS_BIAS, station),
             on_result=self._on_ranged,
+            on_datagram=partial(self._on_datagram, station),
         )
-        mac = self._channel.join(station, _Host(self, station, ftm))
+        mac = self._channel.join(station, ftm)
         ftm.attach(mac)
         self._ftm.append(ftm)
         self._macs.append(mac)
@@ -296,7 +279,14 @@ class Emulator:
             sent = Sent(destination=destination, seq=seq, ended_ns=ended_ns, status=status, attempts=attempts)
             self._received[station].append((ended_ns, destination, seq, sent))
 
-    def deliver(self, heard: GroupReception) -> None:
+    def _on_datagram(self, station: int, reception: Reception) -> None:
+        if not reception.duplicate:
+            source, seq, body = reception.source, reception.seq, reception.body
+            self._deliver(
+                GroupReception(source, seq, body, [station], [reception.end_ns], [reception.power_mw])
+            )
+
+    def _deliver(self, heard: GroupReception) -> None:
         """Put a datagram among the deliveries of those whom it has reached, unless their hosts lose it."""
         source, seq, payload = heard.source, heard.seq, heard.body
         if not isinstance(payload, bytes):
@@ -380,7 +370,7 @@ class Emulator:
         """Give the same in rows, for `netsim.records.frame_log_rows`."""
         return self._channel.take_frames()
 
-    def take_sessions(self) -> list[SessionRecord]:
+    def take_sessions(self) -> list[Ranging]:
         """Ranging sessions that ended since the last call, in order of their end."""
         return self._tally.take_sessions()
 

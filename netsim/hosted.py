@@ -20,7 +20,7 @@ from netsim.logs import FRAME_LOG, SESSION_LOG
 from netsim.phy.propagation import is_possible
 from netsim.phy.signals import Transmission
 from netsim.record_log import RecordLog
-from netsim.records import frame_log_rows
+from netsim.records import frame_log_rows, session_log_rows
 from netsim.wire.lockstep import LEAD_US, Advance, Advanced, unpack_rows
 from netsim.wire.messages import RxBatch, Station, TxBatch
 
@@ -212,7 +212,7 @@ class HostedEmulator:
         if self._frame_log is not None and len(frames):
             self._frame_log.append_array(frame_log_rows(frames))
         if self._session_log is not None:
-            self._session_log.append(sessions)
+            self._session_log.append(session_log_rows(sessions))
 
 
 def _at_once(batch: TxBatch) -> TxBatch:

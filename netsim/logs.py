@@ -32,4 +32,4 @@ SESSION_LOG = np.dtype(
         ("rssi_dbm", "f8"),
     ]
 )
-"""One `SessionRecord`."""
+"""One `netsim.ftm.initiator.Ranging`: a request and its end."""

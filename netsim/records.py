@@ -1,7 +1,9 @@
 """What the emulator remembers for logs and summaries: frames, ranging sessions, counts."""
 
 from collections import Counter
-from typing import NamedTuple
+from collections.abc import Iterable
+from operator import attrgetter
+from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -10,7 +12,7 @@ from numpy.typing import NDArray
 from netsim.columns import COLLIDED, DELIVERED, LOST, RECORD_COLUMNS
 from netsim.frames import GROUP, FrameKind
 from netsim.ftm.session import Ranging
-from netsim.logs import FRAME_LOG
+from netsim.logs import FRAME_LOG, SESSION_LOG
 from netsim.mac.beginning import MODE_NAMES
 from netsim.mac.observed import KINDS
 from netsim.phy.signals import Transmission
@@ -40,21 +42,6 @@ class FrameRecord(NamedTuple):
 
 
 _KIND, _MODE = FrameRecord._fields.index("kind"), FrameRecord._fields.index("mode")
-
-
-class SessionRecord(NamedTuple):
-    """One ranging request and its end; the fields of `netsim.logs.SESSION_LOG` in their order."""
-
-    measured_ns: int
-    initiator: int
-    peer: int
-    status: str
-    distance_m: float
-    true_distance_m: float
-    """Mean over the round trips, at the end if there were none; 0.0 if there is no such peer."""
-    distance_std_m: float
-    round_trips: int
-    rssi_dbm: float
 
 
 class FtmCounters(Struct, frozen=True, kw_only=True):
@@ -135,6 +122,14 @@ def frame_log_rows(frames: Integers) -> NDArray[np.void]:
     return rows
 
 
+_SESSION_FIELDS = attrgetter(*(SESSION_LOG.names or ()))
+
+
+def session_log_rows(sessions: Iterable[Ranging]) -> Iterable[tuple[Any, ...]]:
+    """Rows of the session log."""
+    return map(_SESSION_FIELDS, sessions)
+
+
 def frame_records(frames: Integers) -> list[FrameRecord]:
     """Records of frames as a channel gives them."""
     rows = frames.tolist()
@@ -151,7 +146,7 @@ class Tally:
         self.lost_by_hosts = 0
         self.drops: Counter[str] = Counter()
         self.unicasts: Counter[str] = Counter()
-        self._sessions: list[SessionRecord] = []
+        self._sessions: list[Ranging] = []
         self._ftm_ended: Counter[str] = Counter()
         self._error_sum_m = 0.0
         self._error_square_sum_m2 = 0.0
@@ -163,19 +158,7 @@ class Tally:
             error_m = ranging.distance_m - ranging.true_distance_m
             self._error_sum_m += error_m
             self._error_square_sum_m2 += error_m * error_m
-        self._sessions.append(
-            SessionRecord(
-                measured_ns=ranging.measured_ns,
-                initiator=ranging.initiator,
-                peer=ranging.peer,
-                status=ranging.status,
-                distance_m=ranging.distance_m,
-                true_distance_m=ranging.true_distance_m,
-                distance_std_m=ranging.distance_std_m,
-                round_trips=ranging.round_trips,
-                rssi_dbm=ranging.rssi_dbm,
-            )
-        )
+        self._sessions.append(ranging)
 
     def counters(self, frames_sent: list[int], broadcasts: Integers) -> Counters:
         """Counts since the start, with a channel's frames by kind and datagrams to all, (n, 3)."""
@@ -197,7 +180,7 @@ class Tally:
             ),
         )
 
-    def take_sessions(self) -> list[SessionRecord]:
+    def take_sessions(self) -> list[Ranging]:
         """Ranging sessions that ended since the last call, in order of their end."""
         sessions, self._sessions = self._sessions, []
         return sessions

@@ -29,7 +29,7 @@ class Ranging(Struct, frozen=True, kw_only=True):
     ended_ns: int
     measured_ns: int
     true_distance_m: float
-    """Mean true distance over the round trips that were used; at the end if there were none."""
+    """Mean over the round trips that were used, at the end if there were none; 0.0 without such a peer."""
     distance_m: float = 0.0
     distance_std_m: float = 0.0
     rssi_dbm: float = 0.0

@@ -41,10 +41,11 @@ __all__ = ["Environment", "FtmRadio", "Ranging", "lost"]
 
 
 class FtmRadio:
-    """Fine Time Measurement of one station.
+    """Fine Time Measurement of one station; see `netsim.mac.jobs.Upper`.
 
     ``generator`` draws its time stamps' noise, ``nlos_generator`` what a blocked line of sight adds to the
     range of each session that it begins; without the latter a blocked one measures like a clear one.
+    ``on_datagram`` takes what arrives and is no frame of it.
     """
 
     def __init__(
@@ -57,8 +58,10 @@ class FtmRadio:
         clocks: list[Clock],
         generator: np.random.Generator,
         on_result: Callable[[Ranging], None],
+        on_datagram: Callable[[Reception], None],
         nlos_generator: np.random.Generator | None = None,
     ) -> None:
+        self._on_datagram = on_datagram
         self._port = Port(
             station=station,
             stations=stations,
@@ -82,11 +85,13 @@ class FtmRadio:
         self._initiator.request(peer, seq, timeout_ns)
 
     def on_frame(self, reception: Reception) -> None:
-        """Take an FTM frame; a measurement that comes again brings new time stamps, a request nothing."""
+        """Take a frame; a measurement that comes again brings new time stamps, a request nothing."""
         body = reception.body
         if isinstance(body, Measurement):
             self._initiator.on_measurement(reception, body)
-        elif isinstance(body, Request) and not reception.duplicate:
+        elif not isinstance(body, Request):
+            self._on_datagram(reception)
+        elif not reception.duplicate:
             self._responder.on_request(reception.source, body)
 
     def silence(self) -> None:

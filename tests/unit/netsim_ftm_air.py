@@ -13,7 +13,7 @@ from netsim.ftm.session import FtmRadio
 from netsim.ftm.stamps import Clock
 from netsim.kernel import EventQueue
 from netsim.mac.access import EDCA
-from netsim.mac.jobs import Job
+from netsim.mac.jobs import Job, Reception
 from netsim.mac.radios import Radios
 from netsim.phy.modes import phy_mode
 from netsim.phy.propagation import LinkRow, Trajectories
@@ -76,6 +76,7 @@ class FtmAir:
         )
         self.transmissions: list[Transmission] = []
         self.results: list[Ranging] = []
+        self.datagrams: list[Reception] = []
         self._bias_m = bias_m
         self._blocked_ways = blocked_ways
         self._blocked_from_ns = blocked_from_ns
@@ -101,6 +102,7 @@ class FtmAir:
                 generator=streams.generator(Model.TIME_STAMP, i),
                 nlos_generator=streams.generator(Model.NLOS_BIAS, i) if blocked_ways else None,
                 on_result=self.results.append,
+                on_datagram=self.datagrams.append,
             )
             for i in range(stations)
         ]

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from netsim.logs import FRAME_LOG, SESSION_LOG
+from netsim.logs import FRAME_LOG
 from netsim.record_log import BLOCK_ROWS, RecordLog, read
-from netsim.records import FrameRecord, SessionRecord
+from netsim.records import FrameRecord
 
 PAIR = np.dtype([("time_us", "i8"), ("pos_ned_m", "f8", 3)])
 
@@ -65,6 +65,5 @@ def test_a_log_that_cannot_be_written_is_closed_all_the_same():
     assert log._file.closed
 
 
-def test_the_emulators_logs_have_the_fields_of_its_records():
+def test_the_emulators_log_of_frames_has_the_fields_of_its_records():
     assert FRAME_LOG.names == FrameRecord._fields
-    assert SESSION_LOG.names == SessionRecord._fields
