@@ -311,7 +311,7 @@ class Radios:
             return
         self._head[c.CALLS] = 0
         told: list[tuple[list[int], float, Job | None]] = []
-        # who is told may have something sent, for which all rows that are free now may be taken
+        # before anybody is told: who is may have something sent at once, in rows that are free by now
         for i, call in enumerate(tables.calls[:count].tolist()):
             row = call[c.CALL_JOB]
             job = self._jobs[row] if row >= 0 else None
@@ -335,8 +335,15 @@ class Radios:
                 self._tell_all(job, call[c.CALL_DETAIL])
             elif what == c.FRAME_ENDED:
                 self._tell_ended(job)
-            elif job is not None:
-                _tell_sender(job, call, power_mw)
+            elif what == c.DONE and job is not None:
+                outcome = OUTCOMES[call[c.CALL_DETAIL]]
+                if outcome is Outcome.ACKNOWLEDGED:
+                    job.ack = Reception(call[c.CALL_SOURCE], call[c.CALL_START], call[c.CALL_END], power_mw)
+                    if job.rates is not None:
+                        job.rates.report(job.destination, job.mode, acknowledged=True)
+                job.done(job, outcome)
+            elif what == c.FAILED and job is not None and job.rates is not None:
+                job.rates.report(job.destination, job.mode, acknowledged=False)
 
     def _tell_all(self, job: Job | None, frame: int) -> None:
         """Tell of a frame to all that has just ended."""
@@ -365,17 +372,6 @@ class Radios:
         loop.release(self._air, ended)
         if self._on_ended is not None:
             self._on_ended(transmission)
-
-
-def _tell_sender(job: Job, call: list[int], power_mw: float) -> None:
-    """Tell that an attempt has failed, or that the job has ended."""
-    outcome = None if call[c.CALL] == c.FAILED else OUTCOMES[call[c.CALL_DETAIL]]
-    if outcome is Outcome.ACKNOWLEDGED:
-        job.ack = Reception(call[c.CALL_SOURCE], call[c.CALL_START], call[c.CALL_END], power_mw)
-    if job.rates is not None and outcome in (None, Outcome.ACKNOWLEDGED):
-        job.rates.report(job.destination, job.mode, acknowledged=outcome is not None)
-    if outcome is not None:
-        job.done(job, outcome)
 
 
 def _draw_ahead(stations: Integers, column: int, draws: Doubles, streams: list[Uniforms]) -> None:
