@@ -5,7 +5,7 @@ and radio are carried: over sockets (``autopilot.__main__``), or by plain calls 
 """
 
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -39,11 +39,8 @@ class Radio(Protocol):
     def send(self, now_us: int, items: Sequence[TxItem]) -> None:
         """Hand over transmissions."""
 
-    def receive(self, now_us: int) -> Iterable[RxItem]:
-        """What may be seen from ``now_us`` on, for a step in which there is something; to be gone through.
-
-        It may still be on its way when this is called.
-        """
+    def receive(self, now_us: int) -> Sequence[RxItem]:
+        """What may be seen from ``now_us`` on, for a step in which there is something."""
 
 
 class Host:
@@ -118,7 +115,7 @@ class Host:
             return self._encoder.encode(repeated.actuators), []
         if self._links_waiting:
             link_messages, self._links_waiting = self._links_waiting + link_messages, []
-        radio_items: Iterable[RxItem] = ()
+        radio_items: Sequence[RxItem] = ()
         if self._radio is not None and clock.fields_updated & BATCH_DELIVERED:
             radio_items = self._radio.receive(now_us)
         output = self.vehicle.step(

@@ -8,6 +8,7 @@ That is worth several times the arithmetic, since a process that shares its proc
 nothing of what it needs in the caches.
 """
 
+from struct import Struct
 from typing import NamedTuple
 
 import numpy as np
@@ -37,7 +38,9 @@ _AIDS = MAG_FIELDS | BARO_FIELDS
 # HIL_ACTUATOR_CONTROLS: time and flags in eight bytes each, sixteen floats, the mode
 _ACTUATORS_EXTRA = common.mavlink_map[common.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS].crc_extra
 _ACTUATORS_BYTES = 81
-_FLAGS, _CONTROLS, _MODE = PAYLOAD + 8, PAYLOAD + 16, PAYLOAD + 80
+_CONTROLS, _MODE = PAYLOAD + 16, PAYLOAD + 80
+_HANDED_OVER, _HANDED_OVER_BIT = HEADER_BYTES + 8 + 4, BATCH_HANDED_OVER >> 32
+"""Where in a frame one of the flags is, and which bit."""
 _ROTORS = 4
 _RECEIVE_BYTES = 4096
 US_PER_S = 1_000_000
@@ -52,6 +55,8 @@ MOMENT = np.dtype(
     align=True,
 )  # fmt: skip
 """The last step's time, what `Ahead` says of the next, the next frame's number, and whether it flies."""
+_MOMENT = Struct("=6q")
+"""The same for Python, to which a row of an array is slow to write."""
 
 
 class Ahead(NamedTuple):
@@ -141,9 +146,9 @@ class InertialSteps:
         answer = np.zeros(PAYLOAD + _ACTUATORS_BYTES + CHECKSUM_BYTES, np.uint8)
         self.incoming = incoming.data[FIRST:]
         self._answer = answer.data[FIRST:]
-        self._flags: NDArray[np.int64] = answer[_FLAGS:_CONTROLS].view(np.int64)
-        self._moment: NDArray[np.void] = np.zeros(1, MOMENT)
-        self._octets = (incoming, answer, self._moment)
+        moment: NDArray[np.void] = np.zeros(1, MOMENT)
+        self._moment = moment.view(np.uint8).data
+        self._octets = (incoming, answer, moment)
         self._blocks: tuple[Horizon, Horizon, Cascade] | None = None
         self._opened_us = 0
 
@@ -156,10 +161,11 @@ class InertialSteps:
     def open(self, ahead: Ahead, answer: bytes, sequence: int) -> None:
         """Let such steps follow the one that was answered by this frame; ``sequence`` is the next one's."""
         self._answer[:] = answer
-        self._flags[0] &= ~BATCH_HANDED_OVER
+        self._answer[_HANDED_OVER] &= ~_HANDED_OVER_BIT
         self._opened_us = ahead.now_us
-        self._moment[0] = (
-            ahead.now_us, ahead.until_us, ahead.aids_us, ahead.sound_until_us, sequence, ahead.flies
+        _MOMENT.pack_into(
+            self._moment, 0,
+            ahead.now_us, ahead.until_us, ahead.aids_us, ahead.sound_until_us, sequence, ahead.flies,
         )  # fmt: skip
         self._blocks = (ahead.horizon, ahead.samples, ahead.cascade)
 
@@ -168,7 +174,7 @@ class InertialSteps:
         if self._blocks is None:
             return None
         self._blocks = None
-        now_us, _, _, _, sequence, _ = self._moment[0].tolist()
+        now_us, _, _, _, sequence, _ = _MOMENT.unpack_from(self._moment)
         return None if now_us == self._opened_us else (now_us, sequence)
 
     @property

@@ -11,7 +11,7 @@ takes telemetry and says what it has to say. All come at the multiples of their 
 have nothing but the sample.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -167,14 +167,13 @@ class Vehicle:
         *,
         sim_messages: Sequence[Message],
         link_messages: Sequence[Addressed] = (),
-        radio_items: Iterable[RxItem] = (),
+        radio_items: Sequence[RxItem] = (),
         link_active: tuple[bool, ...] = (True, True),
     ) -> StepOutput:
         """Take what arrived up to a HIL_SENSOR, the last of ``sim_messages``, and return what to send.
 
-        ``radio_items`` are gone through after all that does not depend on them. Where ``link_active`` says
-        that nobody listens only the heartbeat is formed. A HIL_SENSOR that is not later than the one before
-        is answered with the controls of before.
+        Where ``link_active`` says that nobody listens only the heartbeat is formed. A HIL_SENSOR that is
+        not later than the one before is answered with the controls of before.
         """
         now_us: int = sim_messages[-1].time_usec
         last_us = self._last_us
@@ -200,8 +199,8 @@ class Vehicle:
             self._on_link_message(received, now_us)
         if self._told_truth:
             self._pass_truth_on(sim_messages, now_us)
-        if radio_items:
-            self._hear(radio_items, now_us)
+        if self.app is not None and radio_items:
+            self.app.on_radio(radio_items, now_us)
         radio = self._run_app(simulator, now_us) if loops else ()
         self.pilot.fly((self.config.step_us if last_us is None else now_us - last_us) / US_PER_S)
         messaging = self.messaging
@@ -418,14 +417,6 @@ class Vehicle:
                 if kind in COMMANDS:
                     self._decide_us = now_us  # what it has changed is seen with the next sample
         return output.radio
-
-    def _hear(self, radio_items: Iterable[RxItem], now_us: int) -> None:
-        """Give the application what its radio has brought, which may have to be waited for: so, late."""
-        if self.app is not None:
-            self.app.on_radio(radio_items, now_us)
-        else:
-            for _ in radio_items:  # there is nobody to hear it
-                pass
 
     def _pass_truth_on(self, sim_messages: Sequence[Message], now_us: int) -> None:
         """Tell the application where the vehicle is: what no aircraft knows, and estimates are held to."""

@@ -102,12 +102,12 @@ class RadioClient:
         for batch in in_pieces(TxBatch(station=self._station, now_us=now_us, items=tuple(items))):
             self._sender.send(checked(batch))
 
-    def receive(self, now_us: int) -> Iterator[RxItem]:
-        """What is released at ``now_us``, in order of (time, source, sequence).
+    def receive(self, now_us: int) -> list[RxItem]:
+        """What is released at ``now_us``, in order of (time, source, sequence), waiting for it if need be.
 
-        It waits for that, if need be, when the first item is asked for. To be gone through to the end in the
-        steps for which a delivery is announced, and in no other. Raises RadioLost.
+        To be called in the steps for which a delivery is announced, and in no other. Raises RadioLost.
         """
+        items: list[RxItem] = []
         while True:
             payload = self._mailbox.take(ANSWER_LIMIT_S)
             if payload is None:
@@ -117,9 +117,9 @@ class RadioClient:
                 self.malformed += 1
                 logger.warning("dropped %d bytes that are no delivery", len(payload))
                 continue
-            yield from batch.items
+            items.extend(batch.items)
             if batch.release_us >= now_us and not batch.more:
-                return
+                return items
 
     def close(self) -> None:
         """Leave the channel."""
