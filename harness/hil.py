@@ -8,7 +8,7 @@ HIL_GPS): gauss, hPa, degC; degE7, mm, cm/s; eph and epv in cm. Integers saturat
 
 import math
 from collections.abc import Collection, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -75,20 +75,11 @@ class SensorEncoder:
         truth: Truth | None = None,
         delivered: Collection[int] = (),
     ) -> Sequence[bytes | memoryview]:
-        """Frames for each vehicle: `prepare` and `frames` in one."""
-        return self.frames(self.prepare(time_us, frame, escs, truth), delivered)
-
-    def prepare(
-        self,
-        time_us: int,
-        frame: SensorFrame,
-        escs: EscReadings | None = None,
-        truth: Truth | None = None,
-    ) -> "Prepared":
-        """Do what can be done of a step's frames before it is known whom the radio has brought something.
+        """Frames for each vehicle, which hold until they are asked for again.
 
         ESC_STATUS when there are readings of motors, HIL_GPS when a fix is due, HIL_STATE_QUATERNION when
-        the truth is to be told, then HIL_SENSOR, which is what lets a vehicle's clock go on.
+        the truth is to be told, then HIL_SENSOR, which is what lets a vehicle's clock go on. It tells those
+        who are ``delivered``, by their numbers, that the radio has brought them something for this step.
         """
         others: list[list[bytes]] = []
         if escs is not None:
@@ -101,29 +92,15 @@ class SensorEncoder:
             others.append(HIL_GPS.frames(self._fixes(time_us, frame.gps), self._next()))
         if truth is not None:
             others.append(HIL_STATE_QUATERNION.frames(_states(time_us, truth, self._site), self._next()))
-        has_aids = frame.mag_frd_gauss is not None or frame.baro is not None
-        return Prepared(time_us, frame, others, _sensors(time_us, frame) if has_aids else None)
-
-    def frames(self, prepared: "Prepared", delivered: Collection[int] = ()) -> Sequence[bytes | memoryview]:
-        """Frames for each vehicle, which hold until they are asked for again.
-
-        HIL_SENSOR tells those who are ``delivered``, by their numbers, that the radio has brought them
-        something for this step.
-        """
-        time_us, frame, others, rows = prepared
-        if rows is None and delivered:
-            rows = _sensors(time_us, frame)
-        sensors: Sequence[bytes | memoryview]
-        if rows is None:
-            sensors = self._inertial_frames(time_us, frame)
-        else:
-            if delivered:
-                rows["fields_updated"][list(delivered)] |= BATCH_DELIVERED
-            sensors = HIL_SENSOR.frames(rows, self._next())
+        sensors = self._sensors(time_us, frame, delivered)
         return [b"".join(parts) for parts in zip(*others, sensors, strict=True)] if others else sensors
 
-    def _inertial_frames(self, time_us: int, frame: SensorFrame) -> list[memoryview]:
-        """Frames of HIL_SENSOR that bring nothing but an inertial sample."""
+    def _sensors(
+        self, time_us: int, frame: SensorFrame, delivered: Collection[int]
+    ) -> Sequence[bytes | memoryview]:
+        """Frames of HIL_SENSOR."""
+        if frame.mag_frd_gauss is not None or frame.baro is not None or delivered:
+            return HIL_SENSOR.frames(_sensors(time_us, frame, delivered), self._next())
         accel_frd_m_s2, gyro_frd_rad_s = frame.accel_frd_m_s2, frame.gyro_frd_rad_s
         if self._inertial.vehicles != len(accel_frd_m_s2):
             self._inertial = InertialFrames(len(accel_frd_m_s2), IMU_FIELDS)
@@ -165,18 +142,7 @@ class SensorEncoder:
         return rows
 
 
-class Prepared(NamedTuple):
-    """A step's frames, as far as they depend on nothing that the radio does."""
-
-    time_us: int
-    frame: SensorFrame
-    others: list[list[bytes]]
-    """Frames of other kinds, which go before HIL_SENSOR, by kind and vehicle."""
-    sensors: NDArray[np.void] | None
-    """HIL_SENSOR of each vehicle; None: of an inertial sample alone."""
-
-
-def _sensors(time_us: int, frame: SensorFrame) -> NDArray[np.void]:
+def _sensors(time_us: int, frame: SensorFrame, delivered: Collection[int]) -> NDArray[np.void]:
     """HIL_SENSOR of each vehicle."""
     vehicles = len(frame.accel_frd_m_s2)
     rows = np.zeros(vehicles, HIL_SENSOR.dtype)
@@ -194,6 +160,8 @@ def _sensors(time_us: int, frame: SensorFrame) -> NDArray[np.void]:
         rows, time_us, fields, frame.accel_frd_m_s2, frame.gyro_frd_rad_s, mag_frd_gauss, pressure_hpa,
         temperature_degc,
     )  # fmt: skip
+    for vehicle in delivered:
+        rows["fields_updated"][vehicle] |= BATCH_DELIVERED
     return rows
 
 

@@ -155,14 +155,13 @@ class Simulation:
         self._advance_faults()
         frame = self._sensors.sample(self.time_us, truth, self._faults)
         told = truth if self._tells_truth and self.time_us % TRUTH_PERIOD_US < self._step_us else None
-        prepared = self._encoder.prepare(self.time_us, frame, self._escs(truth), told)
         delivered: tuple[int, ...] = ()
         if air is not None:
             if air.is_awaited(self.time_us):
                 self.settle()
             delivered = air.delivered(self.time_us)
         alive = [seat.alive for seat in self.lockstep.seats] if recorded else []
-        self.lockstep.send(self._encoder.frames(prepared, delivered))
+        self.lockstep.send(self._encoder.encode(self.time_us, frame, self._escs(truth), told, delivered))
         if recorded:
             self._record(truth, alive)
         self.notice_collisions()
