@@ -146,9 +146,9 @@ class InertialSteps:
         answer = np.zeros(PAYLOAD + _ACTUATORS_BYTES + CHECKSUM_BYTES, np.uint8)
         self.incoming = incoming.data[FIRST:]
         self._answer = answer.data[FIRST:]
-        moment: NDArray[np.void] = np.zeros(1, MOMENT)
-        self._moment = moment.view(np.uint8).data
-        self._octets = (incoming, answer, moment)
+        self._moment: NDArray[np.void] = np.zeros(1, MOMENT)
+        self._moment_octets = self._moment.view(np.uint8).data
+        self._octets = (incoming, answer, self._moment)
         self._blocks: tuple[Horizon, Horizon, Cascade] | None = None
         self._opened_us = 0
 
@@ -164,7 +164,7 @@ class InertialSteps:
         self._answer[_HANDED_OVER] &= ~_HANDED_OVER_BIT
         self._opened_us = ahead.now_us
         _MOMENT.pack_into(
-            self._moment, 0,
+            self._moment_octets, 0,
             ahead.now_us, ahead.until_us, ahead.aids_us, ahead.sound_until_us, sequence, ahead.flies,
         )  # fmt: skip
         self._blocks = (ahead.horizon, ahead.samples, ahead.cascade)
@@ -174,7 +174,7 @@ class InertialSteps:
         if self._blocks is None:
             return None
         self._blocks = None
-        now_us, _, _, _, sequence, _ = _MOMENT.unpack_from(self._moment)
+        now_us, _, _, _, sequence, _ = _MOMENT.unpack_from(self._moment_octets)
         return None if now_us == self._opened_us else (now_us, sequence)
 
     @property
