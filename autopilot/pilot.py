@@ -207,7 +207,7 @@ class Pilot:
     @property
     def landed(self) -> bool:
         """On the ground for certain."""
-        return self._land_detector.stage is Stage.LANDED
+        return self._land_detector.landed
 
     @property
     def next_mode(self) -> FlightMode | None:

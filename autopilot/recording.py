@@ -105,12 +105,10 @@ def record(vehicle: "Vehicle") -> bytes:
     setpoint_n_m, setpoint_e_m, setpoint_d_m = _UNKNOWN
     setpoint = flight.setpoint
     if setpoint is not None and setpoint.pos_ned_m is not None:
-        setpoint_n_m, setpoint_e_m, setpoint_d_m = setpoint.pos_ned_m.tolist()
-        if not all(setpoint.pos_axes):
-            setpoint_n_m, setpoint_e_m, setpoint_d_m = (
-                value_m if held else math.nan
-                for value_m, held in zip(setpoint.pos_ned_m.tolist(), setpoint.pos_axes, strict=True)
-            )
+        setpoint_n_m, setpoint_e_m, setpoint_d_m = (
+            value_m if held else math.nan
+            for value_m, held in zip(setpoint.pos_ned_m.tolist(), setpoint.pos_axes, strict=True)
+        )
     singles = [*vel_ned_m_s, *q_ned_frd]
     if not max(map(abs, singles)) <= _SINGLE_MAX:
         singles = [min(max(value, -_SINGLE_MAX), _SINGLE_MAX) for value in singles]

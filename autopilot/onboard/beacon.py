@@ -163,8 +163,7 @@ def encode(beacon: Beacon) -> bytes:
         )
     ]  # fmt: skip
     parts += [
-        _RANGE.pack(item.peer, item.time_ms, item.distance_m, round(min(item.std_m, _STD_MAX_M) * 1e3))
-        for item in beacon.distances
+        _RANGE.pack(item.peer, item.time_ms, item.distance_m, _mm(item.std_m)) for item in beacon.distances
     ]
     return b"".join(parts)
 

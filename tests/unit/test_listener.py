@@ -102,9 +102,8 @@ def test_it_starts_no_thread_before_it_is_asked_and_leaves_no_descriptor() -> No
     assert psutil.Process().num_threads() == threads + 1
     for listener in (idle, busy):
         listener.close()
+    # a joined thread may still be on its way out of the kernel
     deadline_s = time.monotonic() + 10.0
-    while (
-        psutil.Process().num_threads() != threads
-    ):  # a joined thread may still be on its way out of the kernel
+    while psutil.Process().num_threads() != threads:
         assert time.monotonic() < deadline_s
     assert psutil.Process().num_fds() == descriptors
