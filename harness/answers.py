@@ -36,6 +36,11 @@ step, 0 for none, whether that says that the radio was given something, whether 
 every step, and whether it has ever answered."""
 
 
+def is_armed(answer: HilActuatorControls) -> bool:
+    """Whether a vehicle's answer says that it is armed."""
+    return bool(answer.mode & _ARMED)
+
+
 class Answers:
     """What n vehicles have answered in a step, and the motors' controls from all steps up to it."""
 
@@ -81,7 +86,7 @@ class Answers:
     def put(self, instance: int, answer: HilActuatorControls) -> None:
         """Take an answer that was unpacked elsewhere."""
         self.controls[instance] = answer.controls[:ROTORS]
-        self.armed[instance] = answer.mode & _ARMED != 0
+        self.armed[instance] = is_armed(answer)
         voice = self.voices[instance]
         voice["answered_us"], voice["ever"] = answer.time_usec, True
         voice["handed_over"] = answer.flags & BATCH_HANDED_OVER != 0

@@ -176,7 +176,7 @@ class FaultChange(NamedTuple):
 
     @property
     def motor(self) -> int | None:
-        """Which motor it is about; None for faults of sensors."""
+        """Which motor it is about; None for all other faults."""
         return self.fault.motor if isinstance(self.fault, MotorLoss | MotorStop) else None
 
 

@@ -1,9 +1,8 @@
-"""The simulator's side of PX4's simulator API.
+"""The simulator's side of PX4's simulator API: sensor readings to MAVLink bytes.
 
-Sensor readings to MAVLink bytes, and what a vehicle's answer says.
-
-Pure: sockets are `harness.lockstep`'s. Units on the wire are those that PX4 decodes (facts of HIL_SENSOR,
-HIL_GPS): gauss, hPa, degC; degE7, mm, cm/s; eph and epv in cm. Integers saturate.
+What vehicles answer is `harness.answers`'. Pure: sockets are `harness.lockstep`'s. Units on the wire are
+those that PX4 decodes (facts of HIL_SENSOR, HIL_GPS): gauss, hPa, degC; degE7, mm, cm/s; eph and epv in cm.
+Integers saturate.
 """
 
 import math
@@ -17,7 +16,6 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot.config import Site
 from autopilot.estimation.atmosphere import altitude_m
-from autopilot.mavlink.hil import HilActuatorControls
 from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.sensors import BARO_FIELDS, IMU_FIELDS, MAG_FIELDS
 from autopilot.types import Array
@@ -231,11 +229,6 @@ def _states(time_us: int, truth: Truth, site: Site) -> NDArray[np.void]:
     rows["alt"] = _integers(alt_m * 1e3, np.int32)
     rows["vel_ned"] = _integers(truth.vel_ned_m_s * 100, np.int16)
     return rows
-
-
-def is_armed(answer: HilActuatorControls) -> bool:
-    """Whether a vehicle's answer says that it is armed."""
-    return bool(answer.mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
 
 
 def _integers(values: Array | float, kind: type[np.integer[Any]]) -> Array:

@@ -160,7 +160,7 @@ class FaultChanged(Event, frozen=True, kw_only=True):
     what: str
     """Its kind, as in a scenario."""
     motor: int | None
-    """None: of a sensor."""
+    """None: of no motor."""
     change: Literal["began", "ended"]
 
 

@@ -33,7 +33,8 @@ class FrameRecord(NamedTuple):
     bytes: int
     """With MAC header and FCS."""
     seq: int
-    """Of the item or session it belongs to; dialog token of a measurement frame; 0 for RTS, CTS and ACK."""
+    """Of the item or session it belongs to; a measurement frame's number within its session, from 1 on; 0 for
+    a refusal, RTS, CTS and ACK."""
     delivered: int
     """Intended receivers that got it."""
     collided: int

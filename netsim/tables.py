@@ -1,6 +1,6 @@
 """All that the radios and the air between them are at a moment: tables of numbers in one block of memory.
 
-A frame is some ten events, and each concerns a few numbers of some stations. As objects those were spread
+A frame is some four events, and each concerns a few numbers of some stations. As objects those were spread
 over hundreds of places in memory, and in a swarm's lockstep every step begins with cold caches. So what all
 stations, queues, frames and events are is rows of tables, and `netsim.mac.loop` runs event after event over
 them without Python, as long as nobody above the MAC has to hear of one.

@@ -1,4 +1,7 @@
-"""What telemetry can speak of: the vehicle's present values, written by `autopilot.vehicle`."""
+"""What telemetry can speak of: the vehicle's present values.
+
+Written by `autopilot.vehicle` and by those of its parts whose values they are: pilot and monitor.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -21,7 +21,8 @@ from autopilot.protocol.service import GROUND_STATION, Partner, reply
 from autopilot.types import Array, TrajectorySetpoint
 from autopilot.vehicle import StepOutput, Vehicle
 from harness import esc
-from harness.hil import SensorEncoder, is_armed
+from harness.answers import is_armed
+from harness.hil import SensorEncoder
 from harness.physics.model import IRIS, VehicleModel
 from harness.physics.world import World
 from harness.sensors.config import SensorsConfig

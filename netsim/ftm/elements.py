@@ -129,7 +129,7 @@ class Measurement(Struct, frozen=True, kw_only=True, gc=False):
     """0..31: the error is at most 2^(this - 1) ps; 0 is unknown."""
     t4_error_exponent: int = 0
     parameters: Parameters | None = None
-    """In the first frame of a session."""
+    """In the first frames of a session, until one is acknowledged."""
 
     @property
     def size(self) -> int:

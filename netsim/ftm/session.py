@@ -16,7 +16,8 @@ How a request ends, once, with a result over all bursts:
   be asked again, which the application is told and not kept to; or at once, for a peer that is no other
   station or is being ranged to already.
 - ``incapable``: the responder cannot measure in the requested format.
-- ``dropped``: the request never left the queue, or the radio fell silent.
+- ``dropped``: the queue gave the request up, which found no room or outlived its time, or the radio fell
+  silent.
 - ``timeout``: anything else without a round trip by the request's time-out, which a grant moves by the time
   to the beginning of the last burst, or by the end of the session.
 - ``lost``: at least one round trip, and the initiator's host has lost what the radio said of it

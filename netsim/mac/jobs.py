@@ -19,7 +19,7 @@ class Outcome(StrEnum):
     ACKNOWLEDGED = "acknowledged"
     RETRY_LIMIT = "retry_limit"
     EXPIRED = "expired"
-    """Its lifetime passed in the queue."""
+    """It outlived its time in the queue, tried or not, was taken back, or its radio fell silent."""
     OVERFLOW = "overflow"
     """The queue was full."""
 
