@@ -147,6 +147,8 @@ class OnboardApp:
         )  # fmt: skip
         self._now_us = -1
         self._setpoint_us = 0
+        self._fix_taken: Fix | None = None
+        """The newest that localisation has used."""
         self._heartbeat_out_us = 0
         self._told: tuple[Phase, int | None] | None = None
         """Phase and start of the motion in the last heartbeat."""
@@ -162,7 +164,7 @@ class OnboardApp:
                 self._on_local_position(msg, now_us)
             case "GPS_RAW_INT":
                 if self._own.on_gps(msg):
-                    self._localise_by(self._near.own, self._own.fix)
+                    self._take_fix()
             case "ATTITUDE_QUATERNION":
                 if self._guidance.wind is not None:
                     self._guidance.wind.on_attitude((msg.q1, msg.q2, msg.q3, msg.q4))
@@ -200,7 +202,7 @@ class OnboardApp:
             self._begin_anew()
         if self.localisation is not None:
             self.localisation.on_odometry(self._near.own, own.time_us, own.odometry_ned_m, own.vel_ned_m_s)
-            self._localise_by(self._near.own, own.fix)  # should it have been newer than the odometry
+            self._take_fix()  # should it have been newer than the odometry
         if wind is not None:
             wind.on_velocity(own.time_us, (msg.vx, msg.vy, msg.vz), flying=self._flight.in_formation)
 
@@ -211,9 +213,15 @@ class OnboardApp:
         if self.localisation is not None:
             self.localisation.restart(self._near.own)
 
-    def _localise_by(self, row: int, fix: Fix | None) -> None:
-        if fix is not None and self.localisation is not None:
-            self.localisation.on_fix(row, fix.time_ms * 1_000, fix.pos_ned_m, fix.std_h_m, fix.std_v_m)
+    def _take_fix(self) -> None:
+        """Localise by the newest fix, unless that has been done."""
+        fix = self._own.fix
+        if fix is not self._fix_taken and fix is not None and self.localisation is not None:
+            taken = self.localisation.on_fix(
+                self._near.own, fix.time_ms * 1_000, fix.pos_ned_m, fix.std_h_m, fix.std_v_m
+            )
+            if taken:
+                self._fix_taken = fix
 
     def on_radio(self, items: Iterable[RxItem], now_us: int) -> None:
         """Take what the radio received and measured, in the order in which it did."""

@@ -28,6 +28,7 @@ Times are on the clock that the formation shares. Positions are NED from the sit
 """
 
 import struct
+from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct
@@ -67,7 +68,7 @@ _FAR2_M2 = _FAR_M**2
 _FAST2_M2_S2 = 30.0**2
 """No honest sender is faster."""
 _NO_TIME_US = 2**63
-_STD_MAX_M = 65.535
+_STD_MAX_M, _MOST_MM = 65.535, 65_535
 _LAST_PHASE = max(int(phase) for phase in Phase)
 _CAPACITY = HEADER_BYTES + MAX_RANGES * RANGE_BYTES
 PAGE = np.dtype([("source", "<i8"), ("size", "<i8"), ("header", HEADER), ("ranges", RANGE, MAX_RANGES)])
@@ -145,27 +146,43 @@ def encode(beacon: Beacon) -> bytes:
     Raises struct.error for a number that its field cannot hold, ValueError for a standard deviation that is
     not a number and for more than `MAX_RANGES` distances.
     """
-    if len(beacon.distances) > MAX_RANGES:
-        raise ValueError(f"{len(beacon.distances)} distances do not fit a beacon")
-    flags, start_ms, fix, error = 0, 0, _NO_FIX, _NO_ERROR
-    if beacon.motion_start_ms is not None:
-        flags, start_ms = flags | HAS_START, beacon.motion_start_ms
-    if beacon.fix is not None:
-        flags, fix = flags | HAS_FIX, beacon.fix
-    if beacon.gps_error is not None:
-        flags, error = flags | HAS_GPS_ERROR, beacon.gps_error
-    parts = [
-        _HEADER.pack(
-            VERSION, beacon.station, beacon.phase, flags, len(beacon.distances),
-            beacon.seq, beacon.time_us, *beacon.odometry_ned_m, *beacon.vel_ned_m_s, start_ms,
-            fix.time_ms, *fix.pos_ned_m, _stated_mm(fix.std_h_m), _stated_mm(fix.std_v_m),
-            *error.ned_m, _mm(error.std_m),
-        )
-    ]  # fmt: skip
-    parts += [
-        _RANGE.pack(item.peer, item.time_ms, item.distance_m, _mm(item.std_m)) for item in beacon.distances
-    ]
-    return b"".join(parts)
+    return encode_with(
+        [encode_distance(item) for item in beacon.distances],
+        beacon.station, beacon.seq, beacon.time_us, beacon.phase, beacon.odometry_ned_m, beacon.vel_ned_m_s,
+        beacon.motion_start_ms, beacon.fix, beacon.gps_error,
+    )  # fmt: skip
+
+
+def encode_with(
+    distances: Sequence[bytes], station: int, seq: int, time_us: int, phase: Phase,
+    odometry_ned_m: Vector, vel_ned_m_s: Vector,
+    motion_start_ms: int | None, fix: Fix | None, gps_error: GpsError | None,
+) -> bytes:  # fmt: skip
+    """As `encode`, for a sender that keeps the bytes of its distances: each is in many beacons."""
+    if len(distances) > MAX_RANGES:
+        raise ValueError(f"{len(distances)} distances do not fit a beacon")
+    flags, start_ms = 0, 0
+    if motion_start_ms is not None:
+        flags, start_ms = HAS_START, motion_start_ms
+    if fix is None:
+        fix = _NO_FIX
+    else:
+        flags |= HAS_FIX
+    if gps_error is None:
+        gps_error = _NO_ERROR
+    else:
+        flags |= HAS_GPS_ERROR
+    header = _HEADER.pack(
+        VERSION, station, phase, flags, len(distances), seq, time_us, *odometry_ned_m, *vel_ned_m_s, start_ms,
+        fix.time_ms, *fix.pos_ned_m, _stated_mm(fix.std_h_m), _stated_mm(fix.std_v_m),
+        *gps_error.ned_m, _mm(gps_error.std_m),
+    )  # fmt: skip
+    return header + b"".join(distances)
+
+
+def encode_distance(distance: Distance) -> bytes:
+    """Bytes of a distance in a beacon; raises as `encode` does."""
+    return _RANGE.pack(distance.peer, distance.time_ms, distance.distance_m, _mm(distance.std_m))
 
 
 class Pages:
@@ -266,7 +283,7 @@ def decode(buffer: bytes) -> Beacon | None:
 
 
 def _mm(std_m: float) -> int:
-    return round(min(std_m, _STD_MAX_M) * 1e3)
+    return _MOST_MM if std_m > _STD_MAX_M else round(std_m * 1e3)
 
 
 def _stated_mm(std_m: float | None) -> int:

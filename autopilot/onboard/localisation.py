@@ -95,6 +95,9 @@ class CooperativeLocalisation:
         self.count = count
         self.state = np.zeros(STATES * count)
         self.cov = np.zeros((STATES * count, STATES * count))
+        at = STATES * own
+        self._own_offset_ne_m = self.state[at : at + 2]
+        self._own_variances_m2 = self.cov.diagonal()[at : at + 3]
         self.members = members = new_members(count)
         self.active: Flags = members["active"].view(bool)
         self.located: Flags = members["located"].view(bool)
@@ -105,6 +108,9 @@ class CooperativeLocalisation:
         self._model = model
         self._drift_m2_s = model.odometry_drift_m_sqrt_s**2
         self._filter = new_filter(own, model)
+        # Of what is asked for in every loop, for making a view of a field takes longer than reading it.
+        self._time, self._own_range = self._filter["time_us"], self._filter["own_range_us"]
+        self._returned = self._filter["returned"]
         self.tracks = Tracks(members)
         self._receivers = Receivers(members, model)
         self._distances = Distances(count, self._filter)
@@ -149,10 +155,11 @@ class CooperativeLocalisation:
         pos_ned_m: Sequence[float],
         std_h_m: float | None = None,
         std_v_m: float | None = None,
-    ) -> None:
+    ) -> bool:
         """Take a GPS position (site NED) at ``time_us``; used once, and only with odometry of that time.
 
-        ``std_h_m`` (per axis) and ``std_v_m`` are what the receiver states; None: nothing.
+        ``std_h_m`` (per axis) and ``std_v_m`` are what the receiver states; None: nothing. Returns whether it
+        has been used by now: one that is not may be, once there is odometry.
         """
         north_m, east_m, down_m = pos_ned_m
         asked = take_fix(
@@ -161,6 +168,7 @@ class CooperativeLocalisation:
         )  # fmt: skip
         if asked != DONE:
             self._do(asked, station)
+        return bool(self._receivers.newest_us.item(station) >= time_us)
 
     def on_range(
         self, initiator: int, responder: int, time_us: int, distance_m: float, std_m: float, *, now_us: int
@@ -211,8 +219,8 @@ class CooperativeLocalisation:
     def update(self, now_us: int) -> None:
         """Use what has become usable by now."""
         due = now_us >= self._geometry_due_us
-        if due or self._filter["returned"].item():
-            self._filter["returned"] = 0
+        if due or self._returned.item():
+            self._returned[0] = 0
             self._geometry.keep(self._members(now_us), self.positions_ned_m(now_us), self.cov)
         self._use_pending(now_us)
         if self._distances.held:
@@ -248,12 +256,12 @@ class CooperativeLocalisation:
     @property
     def own_range_us(self) -> int:
         """When the newest fused distance that involves the own UAV was measured; -1: there is none."""
-        return int(self._filter["own_range_us"].item())
+        return int(self._own_range.item())
 
     def offset_ne_m(self) -> tuple[float, float]:
         """Estimated true position less odometry of the own UAV, north and east."""
-        base = STATES * self.own
-        return self.state.item(base), self.state.item(base + 1)
+        north_m, east_m = self._own_offset_ne_m.tolist()
+        return north_m, east_m
 
     def offset_ned_m(self) -> Array:
         """(3,) the same with down: less the barometer's height; a view."""
@@ -266,9 +274,10 @@ class CooperativeLocalisation:
 
     def std_ned_m(self) -> Vector:
         """One sigma of the own position, the formation's place as a whole included."""
-        at, variance = STATES * self.own, self.cov.item
-        north_m2, east_m2, down_m2 = variance(at, at), variance(at + 1, at + 1), variance(at + 2, at + 2)
-        return math.sqrt(max(north_m2, 0.0)), math.sqrt(max(east_m2, 0.0)), math.sqrt(max(down_m2, 0.0))
+        north_m2, east_m2, down_m2 = self._own_variances_m2.tolist()
+        if north_m2 < 0.0 or east_m2 < 0.0 or down_m2 < 0.0:  # by rounding
+            north_m2, east_m2, down_m2 = max(north_m2, 0.0), max(east_m2, 0.0), max(down_m2, 0.0)
+        return math.sqrt(north_m2), math.sqrt(east_m2), math.sqrt(down_m2)
 
     @property
     def offsets_ned_m(self) -> Array:
@@ -287,7 +296,7 @@ class CooperativeLocalisation:
         Horizontally the slow part alone; vertically that of the last fixes, against the barometer.
         """
         bias, variance, down_m = STATES * station + BIAS, self.cov.item, 0.0
-        if self.active[station]:
+        if self.active.item(station):
             down_m = self._receivers.less_odometry_ned_m.item(station, 2) - self.state.item(bias - 1)
             spread_m2 = variance(bias, bias) + variance(bias + 1, bias + 1)
         else:
@@ -336,7 +345,7 @@ class CooperativeLocalisation:
 
     @property
     def _time_us(self) -> int:
-        return int(self._filter["time_us"].item())
+        return int(self._time.item())
 
     def _lose(self, station: int) -> None:
         """Take a UAV out until there are new odometry, GPS and distances of it."""

@@ -5,6 +5,8 @@ Keeps no position: the beacon's content is handed in, and what was heard or meas
 
 import math
 from collections.abc import Callable
+from itertools import chain, repeat
+from operator import itemgetter
 
 import numpy as np
 
@@ -21,6 +23,7 @@ from netsim.wire.messages import Broadcast, FtmRequest, FtmResult, Survey, TxIte
 
 BEACON_JITTER = 0.02
 """Half width of each beacon's random shift, in periods: two UAVs that tick together do not go on doing so."""
+_DRAWS = 256
 PRIOR_TRIPS = 8
 """How many round trips' evidence the device's stated accuracy is worth beside a session's own few."""
 
@@ -55,12 +58,15 @@ class Traffic:
     ) -> None:
         self._station, self._stations = station, stations
         self._trip_std_m = devices.ftm_trip_std_m
-        self._rng = rng
         self._range_floor_var_m2 = config.range_floor_std_m**2
-        self._ranging = self._policy(config, near)
+        self._ranging = self._policy(config, near, rng)
+        # In blocks, for a draw costs many times as much as the next of a list; the policy has drawn by now.
+        self._draws = chain.from_iterable(rng.random(size).tolist() for size in repeat(_DRAWS))
+        """Of the slots' phase and jitters, 0 to 1."""
         self.range_silence_us = self._ranging.silence_us
         self.gather_s = self._ranging.gather_s
-        self._distances: dict[int, wire.Distance] = {}
+        self._told: dict[int, tuple[int, bytes]] = {}
+        """Newest distance to each peer, as beacons tell it: when it was measured, ms, and its bytes."""
         self._seq = 0
         self._beacon_seq = 0
         self._period_us = config.beacon_period_ms * 1_000
@@ -93,7 +99,7 @@ class Traffic:
         self._ranging.on_result(item.peer, ended_us=ended_us, variance_m2=var_m2 + self._range_floor_var_m2)
         std_m = math.sqrt(var_m2)
         distance = wire.Distance(item.peer, item.measured_ns // 1_000_000, item.distance_m, std_m)
-        self._distances[item.peer] = distance
+        self._told[item.peer] = (distance.time_ms, wire.encode_distance(distance))
         return distance
 
     def take_survey(self, item: Survey) -> None:
@@ -119,7 +125,7 @@ class Traffic:
         """
         items: list[TxItem] = []
         if self._slot_us is None:
-            self._slot_us = now_us + self._rng.uniform() * self._period_us
+            self._slot_us = now_us + next(self._draws) * self._period_us
             self._beacon_us = int(self._slot_us)
         if (
             now_us - self._slot_us > WAIT_US
@@ -129,12 +135,16 @@ class Traffic:
             self._slot_us += missed * self._period_us
             self._beacon_us = int(self._slot_us)
         while self._beacon_us < until_us:
-            error = gps_error() if gps_error is not None else None
-            payload = wire.encode(self._beacon(own, now_us, phase, motion_start_ms, error))
+            payload = wire.encode_with(
+                self._newest_told(now_us), self._station, self._beacon_seq, own.time_us, phase,
+                own.odometry_ned_m, own.vel_ned_m_s, motion_start_ms, own.fix,
+                None if gps_error is None else gps_error(),
+            )  # fmt: skip
+            self._beacon_seq = (self._beacon_seq + 1) % wire.SEQ_MODULUS
             items.append(Broadcast(seq=self._next_seq(), at_us=max(self._beacon_us, now_us), payload=payload))
             self._slot_us += self._period_us
             self._beacon_us = int(
-                self._slot_us + (2.0 * BEACON_JITTER * self._rng.random() - BEACON_JITTER) * self._period_us
+                self._slot_us + (2.0 * BEACON_JITTER * next(self._draws) - BEACON_JITTER) * self._period_us
             )
         if ranging and self._ranging.next_us < until_us:
             requests = self._ranging.due(
@@ -147,7 +157,9 @@ class Traffic:
         """When `due` next has something to say."""
         return int(min(self._beacon_us, self._ranging.next_us if ranging else NEVER_US))
 
-    def _policy(self, config: OnboardConfig, near: Neighbourhood | None) -> RangingPolicy:
+    def _policy(
+        self, config: OnboardConfig, near: Neighbourhood | None, rng: np.random.Generator
+    ) -> RangingPolicy:
         if config.ranging == "scheduled":
             return ScheduledRanging(
                 station=self._station, stations=self._stations, slot_us=config.ranging_slot_ms * 1_000,
@@ -157,24 +169,17 @@ class Traffic:
             )  # fmt: skip
         return RangingSchedule(
             station=self._station, stations=self._stations, period_us=round(config.ftm_period_s * 1e6),
-            rng=self._rng, peers=None if near is None else near.members.tolist(),
+            rng=rng, peers=None if near is None else near.members.tolist(),
         )  # fmt: skip
 
-    def _beacon(
-        self, own: OwnState, now_us: int, phase: Phase, start_ms: int | None, error: wire.GpsError | None
-    ) -> wire.Beacon:
+    def _newest_told(self, now_us: int) -> list[bytes]:
+        """Bytes of the distances that may be news to somebody, as many as a beacon holds."""
         oldest_ms = (now_us - self.range_silence_us) // 1_000
-        fresh = [item for item in self._distances.values() if item.time_ms >= oldest_ms]
-        if len(fresh) > wire.MAX_RANGES:
-            fresh.sort(key=lambda item: item.time_ms)
-        seq = self._beacon_seq
-        self._beacon_seq = (seq + 1) % wire.SEQ_MODULUS
-        return wire.Beacon(
-            station=self._station, seq=seq, time_us=own.time_us, phase=phase,
-            odometry_ned_m=own.odometry_ned_m, vel_ned_m_s=own.vel_ned_m_s,
-            motion_start_ms=start_ms, fix=own.fix, gps_error=error,
-            distances=tuple(fresh[-wire.MAX_RANGES:]),
-        )  # fmt: skip
+        fresh = [octets for time_ms, octets in self._told.values() if time_ms >= oldest_ms]
+        if len(fresh) <= wire.MAX_RANGES:
+            return fresh
+        newest = sorted(self._told.values(), key=itemgetter(0))[-wire.MAX_RANGES :]
+        return [octets for _, octets in newest]
 
     def _next_seq(self) -> int:
         self._seq += 1
