@@ -27,12 +27,13 @@ from autopilot.onboard.common_frame import CommonFrame
 from autopilot.onboard.flight import LOCALISE_TIMEOUT_US, Flight, Situation
 from autopilot.onboard.formation import Level
 from autopilot.onboard.guidance import Guidance
-from autopilot.onboard.localisation import CooperativeLocalisation, LocalisationModel, Others
+from autopilot.onboard.localisation import CooperativeLocalisation, LocalisationModel
 from autopilot.onboard.neighbourhood import Neighbourhood
 from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.phases import Phase
 from autopilot.onboard.support import Support
 from autopilot.onboard.traffic import Traffic
+from autopilot.onboard.uncertainty import Others
 from autopilot.types import Vector
 from netsim.wire.messages import Delivery, FtmResult, RxItem, Sent, Survey, TxItem
 
@@ -422,7 +423,7 @@ class OnboardApp:
         if self.localisation is None:
             return 0.0
         if self._flight.phase is not Phase.LOCALISING or not self.localisation.located.all():
-            return float("inf")
+            return math.inf
         return self.localisation.shape_std_m(now_us)
 
     @property

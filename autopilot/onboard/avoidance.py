@@ -22,6 +22,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from autopilot.onboard.uncertainty import Others
+
 Array = NDArray[np.float64]
 
 CLOSING_1_S = 1.0
@@ -55,6 +57,18 @@ PASSES = 30
 _ASKED = Struct("5d")
 """Of an array: written into its memory, for a fifth of the time that assigning its parts takes."""
 NEAR_M = 1e-3
+KEPT = np.dtype(
+    [
+        ("station", "i8"),
+        ("limit_m", "f8"),  # largest reach, in place
+        ("seen_us", "i8"),  # when it was last fresh, and then:
+        ("beside_m", "f8", 3),  # way from its place
+        ("std_m", "f8"),
+    ]
+)
+"""What is kept of a member."""
+Kept = NDArray[np.void]
+"""(N,) of `KEPT`"""
 
 
 @njit(cache=True)
@@ -162,48 +176,55 @@ def keep_clear(
 
 @njit(cache=True)
 def remember(
-    now_us: int, pos_ned_m: Array, vel_ned_m_s: Array, std_m: Array, fresh: NDArray[np.bool_],
-    plan_pos_ned_m: Array, plan_vel_ned_m_s: Array, seen_us: NDArray[np.int64], beside_m: Array,
-    seen_std_m: Array, counts: NDArray[np.bool_],
-) -> None:  # fmt: skip
-    """Keep what is known of the fresh, and put the silent where they would be by that.
+    now_us: int, j: int, fresh: bool,  # noqa: FBT001  # numba knows no keyword-only arguments
+    pos_ned_m: Array, vel_ned_m_s: Array, std_m: Array, plan_pos_ned_m: Array, plan_vel_ned_m_s: Array,
+    kept: Kept,
+) -> bool:  # fmt: skip
+    """Keep what is known of member j if it is fresh; else put it where it would be by what was kept.
 
-    Rows of pos_ned_m, vel_ned_m_s and std_m of UAVs that are not ``fresh`` are filled from seen_us (N,),
-    beside_m (N, 3) from the place, and seen_std_m (N,), which those of the fresh are kept in; counts (N,)
-    becomes who is fresh or was within `KEEP_US`.
+    Arrays have a row for every member: of one that is not fresh, pos_ned_m, vel_ned_m_s and std_m are filled.
+    Returns whether it is fresh or was within `KEEP_US`.
     """
-    for j in range(pos_ned_m.shape[0]):
-        if fresh[j]:
-            seen_us[j] = now_us
-            seen_std_m[j] = std_m[j]
-            beside_m[j] = pos_ned_m[j] - plan_pos_ned_m[j]
-        counts[j] = now_us - seen_us[j] < KEEP_US
-        if counts[j] and not fresh[j]:
-            pos_ned_m[j] = plan_pos_ned_m[j] + beside_m[j]
-            vel_ned_m_s[j] = plan_vel_ned_m_s[j]
-            std_m[j] = seen_std_m[j] + GROWTH_M_S * 1e-6 * (now_us - seen_us[j])
+    memory = kept[j]
+    beside_m = memory["beside_m"]
+    if fresh:
+        memory["seen_us"], memory["std_m"] = now_us, std_m[j]
+        for a in range(3):
+            beside_m[a] = pos_ned_m[j, a] - plan_pos_ned_m[j, a]
+        return True
+    silent_us = now_us - memory["seen_us"]
+    if silent_us >= KEEP_US:
+        return False
+    for a in range(3):
+        pos_ned_m[j, a] = plan_pos_ned_m[j, a] + beside_m[a]
+        vel_ned_m_s[j, a] = plan_vel_ned_m_s[j, a]
+    std_m[j] = memory["std_m"] + GROWTH_M_S * 1e-6 * silent_us
+    return True
 
 
 @njit(cache=True)
 def velocity_change(
-    own: int, now_us: int, pos_ned_m: Array, vel_ned_m_s: Array, std_m: Array, fresh: NDArray[np.bool_],
-    plan_pos_ned_m: Array, plan_vel_ned_m_s: Array, members: NDArray[np.int64], seen_us: NDArray[np.int64],
-    memory: Array, in_place_m: float, radius_m: float, asked: Array,
+    own: int, now_us: int, others: Others, plan_pos_ned_m: Array, plan_vel_ned_m_s: Array, kept: Kept,
+    in_place_m: float, radius_m: float, asked: Array,
 ) -> tuple[float, float]:  # fmt: skip
     """What `keep_clear` adds to the velocity wanted, north and east, after `remember`.
 
-    plan_pos_ned_m and plan_vel_ned_m_s have a row for every UAV of the formation, the other arrays one for
-    each of ``members`` (N,). What is handed in stays as it is but for seen_us (N,) and memory (5N,):
-    beside_m (N, 3), seen_std_m (N,) and limits_m (N,), one behind the other. ``asked`` (5,): goal_ned_m (3,)
-    and wanted_ne_m_s (2,).
+    plan_pos_ned_m and plan_vel_ned_m_s have a row for every UAV of the formation, ``others`` (N,), of `SEEN`,
+    and ``kept`` (N,), of `KEPT`, one for every member. What is handed in stays as it is but for ``kept``.
+    ``asked`` (5,): goal_ned_m (3,) and wanted_ne_m_s (2,).
     """
-    n = members.size
-    pos, vel, std, known = pos_ned_m.copy(), vel_ned_m_s.copy(), std_m.copy(), fresh.copy()
-    known[own] = True  # wherever it thinks itself to be
-    plan_pos, plan_vel = plan_pos_ned_m[members], plan_vel_ned_m_s[members]
+    n = kept.size
+    pos, vel, std = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
+    plan_pos, plan_vel, limits_m = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
     counts = np.empty(n, np.bool_)
-    beside_m, seen_std_m, limits_m = memory[: 3 * n].reshape(n, 3), memory[3 * n : 4 * n], memory[4 * n :]
-    remember(now_us, pos, vel, std, known, plan_pos, plan_vel, seen_us, beside_m, seen_std_m, counts)
+    for j in range(n):
+        other, station = others[j], kept[j]["station"]
+        for a in range(3):
+            pos[j, a], vel[j, a] = other["pos_ned_m"][a], other["vel_ned_m_s"][a]
+            plan_pos[j, a], plan_vel[j, a] = plan_pos_ned_m[station, a], plan_vel_ned_m_s[station, a]
+        std[j], limits_m[j] = other["std_m"], kept[j]["limit_m"]
+        # The own place is known, wherever it thinks itself to be.
+        counts[j] = remember(now_us, j, other["fresh"] or j == own, pos, vel, std, plan_pos, plan_vel, kept)
     change_ne_m_s = np.empty(2)
     keep_clear(
         own, pos, vel, counts, std, limits_m, in_place_m, radius_m, plan_pos[own], plan_vel[own],
@@ -226,8 +247,9 @@ class Avoidance:
     def __init__(
         self, *, own: int, places_ned_m: Array, radius_m: float, members: NDArray[np.int64] | None = None
     ) -> None:
-        self._members = np.arange(len(places_ned_m)) if members is None else members
-        places_ned_m = places_ned_m[self._members]
+        if members is None:
+            members = np.arange(len(places_ned_m))
+        places_ned_m = places_ned_m[members]
         count = len(places_ned_m)
         self._own = own
         self._radius_m = radius_m
@@ -235,8 +257,8 @@ class Avoidance:
         others_m = np.delete(limits_m, own)
         nearest_m = float(others_m.min()) / SPACING_SHARE if count > 1 else 0.0
         self._in_place_m = 0.5 * (1.0 - SPACING_SHARE) * nearest_m
-        self._seen_us = np.full(count, -KEEP_US, np.int64)
-        self._memory = np.concatenate((np.zeros(4 * count), limits_m))
+        self._kept: Kept = np.zeros(count, KEPT)
+        self._kept["station"], self._kept["seen_us"], self._kept["limit_m"] = members, -KEEP_US, limits_m
         self._asked = np.zeros(_ASKED.size // 8)
         self._asked_bytes = self._asked.data.cast("B")
 
@@ -244,10 +266,7 @@ class Avoidance:
         self,
         now_us: int,
         *,
-        pos_ned_m: Array,
-        vel_ned_m_s: Array,
-        std_m: Array,
-        fresh: NDArray[np.bool_],
+        others: Others,
         plan_pos_ned_m: Array,
         plan_vel_ned_m_s: Array,
         goal_ned_m: Sequence[float],
@@ -256,12 +275,10 @@ class Avoidance:
         """Velocity, NED north and east, to add to the setpoint's: exactly zero while nobody is near.
 
         Args:
-            now_us: of all that follows; (N, .) arrays have a row for every member, the own one too.
-            pos_ned_m: (N, 3) estimated positions, extrapolated to now.
-            vel_ned_m_s: (N, 3)
-            std_m: (N,) one sigma of the position relative to the own, horizontally, along the line.
-            fresh: (N,) who was heard within `FRESH_US` and is known to be there. Others are kept clear of for
-                `KEEP_US` after that, as if they followed the plan.
+            now_us: of all that follows.
+            others: (N,) of `SEEN`, a row for every member, the own one too; positions are extrapolated to
+                now. Fresh is who was heard within `FRESH_US` and is known to be there. Others are kept clear
+                of for `KEEP_US` after that, as if they followed the plan.
             plan_pos_ned_m: (F, 3) the places of the whole formation now.
             plan_vel_ned_m_s: (F, 3) and how they move.
             goal_ned_m: (3,) where the own UAV is to be in the end: its place.
@@ -271,7 +288,7 @@ class Avoidance:
         """
         _ASKED.pack_into(self._asked_bytes, 0, *goal_ned_m, *wanted_ne_m_s)
         change_ne_m_s: tuple[float, float] = velocity_change(
-            self._own, now_us, pos_ned_m, vel_ned_m_s, std_m, fresh, plan_pos_ned_m, plan_vel_ned_m_s,
-            self._members, self._seen_us, self._memory, self._in_place_m, self._radius_m, self._asked,
+            self._own, now_us, others, plan_pos_ned_m, plan_vel_ned_m_s, self._kept,
+            self._in_place_m, self._radius_m, self._asked,
         )  # fmt: skip
         return change_ne_m_s

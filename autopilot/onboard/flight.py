@@ -85,6 +85,8 @@ class Flight:
     def _next(self, own: OwnState, situation: Situation, now_us: int) -> Phase:
         disarmed = not own.armed and own.heartbeat_us > self._phase_since_us + HEARTBEAT_LAG_US
         match self.phase:
+            case Phase.JOINING | Phase.ON_STATION:  # first, for so it is nearly always
+                return self._in_formation(own, situation, now_us, disarmed=disarmed)
             case Phase.WAITING if own.origin_ned_m is not None and own.fix is not None:
                 return Phase.HELD if self.held else self._begin(situation)
             case Phase.HELD if not self.held:
@@ -101,8 +103,6 @@ class Flight:
                     return Phase.TAKE_OFF
             case Phase.TAKE_OFF:
                 return self._taking_off(own, situation, now_us, disarmed=disarmed)
-            case Phase.JOINING | Phase.ON_STATION:
-                return self._in_formation(own, situation, now_us, disarmed=disarmed)
             case Phase.YIELDED:
                 self._commands.want(None, now_us)
                 if own.main_mode == OFFBOARD_MAIN_MODE and not own.failsafe:

@@ -7,7 +7,6 @@ knows it. Where truly it should be is a point that joins the formation's plan an
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
 from struct import Struct
 
 import numpy as np
@@ -40,12 +39,6 @@ LAG_MAX_M = 1.0
 _STILL = (0.0, 0.0, 0.0)
 _TARGET = Struct("12d")
 """Of an array's rows: written into its memory, for a fifth of the time that assigning them takes."""
-
-
-@lru_cache(maxsize=4)
-def _part(dt_s: float) -> float:
-    """Part of the way to a new estimate that is gone in ``dt_s``."""
-    return 1.0 - math.exp(-dt_s / OFFSET_TIME_CONSTANT_S)
 
 
 class Correction:
@@ -104,7 +97,7 @@ class Correction:
             if known is None or self._silent_s > COAST_S:
                 # Continue from where the correction is: it may not jump in the air.
                 known = (drift_n_m - self.ne_m[0], drift_e_m - self.ne_m[1])
-            part, limit_m = _part(dt_s), OFFSET_RATE_M_S * dt_s
+            part, limit_m = 1.0 - math.exp(-dt_s / OFFSET_TIME_CONSTANT_S), OFFSET_RATE_M_S * dt_s
             step_n_m, step_e_m = (offset_ne_m[0] - known[0]) * part, (offset_ne_m[1] - known[1]) * part
             size_m = math.sqrt(step_n_m * step_n_m + step_e_m * step_e_m)
             if size_m > limit_m:

@@ -13,10 +13,10 @@ from autopilot.onboard.avoidance import Avoidance
 from autopilot.onboard.formation import Correction, Reference
 from autopilot.onboard.hearing import Hearing
 from autopilot.onboard.layers import HeightLayers
-from autopilot.onboard.localisation import Others
 from autopilot.onboard.motion import MotionStart
 from autopilot.onboard.neighbourhood import Neighbourhood
 from autopilot.onboard.own_state import OwnState
+from autopilot.onboard.uncertainty import Others
 from autopilot.onboard.wind import WindObserver
 from autopilot.types import Vector
 
@@ -81,7 +81,10 @@ class Guidance:
 
     def believed_ned_m(self, own: OwnState, now_us: int) -> Vector:
         """Where the UAV believes itself to be, site NED."""
-        age_s = 1e-6 * min(max(now_us - own.time_us, 0), EXTRAPOLATED_US)
+        age_us = now_us - own.time_us
+        if not 0 <= age_us <= EXTRAPOLATED_US:
+            age_us = 0 if age_us < 0 else EXTRAPOLATED_US
+        age_s = 1e-6 * age_us
         (north_m, east_m, down_m), (vel_n, vel_e, vel_d) = own.autopilot_ned_m, own.vel_ned_m_s
         error_n_m, error_e_m = self.correction.ne_m
         return (
@@ -125,8 +128,7 @@ class Guidance:
             plan = self._plan.at(since_s)
             change_n, change_e = self._avoidance.velocity_change_ne_m_s(
                 now_us,
-                pos_ned_m=others.pos_ned_m, vel_ned_m_s=others.vel_ned_m_s,
-                std_m=others.std_m, fresh=others.fresh,
+                others=others,
                 plan_pos_ned_m=plan.pos_ned_m, plan_vel_ned_m_s=plan.vel_ned_m_s,
                 goal_ned_m=target.pos_ned_m,
                 wanted_ne_m_s=(

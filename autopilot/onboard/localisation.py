@@ -13,7 +13,6 @@ what its receiver states is taken to have errors of that size, and after a step 
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -43,7 +42,7 @@ from autopilot.onboard.receivers import Receivers, clear
 from autopilot.onboard.reference_geometry import ReferenceGeometry, shape_std_m
 from autopilot.onboard.tracks import EXTRAPOLATED_S, KNOWN, Tracks, odometry_at
 from autopilot.onboard.trust import Trust
-from autopilot.onboard.uncertainty import seen_from, variance_between
+from autopilot.onboard.uncertainty import SEEN, Others, seen_from, variance_between
 from autopilot.types import Vector
 
 __all__ = ["CLOCK_TOLERANCE_US", "SILENCE_US", "CooperativeLocalisation", "LocalisationModel", "Others"]
@@ -52,22 +51,6 @@ JUMP_SHARE = 0.1
 """Standard deviation of a jump of odometry, by its size."""
 GEOMETRY_PERIOD_US = 1_000_000
 """How often it is looked at whether the formation has turned."""
-
-
-class Others(NamedTuple):
-    """All N UAVs as one of them has them; rows in their order, the own one included.
-
-    Memory that is written over when somebody asks again.
-    """
-
-    pos_ned_m: Array
-    """(N, 3) site NED."""
-    vel_ned_m_s: Array
-    """(N, 3)"""
-    std_m: Array
-    """(N,) one sigma of the position relative to the own, horizontally, along the line."""
-    fresh: Flags
-    """(N,) bool: located, and heard of lately."""
 
 
 class CooperativeLocalisation:
@@ -118,9 +101,7 @@ class CooperativeLocalisation:
         self._geometry = ReferenceGeometry(self._places_ned_m)
         self._geometry_due_us = 0
         self._counted = 0
-        self._others = Others(
-            np.empty((count, 3)), self.tracks.newest[:, 3:], np.empty(count), np.empty(count, bool)
-        )
+        self._others: Others = np.zeros(count, SEEN)
 
     def read(self, hearing: Hearing, now_us: int) -> None:
         """Hear all that has come, and take what it says of those who are localised and of distances."""
@@ -312,11 +293,14 @@ class CooperativeLocalisation:
         return relative_m2 + self._walked_m2(now_us)
 
     def others(self, now_us: int, *, fresh_us: int, shift_ne_m: tuple[float, float] = (0.0, 0.0)) -> Others:
-        """Everybody, as avoidance wants them, shifted; fresh is who was heard within ``fresh_us``."""
+        """Everybody, as avoidance wants them, shifted; fresh is who was heard within ``fresh_us``.
+
+        Memory that is written over when somebody asks again.
+        """
         others = self._others
         seen_from(
             self.own, now_us, self.members, EXTRAPOLATED_S, self.state, self.cov, now_us - fresh_us,
-            self._walked_m2(now_us), *shift_ne_m, others.pos_ned_m, others.std_m, others.fresh,
+            self._walked_m2(now_us), *shift_ne_m, others,
         )  # fmt: skip
         return others
 

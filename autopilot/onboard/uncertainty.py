@@ -8,6 +8,18 @@ from autopilot.onboard.kernels import STATES, Array, Times
 from autopilot.onboard.members import Members
 
 Flags = NDArray[np.bool_]
+SEEN = np.dtype(
+    [
+        ("pos_ned_m", "f8", 3),  # site NED
+        ("vel_ned_m_s", "f8", 3),
+        ("std_m", "f8"),  # one sigma of the position relative to the own, horizontally, along the line
+        ("fresh", "?"),  # located, and heard of lately
+    ],
+    align=True,
+)
+"""What one UAV knows of another, or of itself, now."""
+Others = NDArray[np.void]
+"""(N,) of `SEEN`: all UAVs as one of them has them, in their order, the own one included"""
 
 
 @njit(cache=True)
@@ -42,7 +54,7 @@ def variance_between(cov: Array, i: int, j: int, members: Members, state: Array)
 @njit(cache=True)
 def seen_from(
     own: int, now_us: int, members: Members, longest_s: float, state: Array, cov: Array, since_us: int,
-    added_m2: float, shift_n_m: float, shift_e_m: float, pos_ned_m: Array, std_m: Array, fresh: Flags,
+    added_m2: float, shift_n_m: float, shift_e_m: float, others: Others,
 ) -> None:  # fmt: skip
     """Where everybody is now and how well that is known from UAV ``own``.
 
@@ -57,11 +69,11 @@ def seen_from(
         added_m2: comes to each variance.
         shift_n_m: comes to each position in the end, north, and ``shift_e_m`` east.
         shift_e_m: see there.
-        pos_ned_m: (N, 3) filled with positions.
-        std_m: (N,) filled as by `relative_stds`, with 0 for who is not fresh.
-        fresh: (N,) filled with who is.
+        others: (N,) of `SEEN`, filled; std_m as by `relative_stds`, with 0 for who is not fresh.
 
     """
+    pos_ned_m, std_m = np.empty((members.size, 3)), np.empty(members.size)
+    fresh = np.empty(members.size, np.bool_)
     for j in range(members.size):
         member = members[j]
         newest = member["newest"]
@@ -71,8 +83,13 @@ def seen_from(
         fresh[j] = member["located"] != 0 and member["newest_us"] >= since_us
     relative_stds(cov, own, pos_ned_m, fresh, added_m2, std_m)
     for j in range(members.size):
-        pos_ned_m[j, 0] += shift_n_m
-        pos_ned_m[j, 1] += shift_e_m
+        other = others[j]
+        other["pos_ned_m"][0] = pos_ned_m[j, 0] + shift_n_m
+        other["pos_ned_m"][1] = pos_ned_m[j, 1] + shift_e_m
+        other["pos_ned_m"][2] = pos_ned_m[j, 2]
+        for a in range(3):
+            other["vel_ned_m_s"][a] = members[j]["newest"][3 + a]
+        other["std_m"], other["fresh"] = std_m[j], fresh[j]
 
 
 @njit(cache=True)

@@ -342,10 +342,10 @@ def test_what_is_flown_while_the_autopilot_says_nothing_is_in_nobodys_odometry()
         true_m = np.linalg.norm(w.pos[1, :2] - w.pos[0, :2])
         for app, localisation in believed.items():
             others = localisation.others(w.now_us, fresh_us=1_000_000)
-            if others.fresh.all():
-                pos_ned_m = others.pos_ned_m
+            if others["fresh"].all():
+                pos_ned_m = others["pos_ned_m"]
                 error_m = np.linalg.norm(pos_ned_m[1, :2] - pos_ned_m[0, :2]) - true_m
-                assert abs(error_m) < 4.0 * others.std_m.max() + 0.1, app._station
+                assert abs(error_m) < 4.0 * others["std_m"].max() + 0.1, app._station
     assert all(localisation.located.all() for localisation in believed.values())
 
 

@@ -23,11 +23,19 @@ from autopilot.onboard.avoidance import (
     _nearest,
 )
 from autopilot.onboard.formation import Reference
+from autopilot.onboard.uncertainty import SEEN
 
 POSITION_P_1_S = 0.95
 DENSE = article_places_ned_m(4.25, 1.25)
 FAR_APART = np.array(((0.0, -50.0, -10.0), (0.0, 50.0, -10.0)))
 STILL = np.zeros(3)
+
+
+def as_seen(pos_ned_m, vel_ned_m_s, std_m, *, fresh=True):
+    others = np.zeros(len(pos_ned_m), SEEN)
+    others["pos_ned_m"], others["vel_ned_m_s"] = pos_ned_m, vel_ned_m_s
+    others["std_m"], others["fresh"] = std_m, fresh
+    return others
 
 
 def change(
@@ -43,10 +51,12 @@ def change(
     avoidance = avoidance or Avoidance(own=own, places_ned_m=places[:n], radius_m=radius_m)
     change_ne_m_s = avoidance.velocity_change_ne_m_s(
         now_us,
-        pos_ned_m=positions,
-        vel_ned_m_s=np.zeros((n, 3)) if velocities is None else np.array(velocities, float),
-        std_m=np.full(n, std_m),
-        fresh=np.ones(n, bool) if fresh is None else np.array(fresh),
+        others=as_seen(
+            positions,
+            np.zeros((n, 3)) if velocities is None else np.array(velocities, float),
+            std_m,
+            fresh=True if fresh is None else np.array(fresh),
+        ),
         plan_pos_ned_m=plan,
         plan_vel_ned_m_s=np.zeros((n, 3)) if plan_vel is None else np.array(plan_vel, float),
         goal_ned_m=positions[own] if goal is None else np.array(goal, float),
@@ -266,8 +276,7 @@ class Crowd:
             positions, velocities = seen.copy(), moving.copy()
             positions[i], velocities[i] = known[i], self.vel[i]
             push = self.avoidance[i].velocity_change_ne_m_s(
-                round(k * STEP_S * 1e6), pos_ned_m=positions, vel_ned_m_s=velocities,
-                std_m=np.full(self.n, 0.2), fresh=np.ones(self.n, bool),
+                round(k * STEP_S * 1e6), others=as_seen(positions, velocities, 0.2),
                 plan_pos_ned_m=plan.pos_ned_m, plan_vel_ned_m_s=plan.vel_ned_m_s,
                 goal_ned_m=plan.pos_ned_m[i],
                 wanted_ne_m_s=POSITION_P_1_S * (pos - known[i])[:2] + vel[:2],

@@ -446,9 +446,9 @@ def test_variances_of_distance_and_line_are_those_of_the_covariance():
     assert 0.0 < variance_m2 < RANGE_STD_M**2  # ten measurements of the pair, and the others'
     level = line * (1.0, 1.0, 0.0) / np.hypot(line[0], line[1])
     others = filter_.others(now_us, fresh_us=1_000_000)
-    assert others.std_m[peer] == pytest.approx(np.sqrt(level @ block @ level + walked_m2), rel=1e-9)
-    assert others.fresh.all()
-    assert not filter_.others(now_us, fresh_us=100_000).fresh.any()
+    assert others["std_m"][peer] == pytest.approx(np.sqrt(level @ block @ level + walked_m2), rel=1e-9)
+    assert others["fresh"].all()
+    assert not filter_.others(now_us, fresh_us=100_000)["fresh"].any()
 
 
 def test_compiled_and_interpreted_kernels_agree():

@@ -56,6 +56,14 @@ def listed(kind, count):
     return rows
 
 
+def kept():
+    """Of members some of whom were seen within `KEEP_US`."""
+    rows = listed(avoidance.KEPT, N)
+    rows["station"], rows["limit_m"] = (0, 2, 3, 5), np.abs(rows["limit_m"])
+    rows["seen_us"] -= RNG.choice((0, avoidance.KEEP_US), size=N)
+    return rows
+
+
 def rings():
     rows = listed(tracks.RING, N)
     rows["pushed"] = RNG.integers(2 * tracks.SAMPLES, size=N)
@@ -152,7 +160,7 @@ CASES = {
     uncertainty.variance_between: lambda: (cov(), 0, 1, listed(MEMBER, N), some(5 * N)),
     uncertainty.seen_from: lambda: (
         1, 10_000_000, listed(MEMBER, N), 0.5, *filtered(), 9_500_000, 0.01, 0.3, -0.2,
-        np.zeros((N, 3)), np.zeros(N), flags()),
+        listed(uncertainty.SEEN, N)),
     uncertainty.shape_variance: lambda: (some(N, 3, size=6.0), cov(), np.arange(N)),
     uncertainty.bend: lambda: (
         some(N, 2, size=6.0), some(N, 2, size=6.0), cov(), np.arange(N), np.zeros((N, N)), np.zeros((N, N))),
@@ -160,15 +168,14 @@ CASES = {
     formation.follow: lambda: (
         some(3, 3, size=2.0), flags()[:2], some(4, 3), bool(RNG.integers(2)), 1.5, 0.05),
     avoidance.velocity_change: lambda: (
-        0, 10_000_000, some(N, 3, size=3.0), some(N, 3), np.abs(some(N)), flags(), some(6, 3, size=3.0),
-        some(6, 3), np.array((0, 2, 3, 5)), RNG.integers(10_000_000, size=N), np.abs(some(5 * N)), 0.5, 1.2,
+        0, 10_000_000, listed(uncertainty.SEEN, N), some(6, 3, size=3.0), some(6, 3), kept(), 0.5, 1.2,
         some(5)),
     avoidance.keep_clear: lambda: (
         0, some(N, 3, size=3.0), some(N, 3), flags(), np.abs(some(N)), np.full(N, 3.0), 0.5, 1.2, some(3),
         some(3), some(2), some(3), np.zeros(2)),
     avoidance.remember: lambda: (
-        10_000_000, some(N, 3), some(N, 3), some(N), flags(), some(N, 3), some(N, 3),
-        RNG.integers(10_000_000, size=N), some(N, 3), some(N), flags()),
+        10_000_000, 2, bool(RNG.integers(2)), some(N, 3), some(N, 3), some(N), some(N, 3), some(N, 3),
+        kept()),
 }  # fmt: skip
 
 
