@@ -75,7 +75,7 @@ PAGE = np.dtype([("source", "<i8"), ("size", "<i8"), ("header", HEADER), ("range
 """A datagram: from which station, how many bytes, and these. What they do not reach stays from before."""
 PageRows = NDArray[np.void]
 """(P,) of `PAGE`"""
-_LETTERHEAD = struct.Struct("<qq")
+_PAGE_BYTES = PAGE.itemsize
 
 Vector = tuple[float, float, float]
 
@@ -196,21 +196,25 @@ class Pages:
 
     def __init__(self, most: int) -> None:
         self.rows: PageRows = np.zeros(most, PAGE)
+        self._most = most
         self.count = 0
         self._octets = self.rows.view(np.uint8).data
+        self._layouts: dict[int, struct.Struct] = {}
+        """Of a page's beginning, by the size of the datagram: of few kinds are many."""
 
     def put(self, source: int, payload: bytes) -> bool:
         """Write a station's datagram on the next page; of one that is too long, its length alone.
 
         Returns whether that was the last page.
         """
-        begin, size = self.count * PAGE.itemsize, len(payload)
+        size = len(payload)
+        layout = self._layouts.get(size)
+        if layout is None:
+            layout = struct.Struct(f"<qq{size if size <= _CAPACITY else 0}s")
+            self._layouts[size] = layout
+        layout.pack_into(self._octets, self.count * _PAGE_BYTES, source, size, payload)
         self.count += 1
-        _LETTERHEAD.pack_into(self._octets, begin, source, size)
-        if size <= _CAPACITY:
-            begin += _LETTERHEAD.size
-            self._octets[begin : begin + size] = payload
-        return self.count == len(self.rows)
+        return self.count == self._most
 
 
 @njit(cache=True)

@@ -5,8 +5,6 @@ the formation together; kept clear of the others; and turned into the autopilot'
 believes itself elsewhere than it is.
 """
 
-from typing import NamedTuple
-
 from autopilot.config import OnboardConfig
 from autopilot.formation_plan import FormationPlan
 from autopilot.onboard.avoidance import Avoidance
@@ -26,13 +24,9 @@ EXTRAPOLATED_US = 50_000
 """The autopilot's position is moved on by its velocity for so long at most: telemetry comes more often."""
 
 
-class Setpoint(NamedTuple):
-    """What the autopilot is asked for; NED, position from its own origin."""
-
-    pos_ned_m: Vector
-    vel_ned_m_s: Vector
-    acc_ned_m_s2: Vector | None
-    """None: none is given."""
+Setpoint = tuple[Vector, Vector, Vector | None]
+"""What the autopilot is asked for, NED: position from its own origin (m), velocity (m/s) and, if given,
+acceleration (m/s^2)."""
 
 
 class Guidance:
@@ -155,7 +149,7 @@ class Guidance:
                 feed_n, feed_e = self.wind.feed_forward_ne_m_s2
                 acc_n, acc_e = acc_n + feed_n, acc_e + feed_e
             acc_ned_m_s2 = (acc_n, acc_e, acc_d)
-        return Setpoint(asked_ned_m, vel_ned_m_s, acc_ned_m_s2)
+        return asked_ned_m, vel_ned_m_s, acc_ned_m_s2
 
     def _since_start_s(self, now_us: int) -> float:
         start_us = self.start.start_us

@@ -14,8 +14,9 @@ COMMANDS = frozenset({common.MAVLINK_MSG_ID_COMMAND_LONG, common.MAVLINK_MSG_ID_
 _AUTOPILOT_COMPONENT = 1
 _LOCAL_NED = int(common.MAV_FRAME_LOCAL_NED)
 _NO_YAW = common.POSITION_TARGET_TYPEMASK_YAW_IGNORE | common.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
-_NO_ACCELERATION = (
-    common.POSITION_TARGET_TYPEMASK_AX_IGNORE
+_NO_YAW_NOR_ACCELERATION = (
+    _NO_YAW
+    | common.POSITION_TARGET_TYPEMASK_AX_IGNORE
     | common.POSITION_TARGET_TYPEMASK_AY_IGNORE
     | common.POSITION_TARGET_TYPEMASK_AZ_IGNORE
 )
@@ -23,11 +24,11 @@ _NO_ACCELERATION = (
 
 def offboard_setpoint(setpoint: Setpoint, target_system: int, now_us: int) -> PositionTarget:
     """Setpoint of a position, its velocity and, if there is one, its acceleration."""
-    acceleration = setpoint.acc_ned_m_s2
-    mask = _NO_YAW | _NO_ACCELERATION if acceleration is None else _NO_YAW
+    pos_ned_m, vel_ned_m_s, acc_ned_m_s2 = setpoint
+    mask = _NO_YAW if acc_ned_m_s2 else _NO_YAW_NOR_ACCELERATION
     return PositionTarget(
         now_us // 1_000, target_system, _AUTOPILOT_COMPONENT, _LOCAL_NED, mask,
-        *setpoint.pos_ned_m, *setpoint.vel_ned_m_s, *(acceleration or ()),
+        *pos_ned_m, *vel_ned_m_s, *(acc_ned_m_s2 or ()),
     )  # fmt: skip
 
 
