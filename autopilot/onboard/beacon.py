@@ -200,7 +200,7 @@ class Pages:
         self.count = 0
         self._octets = self.rows.view(np.uint8).data
         self._layouts: dict[int, struct.Struct] = {}
-        """Of a page's beginning, by the size of the datagram: of few kinds are many."""
+        """How a datagram of each size that has come is written, behind where it is from and that size."""
 
     def put(self, source: int, payload: bytes) -> bool:
         """Write a station's datagram on the next page; of one that is too long, its length alone.
