@@ -1,7 +1,7 @@
 """The on-board application of one UAV: beacons, ranging, localisation and formation control.
 
 Sans-IO. MAVLink messages from the own autopilot and items from the own radio go in, `OnboardOutput` comes
-out once per step. All times are on one clock that the formation shares.
+out once in each round of its loop. All times are on one clock that the formation shares.
 
 `OwnState` keeps what the autopilot says, `Traffic` what is said on the radio, `CooperativeLocalisation` makes
 positions of both, `Guidance` makes setpoints of positions, and `Flight` decides on phases and commands.
@@ -26,7 +26,7 @@ from autopilot.onboard.commands import CommandSender
 from autopilot.onboard.common_frame import CommonFrame
 from autopilot.onboard.flight import LOCALISE_TIMEOUT_US, Flight, Situation
 from autopilot.onboard.formation import Level
-from autopilot.onboard.guidance import Guidance
+from autopilot.onboard.guidance import SETPOINT_PERIOD_US, Guidance
 from autopilot.onboard.localisation import CooperativeLocalisation, LocalisationModel
 from autopilot.onboard.neighbourhood import Neighbourhood
 from autopilot.onboard.own_state import OwnState
@@ -37,10 +37,11 @@ from autopilot.onboard.uncertainty import Others
 from autopilot.types import Vector
 from netsim.wire.messages import Delivery, FtmResult, RxItem, Sent, Survey, TxItem
 
-SETPOINT_PERIOD_US = 40_000
+LONGEST_GAP_US = 200_000
+"""Between setpoints: after a longer one the way goes on as if it had been so long."""
 HEARTBEAT_PERIOD_US = 1_000_000
-SHORTEST_STEP_US, LONGEST_STEP_US = 1_000, 40_000
-"""Of the loop that `OnboardApp.on_timer` is called in."""
+SHORTEST_LOOP_US, LONGEST_LOOP_US = 1_000, 40_000
+"""A round of the loop that `OnboardApp.on_timer` is called in."""
 TELEMETRY_GAP_US = 500_000
 """Velocities this far apart do not tell what was flown between them."""
 TRUTH_STD_M = 0.01
@@ -50,7 +51,7 @@ GATHER_MAX_S = 0.8e-6 * LOCALISE_TIMEOUT_US
 
 
 class OnboardOutput(Struct, frozen=True):
-    """What the application sends in one step."""
+    """What the application sends in one round of its loop."""
 
     mavlink: Sequence[Message | PositionTarget]
     """To the own autopilot."""
@@ -60,7 +61,7 @@ class OnboardOutput(Struct, frozen=True):
 _BACK, _LOST = "ranging is back", "ranging lost: correction frozen, then fading"
 _UNKNOWN: Vector = (math.nan, math.nan, math.nan)
 NOTHING = OnboardOutput((), ())
-"""What most steps give."""
+"""What a round gives in which nothing is due."""
 
 
 class Estimate(NamedTuple):
@@ -147,6 +148,7 @@ class OnboardApp:
             beacon_period_us=config.beacon_period_ms * 1_000,
         )  # fmt: skip
         self._now_us = -1
+        self._flown_us = -1
         self._setpoint_us = 0
         self._fix_taken: Fix | None = None
         """The newest that localisation has used."""
@@ -154,7 +156,7 @@ class OnboardApp:
         self._told: tuple[Phase, int | None] | None = None
         """Phase and start of the motion in the last heartbeat."""
         self._due_us = 0
-        """Nothing is to be done in a step that ends before this."""
+        """Nothing is to be done in a round that ends before this."""
 
     # ---- inputs
 
@@ -264,13 +266,13 @@ class OnboardApp:
     # ---- output
 
     def on_timer(self, now_us: int) -> OnboardOutput:
-        """Return all to send in the step that begins at ``now_us``; called once per step."""
-        # The coming step is taken to be as long as the last, and the first as short as steps can be.
-        step_us = now_us - self._now_us if self._now_us >= 0 else SHORTEST_STEP_US
+        """Return all to send in the round of the loop that begins at ``now_us``; called once in each."""
+        # The coming round is taken to be as long as the last, and the first as short as rounds can be.
+        loop_us = now_us - self._now_us if self._now_us >= 0 else SHORTEST_LOOP_US
         self._now_us = now_us
-        if not SHORTEST_STEP_US <= step_us <= LONGEST_STEP_US:
-            step_us = SHORTEST_STEP_US if step_us < SHORTEST_STEP_US else LONGEST_STEP_US
-        if now_us + step_us <= self._due_us:
+        if not SHORTEST_LOOP_US <= loop_us <= LONGEST_LOOP_US:
+            loop_us = SHORTEST_LOOP_US if loop_us < SHORTEST_LOOP_US else LONGEST_LOOP_US
+        if now_us + loop_us <= self._due_us:
             return NOTHING
         mavlink: list[Message | PositionTarget] = []
         if now_us >= self._setpoint_us and self._own.time_us >= 0:
@@ -290,9 +292,9 @@ class OnboardApp:
         radio: tuple[TxItem, ...] = ()
         ranges = self.localisation is not None and told[0] is not Phase.WAITING
         radio_us = self._traffic.next_deadline_us(ranging=ranges)
-        if self._own.time_us >= 0 and radio_us < now_us + step_us:
+        if self._own.time_us >= 0 and radio_us < now_us + loop_us:
             radio = self._traffic.due(
-                self._own, now_us, now_us + step_us,
+                self._own, now_us, now_us + loop_us,
                 ranging=ranges, variance_m2=self._distance_variance_m2,
                 phase=told[0], motion_start_ms=self._motion_start_ms, gps_error=self._say_gps_error,
             )  # fmt: skip
@@ -357,7 +359,10 @@ class OnboardApp:
     def _fly(self, now_us: int) -> list[PositionTarget]:
         """Go on with localisation, phase and motion, and give the setpoint that follows."""
         guidance, flight, own = self._guidance, self._flight, self._own
-        self._correct(now_us)
+        since_us = now_us - self._flown_us if self._flown_us >= 0 else SETPOINT_PERIOD_US
+        self._flown_us = now_us
+        dt_s = min(since_us, LONGEST_GAP_US) * 1e-6
+        self._correct(now_us, dt_s)
         place_ned_m, believed_ned_m = guidance.place_ned_m(now_us), guidance.believed_ned_m(own, now_us)
         flight.update(
             own,
@@ -374,12 +379,12 @@ class OnboardApp:
             return []
         if flight.in_formation:
             others = self._known_others(now_us)
-            setpoint = guidance.follow(own, believed_ned_m, others, now_us, SETPOINT_PERIOD_US * 1e-6)
+            setpoint = guidance.follow(own, believed_ned_m, others, now_us, dt_s)
         else:
             setpoint = guidance.wait(own, now_us)
         return [messages.offboard_setpoint(setpoint, self._station + 1, now_us)]
 
-    def _correct(self, now_us: int) -> None:
+    def _correct(self, now_us: int, dt_s: float) -> None:
         """Bring the correction up to date with what is known of the true position."""
         own, guidance = self._own, self._guidance
         offset_ne_m: Level | None = None
@@ -402,7 +407,7 @@ class OnboardApp:
         in_air = self._flight.in_air
         (there_n_m, there_e_m, _), (gone_n_m, gone_e_m, _) = own.autopilot_ned_m, own.odometry_ned_m
         drift_ne_m = (there_n_m - gone_n_m, there_e_m - gone_e_m)
-        guidance.correction.update(drift_ne_m, offset_ne_m, SETPOINT_PERIOD_US * 1e-6, at_once=not in_air)
+        guidance.correction.update(drift_ne_m, offset_ne_m, dt_s, at_once=not in_air)
         guidance.layers.update(now_us, supported=not in_air or self._support.holds_all(now_us))
 
     def _known_others(self, now_us: int) -> Others | None:

@@ -18,6 +18,8 @@ from autopilot.onboard.uncertainty import Others
 from autopilot.onboard.wind import WindObserver
 from autopilot.types import Vector
 
+SETPOINT_PERIOD_US = 40_000
+"""How often a setpoint is given, if the application's loop comes round at its multiples."""
 POSITION_GAIN_1_S = 0.95
 """MPC_XY_P of an autopilot that has not said what it is."""
 EXTRAPOLATED_US = 50_000
@@ -105,8 +107,10 @@ class Guidance:
         """Setpoint on the way to the own place, and in it, of a UAV that believes itself there.
 
         ``others`` are the neighbourhood; None where the own position in it is not known, to keep clear.
+        ``dt_s`` has passed since the last one.
         """
-        since_s = self._since_start_s(now_us) + 0.5 * dt_s  # half of the time for which the setpoint holds
+        # in the middle of the time for which a setpoint holds
+        since_s = self._since_start_s(now_us) + 0.5 * SETPOINT_PERIOD_US * 1e-6
         target = self._plan.own(self._station, since_s)
         place_n_m, place_e_m, place_d_m = target.pos_ned_m
         reference = self._reference

@@ -131,7 +131,9 @@ class SwarmWorld:
     They are given what comes at once, and asked for what they have to say at the multiples of ``loop_us``.
     """
 
-    def __init__(self, *, places_ned_m, seed, errors=None, config=None, boot_offset_us=0, loop_us=STEP_US):
+    def __init__(
+        self, *, places_ned_m, seed, errors=None, config=None, boot_offset_us=0, loop_us=STEP_US, motion=None
+    ):
         self.loop_us = loop_us
         self.places = np.asarray(places_ned_m, float)
         self.n = len(self.places)
@@ -147,6 +149,7 @@ class SwarmWorld:
                 config=config or OnboardConfig(),
                 devices=Devices(),
                 rng=streams[2 + i],
+                motion=motion,
             )
             for i in range(self.n)
         ]

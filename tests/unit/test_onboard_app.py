@@ -6,13 +6,15 @@ from onboard_world import MODE_LAND, MODE_LOITER, MODE_OFFBOARD, SITE, STEP_US, 
 from pymavlink.dialects.v20 import common
 
 from autopilot.config import Devices, OnboardConfig
+from autopilot.formation_plan import FormationPlan, RacetrackMotion
 from autopilot.mavlink.within import PositionTarget
 from autopilot.onboard import OnboardApp, Phase, messages
 from autopilot.onboard import beacon as wire
-from autopilot.onboard.app import NOTHING, SETPOINT_PERIOD_US
+from autopilot.onboard.app import NOTHING
 from autopilot.onboard.commands import CommandSender
 from autopilot.onboard.flight import OFFBOARD_MAIN_MODE, Flight, Situation
 from autopilot.onboard.formation import COAST_S
+from autopilot.onboard.guidance import SETPOINT_PERIOD_US
 from autopilot.onboard.own_state import OwnState
 from autopilot.params import ParameterSet, Settings
 from autopilot.protocol.parameter import ParameterService
@@ -469,3 +471,30 @@ def test_same_seed_same_flight():
     assert np.array_equal(flights[0][0], flights[1][0])
     assert np.array_equal(flights[0][1], flights[1][1])
     assert not np.array_equal(flights[0][1], flights[2][1])
+
+
+@pytest.mark.parametrize("loop_us", [4_000, 12_000, 20_000, 28_000, 36_000, 40_000])
+def test_a_plan_in_motion_is_kept_to_whatever_the_loops_period(loop_us):
+    """Setpoints then come at intervals that differ, and each asks for the plan's half a period on."""
+    motion = RacetrackMotion(speed_m_s=3.0, length_m=30.0, radius_m=25.0)
+    w = world(ALONE, config=GPS, loop_us=loop_us, motion=motion)
+    w.run_until(phase_is(Phase.ON_STATION), limit_s=20.0)
+    w.run(5.0)  # the motion has begun, and the reference has joined it
+    app, plan, misses_m, apart_m_s2 = w.apps[0], FormationPlan(ALONE, 0.0, motion), [], []
+    on_timer = app.on_timer
+
+    def spy(now_us):
+        out = on_timer(now_us)
+        if any(isinstance(message, PositionTarget) for message in out.mavlink):
+            since_s = (now_us - app._guidance.start.start_us) * 1e-6
+            target = plan.own(0, since_s + 0.5 * SETPOINT_PERIOD_US * 1e-6)
+            reference = app._guidance._reference
+            misses_m.append(np.abs(reference.pos_ned_m - target.pos_ned_m).max())
+            apart_m_s2.append(np.abs(reference.acc_ned_m_s2 - target.acc_ned_m_s2).max())
+        return out
+
+    app.on_timer = spy
+    w.run(25.0)  # a straight and the turn after it
+    assert len(misses_m) > 400
+    assert max(misses_m) < 1e-6
+    assert max(apart_m_s2) < 1e-6
