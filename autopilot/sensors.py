@@ -16,6 +16,7 @@ from autopilot.commander.conditions import Condition
 from autopilot.estimation.estimator import Estimator
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.dialect import ESC_STATUS
+from autopilot.mavlink.hil import HIL_GPS, HIL_SENSOR
 from autopilot.types import GpsFix, ImuSample
 
 IMU_FIELDS = 0b11_1111
@@ -52,13 +53,15 @@ class SensorInput:
         """The last one that held a pressure."""
         self.gps: Message | None = None
         self.gps_us = 0
-        self.motor_currents_a: list[float] | None = None
+        self.motor_currents_a: Sequence[float] | None = None
         """(4,) of the last ESC_STATUS; None before there was one."""
         self.motor_currents_us = 0
         self._estimator = estimator
         self._seen_us = dict.fromkeys(TIMEOUTS_US, _LONG_AGO_US)
         self._mag_us = self._baro_us = 0
         """From when on the next reading is taken: multiples of the periods, so that both come in one step."""
+        self.aids_us = 0
+        """The earlier of the two: before it, readings of magnetometer and barometer are passed over."""
         self.set_params(params)
 
     def set_params(self, params: SensorsParams) -> None:
@@ -66,20 +69,15 @@ class SensorInput:
         self._mag_period_us = round(_US_PER_S / params.mag_rate_hz)
         self._baro_period_us = round(_US_PER_S / params.baro_rate_hz)
 
-    @property
-    def aids_us(self) -> int:
-        """From when on a reading of magnetometer or barometer is not passed over."""
-        return min(self._mag_us, self._baro_us)
-
     def take(self, messages: Sequence[Message], now_us: int) -> bool:
         """Hand one step's messages to the estimator, in order; tells whether a GPS fix was among them."""
         new_fix = False
         for message in messages:
             kind = message.get_msgId()
-            if kind == common.MAVLINK_MSG_ID_HIL_SENSOR:
+            if kind == HIL_SENSOR:
                 if message.id == 0:
                     self._take_sensor(message, now_us)
-            elif kind == common.MAVLINK_MSG_ID_HIL_GPS:
+            elif kind == HIL_GPS:
                 self._take_gps(message, now_us)
                 new_fix = True
             elif kind == ESC_STATUS and message.index == 0:
@@ -112,13 +110,14 @@ class SensorInput:
                 self._seen_us[_BARO] = now_us
                 self._baro_us = now_us - now_us % self._baro_period_us + self._baro_period_us
                 self._estimator.on_baro(now_us, message.abs_pressure, message.temperature)
+        self.aids_us = min(self._mag_us, self._baro_us)
         if fields & IMU_FIELDS == IMU_FIELDS:
             self._seen_us[_IMU] = now_us
             self._estimator.on_imu(
                 ImuSample(
                     time_us=now_us,
-                    accel_frd_m_s2=np.array((message.xacc, message.yacc, message.zacc)),
-                    gyro_frd_rad_s=np.array((message.xgyro, message.ygyro, message.zgyro)),
+                    accel_frd_m_s2=(message.xacc, message.yacc, message.zacc),
+                    gyro_frd_rad_s=(message.xgyro, message.ygyro, message.zgyro),
                 )
             )
 

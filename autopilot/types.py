@@ -5,6 +5,7 @@ Frames: NED (local, from the estimator's origin) and FRD (body). Quaternions are
 one copies it. What is made at every step is a msgspec Struct, which costs a fraction of a frozen dataclass.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -15,6 +16,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 """Where what is done is a few sums: an array's operations cost more than they do."""
+Triple = Sequence[float] | Array
+"""Three numbers that are only read one by one"""
 
 
 class Course(Enum):
@@ -29,9 +32,9 @@ class ImuSample(Struct, frozen=True, kw_only=True):
     """One inertial sample, mean over the interval that ends at ``time_us``."""
 
     time_us: int
-    accel_frd_m_s2: Array
+    accel_frd_m_s2: Triple
     """(3,) specific force: (0, 0, -9.81) at rest and level."""
-    gyro_frd_rad_s: Array
+    gyro_frd_rad_s: Triple
     """(3,)"""
 
 

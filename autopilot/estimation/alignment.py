@@ -75,8 +75,8 @@ class Alignment:
         """Take an inertial sample; it may complete the alignment."""
         if self._start_us is None:
             self._start_us = sample.time_us
-        self._accels_m_s2.append(sample.accel_frd_m_s2.copy())
-        self._gyros_rad_s.append(sample.gyro_frd_rad_s.copy())
+        self._accels_m_s2.append(np.array(sample.accel_frd_m_s2))
+        self._gyros_rad_s.append(np.array(sample.gyro_frd_rad_s))
         window_us = sample.time_us - self._start_us
         if window_us < WINDOW_US:
             return None

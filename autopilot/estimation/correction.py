@@ -1,77 +1,88 @@
-"""What is fused most often, a magnetic field and a pressure of one moment, in one compiled call.
+"""What comes most often, an inertial sample with a magnetic field and a pressure, in one compiled call.
 
-The two come 25 times a second and are most of a filter's time beside its inertial samples: one call over
-the filter's own block of memory instead of four, each with a dozen arrays to be looked into. What follows
-from a refusal is `fusion`'s.
+Field and pressure come 25 times a second, and are fused when the horizon reaches their moment, in the step
+of another inertial sample. All that the call works on lies in three blocks of memory: nothing is made for it,
+and few objects are looked into. What follows from a refusal is `fusion`'s.
 """
 
-from typing import NamedTuple
+from struct import Struct
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from autopilot.estimation.horizon import Block, predict_now
+from autopilot.estimation.horizon import NOT_FINITE, Block, advance, predict_now
 from autopilot.estimation.kernels import POS, fuse_direct, fuse_field, is_sound
-from autopilot.types import Array
 
-LIMITS = np.dtype(
+STEP = np.dtype(
     [
+        # the sample
+        ("time_us", "i8"),
+        ("gyro_frd_rad_s", "f8", 3),
+        ("accel_frd_m_s2", "f8", 3),
+        # field and pressure of one moment, to be fused if the horizon gets there
+        ("pair_us", "i8"),
+        ("believed", "i8"),  # the compass is
+        ("field_frd_gauss", "f8", 3),
+        ("down_m", "f8", 1),
+        # what became of them, and of the filter
+        ("heading_ratio", "f8"),
+        ("height_ratio", "f8"),
+        ("tilt_var_rad2", "f8"),  # the larger one
+        ("disturbed", "i8"),  # the field is not the site's
+        ("sound", "i8"),  # as of `kernels.is_sound`
+        ("heading_innovation_rad", "f8", 1),
+        ("heading_var_rad2", "f8", 1),
+        ("height_innovation_m", "f8", 1),
+        ("height_var_m2", "f8", 1),
+        # noises, gates and limits
         ("field_ned_gauss", "f8", 3),  # of the site
         ("field_off_max", "f8", 2),  # see `kernels.field_disturbed`
-        ("heading_var_rad2", "f8"),
+        ("heading_noise_var_rad2", "f8"),
         ("heading_gate", "f8"),
-        ("height_var_m2", "f8", (1,)),
+        ("height_noise_var_m2", "f8", 1),
         ("height_gate", "f8"),
         ("bias_limits", "f8", 2),
     ],
     align=True,
 )
-"""Noises, gates and limits."""
-
-
-class Corrected(NamedTuple):
-    """What became of the two, and of the filter."""
-
-    heading_innovation_rad: float
-    heading_var_rad2: float
-    heading_ratio: float
-    disturbed: bool
-    """The field is not the site's."""
-    height_innovation_m: float
-    height_var_m2: float
-    height_ratio: float
-    sound: bool
-    """As of `kernels.is_sound`, afterwards."""
-    tilt_var_rad2: float
-    """The larger one."""
+MEASURED = Struct("=q6dqq4d")
+"""Sample and pair for Python, to which a row of an array is slow to write."""
+CORRECTED = Struct("=3dqq")
+"""The first five of what became of the pair."""
+CORRECTED_AT = MEASURED.size
 
 
 @njit(cache=True)
-def correct(
-    block: Block, samples: Block, limits: NDArray[np.void], field_frd_gauss: Array, down_m: float,
-    believed: bool,  # noqa: FBT001 - kernels take positions
-) -> tuple[float, float, float, bool, float, float, float, bool, float]:  # fmt: skip
-    """Fuse the heading of a magnetic field (3,), if ``believed``, then a height, and carry that to now.
+def correct(block: Block, samples: Block, step: NDArray[np.void]) -> None:
+    """Fuse the heading of the pair's field, if that is believed, then its height, and carry that to now.
 
-    ``block`` and ``samples`` are as of `horizon.advance`, ``limits`` (1,) of `LIMITS`; returns the fields of
-    `Corrected`.
+    ``block`` and ``samples`` are as of `horizon.advance`, ``step`` (1,) of `STEP`.
     """
-    here, by = block[0], limits[0]
-    x, cov, bias_limits = here["x"], here["cov"], by["bias_limits"]
+    here, at = block[0], step[0]
+    x, cov, bias_limits = here["x"], here["cov"], at["bias_limits"]
+    believed = at["believed"] != 0
     turn_rad, turn_var, heading_ratio, disturbed = fuse_field(
-        x, cov, field_frd_gauss, by["field_ned_gauss"], by["field_off_max"], by["heading_var_rad2"],
-        by["heading_gate"], bias_limits, believed,
+        x, cov, at["field_frd_gauss"], at["field_ned_gauss"], at["field_off_max"],
+        at["heading_noise_var_rad2"], at["heading_gate"], bias_limits, believed,
     )  # fmt: skip
-    measured, rise_m, rise_var = np.empty(1), np.empty(1), np.empty(1)
-    measured[0] = down_m
     height_ratio = fuse_direct(
-        x, cov, POS + 2, measured, by["height_var_m2"], by["height_gate"], bias_limits, rise_m, rise_var
-    )
+        x, cov, POS + 2, at["down_m"], at["height_noise_var_m2"], at["height_gate"], bias_limits,
+        at["height_innovation_m"], at["height_var_m2"],
+    )  # fmt: skip
     if height_ratio < 1.0 or (heading_ratio < 1.0 and believed and not disturbed):
         predict_now(block, samples)
-    tilt_var = max(cov[0, 0], cov[1, 1])
-    return (
-        turn_rad, turn_var, heading_ratio, disturbed, rise_m[0], rise_var[0], height_ratio,
-        is_sound(x, cov), tilt_var,
-    )  # fmt: skip
+    at["heading_innovation_rad"][0], at["heading_var_rad2"][0] = turn_rad, turn_var
+    at["heading_ratio"], at["height_ratio"] = heading_ratio, height_ratio
+    at["disturbed"], at["sound"] = disturbed, is_sound(x, cov)
+    at["tilt_var_rad2"] = max(cov[0, 0], cov[1, 1])
+
+
+@njit(cache=True)
+def advance_and_correct(block: Block, samples: Block, step: NDArray[np.void]) -> int:
+    """Take the sample as `horizon.advance` does, whose answer this is; then `correct`, if the pair is due."""
+    at = step[0]
+    horizon_us = advance(block, samples, at["time_us"], at["gyro_frd_rad_s"], at["accel_frd_m_s2"])
+    if horizon_us != NOT_FINITE and horizon_us >= at["pair_us"]:
+        correct(block, samples, step)
+    return horizon_us

@@ -16,14 +16,21 @@ import numpy as np
 from autopilot.estimation import atmosphere, kernels
 from autopilot.estimation.alignment import Aligned, Alignment
 from autopilot.estimation.diagnostics import Aiding, EstimatorDiagnostics
-from autopilot.estimation.fusion import HEIGHT_RESET_US, HOLD_PERIOD_US, Fusion, Jump, Origin
+from autopilot.estimation.fusion import (
+    HEIGHT_RESET_US,
+    HOLD_PERIOD_US,
+    NEVER_US,
+    Aid,
+    Fusion,
+    Jump,
+    Origin,
+)
 from autopilot.estimation.horizon import ACC, ESTIMATE, NOT_FINITE, OMEGA, STD, DelayedHorizon
 from autopilot.estimation.params import EstimatorParams
 from autopilot.estimation.rotation import quat_conjugate, quat_multiply
 from autopilot.types import Array, EstimatorState, GpsFix, ImuSample
 
 DEAD_RECKONING_US = 1_000_000
-NEVER_US = 1 << 62
 WAITING_MAX = 256
 """Measurements waiting for the horizon, of each kind: beyond it the inertial sensor has failed anyway."""
 TILT_STD_MAX_RAD = math.radians(20.0)
@@ -40,15 +47,15 @@ class Estimator:
     def __init__(self, params: EstimatorParams) -> None:
         self._params = params
         self._alignment = Alignment(params)
-        self._filter: DelayedHorizon | None = None
+        self.filter: DelayedHorizon | None = None
+        """The filter, once it is aligned"""
         self._fusion: Fusion | None = None
         self._ground_altitude_m: float | None = None
         """Pressure altitude of the first alignment."""
         self._origin: Origin | None = None
         self._failed = False
         self._fixes: deque[GpsFix] = deque(maxlen=WAITING_MAX)
-        self._baros: deque[tuple[int, float]] = deque(maxlen=WAITING_MAX)
-        self._mags: deque[tuple[int, Array]] = deque(maxlen=WAITING_MAX)
+        self._aids: deque[Aid] = deque(maxlen=WAITING_MAX)
         self._time_us = -1
         self._due_us = 0
         """Nothing is to be fused while the horizon is before this."""
@@ -67,23 +74,26 @@ class Estimator:
         """Take the inertial sample of the interval that ends at its time, and bring the state there."""
         if not self._time_us < sample.time_us < NEVER_US:
             return
-        if self._filter is None or self._fusion is None:
+        if self.filter is None or self._fusion is None:
             self._align(sample)
             return
         if self._failed:
             self._coast(sample)
             return
-        horizon_us = self._filter.add(sample.time_us, sample.gyro_frd_rad_s, sample.accel_frd_m_s2)
+        time_us, aids, fusion = sample.time_us, self._aids, self._fusion
+        horizon_us = fusion.advance(
+            time_us, sample.gyro_frd_rad_s, sample.accel_frd_m_s2, aids[0] if aids else None
+        )
         if horizon_us == NOT_FINITE:
             return
-        self._time_us = sample.time_us
+        self._time_us = time_us
         if horizon_us >= self._due_us:
-            self._fuse_due(self._filter, self._fusion, horizon_us)
+            self._fuse_due(self.filter, fusion, horizon_us)
         self._bring_up_to_date(horizon_us)
 
     def on_gps(self, fix: GpsFix) -> None:
         """Take a fix; it is fused when the horizon reaches ``fix.time_us`` less the delay."""
-        if self._filter is not None:
+        if self.filter is not None:
             self._fixes.append(fix)
             self._due_us = 0
 
@@ -96,21 +106,24 @@ class Estimator:
         if not (math.isfinite(pressure_hpa) and pressure_hpa > 0.0):
             return
         altitude_m = atmosphere.altitude_m(pressure_hpa * 100.0)
-        if self._filter is None:
+        if self.filter is None:
             self._alignment.add_baro(altitude_m)
         else:
-            self._baros.append((time_us, altitude_m))
+            field_frd_gauss = None
+            if self._aids and self._aids[-1][0] == time_us and self._aids[-1][2] is None:
+                field_frd_gauss = self._aids.pop()[1]
+            self._aids.append((time_us, field_frd_gauss, altitude_m))
             self._due_us = 0
 
     def on_mag(self, time_us: int, field_frd_gauss: Sequence[float]) -> None:
         """Take a magnetic field, (3,) FRD."""
-        if not math.isfinite(sum(field_frd_gauss)):
+        x, y, z = field_frd_gauss
+        if not math.isfinite(x + y + z):
             return
-        field = np.array(field_frd_gauss, float)
-        if self._filter is None:
-            self._alignment.add_mag(field)
+        if self.filter is None:
+            self._alignment.add_mag(np.array((x, y, z)))
         else:
-            self._mags.append((time_us, field))
+            self._aids.append((time_us, (x, y, z), None))
             self._due_us = 0
 
     # -- commands
@@ -126,11 +139,11 @@ class Estimator:
         Raises ValueError for another GPS delay once the alignment is done: the horizon would have to move.
         `restart` takes it.
         """
-        if self._filter is not None and params.gps_delay_us != self._params.gps_delay_us:
+        if self.filter is not None and params.gps_delay_us != self._params.gps_delay_us:
             raise ValueError("the GPS delay cannot change while the estimator runs")
         self._params = params
         self._alignment.set_params(params)
-        if self._filter is not None and self._fusion is not None:
+        if self.filter is not None and self._fusion is not None:
             self._fusion.set_params(params)
 
     def restart(self, params: EstimatorParams | None = None) -> None:
@@ -140,9 +153,9 @@ class Estimator:
         """
         self._params = params or self._params
         self._alignment = Alignment(self._params)
-        self._filter = self._fusion = None
+        self.filter = self._fusion = None
         self._failed = False
-        for waiting in (self._fixes, self._baros, self._mags):
+        for waiting in (self._fixes, self._aids):
             waiting.clear()
         self._aided_until_us = self._height_until_us = -1
         self.live.attitude_valid = self.live.navigation_failed = False
@@ -154,11 +167,6 @@ class Estimator:
             self._fusion.compass.clear()
 
     # -- steps of inertial samples alone, which compiled code makes on the filter's memory
-
-    @property
-    def filter(self) -> DelayedHorizon | None:
-        """The filter, once it is aligned."""
-        return self._filter
 
     @property
     def sound_until_us(self) -> int:
@@ -194,16 +202,16 @@ class Estimator:
     @property
     def diagnostics(self) -> EstimatorDiagnostics | None:
         """How the filter does, once it is aligned. The records of aiding are live, the arrays copies."""
-        if self._filter is None or self._fusion is None:
+        if self.filter is None or self._fusion is None:
             return None
         fusion = self._fusion
         return EstimatorDiagnostics(
-            horizon_us=self._filter.horizon_us,
+            horizon_us=self.filter.horizon_us,
             velocity=fusion.velocity,
             position=fusion.position,
             height=fusion.height,
             heading=fusion.heading,
-            dead_reckoning=fusion.unaided(self._filter.horizon_us, DEAD_RECKONING_US),
+            dead_reckoning=fusion.unaided(self.filter.horizon_us, DEAD_RECKONING_US),
             position_held=fusion.held_pos_m is not None,
             navigation_failed=fusion.navigation.failed,
             numerical_failure=self._failed,
@@ -213,8 +221,8 @@ class Estimator:
             accelerometer_bad=fusion.vertical.bad,
             gsf_turn_rad=fusion.bank_turn_rad,
             gsf_std_rad=fusion.bank.std_rad,
-            x=self._filter.x.copy(),
-            covariance=self._filter.cov.copy(),
+            x=self.filter.x.copy(),
+            covariance=self.filter.cov.copy(),
         )
 
     @property
@@ -239,13 +247,13 @@ class Estimator:
     @property
     def compass_rejected(self) -> bool:
         """Whether the alignment waits because the magnetic field is not the site's."""
-        return self._filter is None and self._alignment.field_rejected
+        return self.filter is None and self._alignment.field_rejected
 
     # -- parts of a step
 
     def _align(self, sample: ImuSample) -> None:
-        gyro_frd_rad_s = sample.gyro_frd_rad_s
-        if not kernels.is_plausible(gyro_frd_rad_s, sample.accel_frd_m_s2):
+        gyro_frd_rad_s = np.array(sample.gyro_frd_rad_s)
+        if not kernels.is_plausible(gyro_frd_rad_s, np.array(sample.accel_frd_m_s2)):
             return
         self._time_us = sample.time_us
         self.live.omega_frd_rad_s[:] = gyro_frd_rad_s - self.live.gyro_bias_rad_s
@@ -259,7 +267,7 @@ class Estimator:
         if self._ground_altitude_m is None:
             self._ground_altitude_m = aligned.baro_altitude_m
         aligned.x[kernels.POS + 2] = self._ground_altitude_m - aligned.baro_altitude_m
-        self._filter = DelayedHorizon(
+        self.filter = DelayedHorizon(
             aligned.x,
             aligned.cov,
             time_us=self._time_us,
@@ -267,11 +275,11 @@ class Estimator:
             noise_psd=np.array(self._params.process_noise_psd),
         )
         self._fusion = Fusion(
-            self._params, self._filter, ground_altitude_m=self._ground_altitude_m, origin=self._origin
+            self._params, self.filter, ground_altitude_m=self._ground_altitude_m, origin=self._origin
         )
         before = self.live
         self.live = replace(
-            before, **{name: getattr(_state_over(self._filter.estimate), name) for name in _VIEWS}
+            before, **{name: getattr(_state_over(self.filter.estimate), name) for name in _VIEWS}
         )
         self.live.attitude_valid = True
         if self._origin is not None:
@@ -303,30 +311,32 @@ class Estimator:
 
     def _fuse_due(self, delayed: DelayedHorizon, fusion: Fusion, horizon_us: int) -> None:
         """Fuse what the horizon has reached."""
-        mags, baros, fixes = self._mags, self._baros, self._fixes
+        aids, fixes = self._aids, self._fixes
         delay_us = self._params.gps_delay_us
         corrected = False
-        sound: bool | None = None
-        if self._is_pair_alone(fusion, horizon_us):
-            time_us, field_frd_gauss = mags.popleft()
-            done = fusion.fuse_mag_and_baro(time_us, field_frd_gauss, baros.popleft()[1])
-            sound, tilt_var_rad2 = done.sound, done.tilt_var_rad2
-        while mags and mags[0][0] <= horizon_us:
-            corrected |= fusion.fuse_mag(*mags.popleft())
-        while baros and baros[0][0] <= horizon_us:
-            corrected |= fusion.fuse_baro(*baros.popleft())
+        done = fusion.done
+        if done is not None:
+            aids.popleft()
+        while aids and aids[0][0] <= horizon_us:
+            time_us, field_frd_gauss, altitude_m = aids.popleft()
+            if field_frd_gauss is not None:
+                corrected |= fusion.fuse_mag(time_us, np.array(field_frd_gauss))
+            if altitude_m is not None:
+                corrected |= fusion.fuse_baro(time_us, altitude_m)
         while fixes and fixes[0].time_us - delay_us <= horizon_us:
             corrected |= fusion.fuse_fix(fixes.popleft())
         if horizon_us - fusion.held_us >= HOLD_PERIOD_US:
             corrected |= fusion.hold_position()
         if fusion.jumps:
             self._carry_jump(delayed, fusion)
-            sound = None
+            done = None
         elif corrected:
             delayed.corrected()
-        if sound is None:
-            sound = kernels.is_sound(delayed.x, delayed.cov)
+            done = None
+        if done is None:
             tilt_var_rad2 = max(delayed.cov.item(0, 0), delayed.cov.item(1, 1))
+            done = (kernels.is_sound(delayed.x, delayed.cov), tilt_var_rad2)
+        sound, tilt_var_rad2 = done
         if sound:
             self.live.attitude_valid = tilt_var_rad2 <= TILT_STD_MAX_RAD**2
             self._note_validity(fusion)
@@ -334,23 +344,9 @@ class Estimator:
             self._fail(delayed)
         self._due_us = min(
             fusion.held_us + HOLD_PERIOD_US,
-            mags[0][0] if mags else NEVER_US,
-            baros[0][0] if baros else NEVER_US,
+            aids[0][0] if aids else NEVER_US,
             fixes[0].time_us - delay_us if fixes else NEVER_US,
         )
-
-    def _is_pair_alone(self, fusion: Fusion, horizon_us: int) -> bool:
-        """Whether a field and a pressure of one moment, and nothing else, are to be fused."""
-        mags, baros, fixes = self._mags, self._baros, self._fixes
-        if not (mags and baros and mags[0][0] == baros[0][0] <= horizon_us):
-            return False
-        after_us = min(
-            mags[1][0] if len(mags) > 1 else NEVER_US,
-            baros[1][0] if len(baros) > 1 else NEVER_US,
-            fixes[0].time_us - self._params.gps_delay_us if fixes else NEVER_US,
-            fusion.held_us + HOLD_PERIOD_US,
-        )
-        return after_us > horizon_us and fusion.takes_together(*baros[0])
 
     def _carry_jump(self, delayed: DelayedHorizon, fusion: Fusion) -> None:
         """Carry a reset to the estimate of now, and tell what it did there."""
@@ -393,10 +389,11 @@ class Estimator:
 
     def _coast(self, sample: ImuSample) -> None:
         """After a failure: the rates alone."""
-        if not kernels.is_plausible(sample.gyro_frd_rad_s, sample.accel_frd_m_s2):
+        gyro_frd_rad_s = np.array(sample.gyro_frd_rad_s)
+        if not kernels.is_plausible(gyro_frd_rad_s, np.array(sample.accel_frd_m_s2)):
             return
         self._time_us = sample.time_us
-        self.live.omega_frd_rad_s[:] = sample.gyro_frd_rad_s - self.live.gyro_bias_rad_s
+        self.live.omega_frd_rad_s[:] = gyro_frd_rad_s - self.live.gyro_bias_rad_s
         self._bring_up_to_date(self._time_us)
 
 

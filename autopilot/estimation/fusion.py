@@ -11,7 +11,7 @@ from enum import IntFlag
 import numpy as np
 
 from autopilot.estimation import kernels
-from autopilot.estimation.correction import LIMITS, Corrected, correct
+from autopilot.estimation.correction import CORRECTED, CORRECTED_AT, MEASURED, STEP, advance_and_correct
 from autopilot.estimation.diagnostics import Aiding
 from autopilot.estimation.health import (
     COMPASS_ERROR_RAD,
@@ -27,7 +27,7 @@ from autopilot.estimation.params import PX4_FILTER_PERIOD_S, EstimatorParams
 from autopilot.estimation.rotation import quat_from_rotation_vector, quat_multiply
 from autopilot.estimation.yaw_gsf import YawBank
 from autopilot.navigation.geodesy import place_ned_m
-from autopilot.types import Array, GpsFix
+from autopilot.types import Array, GpsFix, Triple, Vector
 
 HORIZONTAL_RESET_US = 7_000_000
 HEIGHT_RESET_US = 5_000_000
@@ -47,6 +47,10 @@ HOLD_PERIOD_US = 200_000
 VERTICAL_VELOCITY_NOISE_RATIO = 1.5
 """GPS velocity is worse vertically; PX4's ratio."""
 
+NEVER_US = 1 << 62
+_NO_FIELD: Vector = (0.0, 0.0, 0.0)
+Aid = tuple[int, Vector | None, float | None]
+"""A moment, the magnetic field (3,) FRD in gauss and the pressure altitude in metres that describe it."""
 Origin = tuple[float, float, float]
 """Latitude and longitude in degrees, altitude in metres above mean sea level."""
 
@@ -74,8 +78,12 @@ class Fusion:
     ) -> None:
         """Begin from an alignment; ``origin`` is known if this is not the first."""
         self.origin = origin
+        self._step = np.zeros(1, STEP)
+        self._step_octets = self._step.view(np.uint8).data
+        step = self._step[0]
         self.velocity, self.position = Aiding.of(3), Aiding.of(2)
-        self.height, self.heading = Aiding.of(1), Aiding.of(1)
+        self.height = Aiding(step["height_innovation_m"], step["height_var_m2"])
+        self.heading = Aiding(step["heading_innovation_rad"], step["heading_var_rad2"])
         self.height.accepted_us = self.heading.accepted_us = delayed.time_us
         self.compass = Compass()
         self.barometer = StuckBarometer()
@@ -90,12 +98,14 @@ class Fusion:
         """When that was last thought about."""
         self.jumps = Jump.NONE
         """Since somebody cleared it."""
+        self.done: tuple[bool, float] | None = None
+        """Whether the filter is sound after field and pressure of the last sample, and its larger variance of
+        tilt, rad^2; None if there were none."""
         self._delayed = delayed
         self._ground_altitude_m = ground_altitude_m
         self._placed = False
         """Whether the horizontal position has come from a fix."""
         self._origin_fixes: list[GpsFix] = []
-        self._limits = np.zeros(1, LIMITS)
         self.set_params(params)
 
     def set_params(self, params: EstimatorParams) -> None:
@@ -105,13 +115,14 @@ class Fusion:
         self._field_checks = field_checks(params)
         self._bias_limits = np.array([params.gyro_bias_limit_rad_s, params.accel_bias_limit_m_s2])
         self._heading_var_rad2 = params.heading_noise_rad**2
-        self._limits[0] = (
-            params.magnetic_field_ned_gauss, self._field_checks, self._heading_var_rad2,
-            params.heading_gate, params.baro_noise_m**2, params.baro_gate, self._bias_limits,
-        )  # fmt: skip
         vel_var = params.gps_vel_noise_m_s**2
         self._vel_var = np.array([vel_var, vel_var, VERTICAL_VELOCITY_NOISE_RATIO**2 * vel_var])
         self._baro_var = np.array([params.baro_noise_m**2])
+        step = self._step[0]
+        step["field_ned_gauss"], step["field_off_max"] = self._field_ned, self._field_checks
+        step["heading_noise_var_rad2"], step["heading_gate"] = self._heading_var_rad2, params.heading_gate
+        step["height_noise_var_m2"], step["height_gate"] = self._baro_var, params.baro_gate
+        step["bias_limits"] = self._bias_limits
         self._hold_var = np.full(2, params.no_aid_noise_m**2)
         self._set_noise()
 
@@ -119,34 +130,71 @@ class Fusion:
         """Whether no horizontal measurement was taken for longer than the time-out."""
         return self.velocity.absent(horizon_us, timeout_us) and self.position.absent(horizon_us, timeout_us)
 
+    # -- samples, and what comes most often
+
+    def advance(self, time_us: int, gyro_frd_rad_s: Triple, accel_frd_m_s2: Triple, aid: Aid | None) -> int:
+        """Take an inertial sample, (3,) each; the answer is that of `horizon.advance`.
+
+        Field and pressure of one moment, ``aid``, are then fused as by `fuse_mag` and `fuse_baro` and carried
+        to now, if the horizon has got there; ``done`` tells of it. Left alone are those which are not to be
+        judged at once: a field that could turn the filter before the pressure comes, and a pressure that is
+        the one before again, which the filter's velocity judges.
+        """
+        delayed, compass = self._delayed, self.compass
+        self.done = None
+        pair_us, field_frd_gauss, altitude_m = NEVER_US, _NO_FIELD, 0.0
+        if aid is not None:
+            aid_us, field, altitude = aid
+            if (
+                field is not None
+                and altitude is not None
+                and not self.barometer.repeats(altitude)
+                and not self.heading.absent(aid_us, HORIZONTAL_RESET_US)
+            ):
+                pair_us, field_frd_gauss, altitude_m = aid_us, field, altitude
+        down_m = self._ground_altitude_m - altitude_m
+        octets = self._step_octets
+        MEASURED.pack_into(
+            octets, 0, time_us, *gyro_frd_rad_s, *accel_frd_m_s2,
+            pair_us, not compass.faulty, *field_frd_gauss, down_m,
+        )  # fmt: skip
+        horizon_us: int = advance_and_correct(delayed.block, delayed.samples, self._step)
+        if horizon_us >= pair_us:
+            heading_ratio, height_ratio, tilt_var_rad2, disturbed, sound = CORRECTED.unpack_from(
+                octets, CORRECTED_AT
+            )
+            compass.disturbed = disturbed != 0
+            self.barometer.note(altitude_m, 0.0, pair_us)
+            self._judge_heading(pair_us, heading_ratio)
+            self._judge_height(pair_us, down_m, height_ratio)
+            self.done = (sound != 0, tilt_var_rad2)
+        return horizon_us
+
     # -- one measurement each; they tell whether the state changed
 
     def fuse_mag(self, time_us: int, field_frd_gauss: Array) -> bool:
         """Magnetic field (3,) FRD: its heading."""
         x, cov, compass = self._delayed.x, self._delayed.cov, self.compass
-        innovation_rad, innovation_var, ratio, compass.disturbed = kernels.fuse_field(
+        heading = self.heading
+        heading.innovation[0], heading.innovation_var[0], ratio, compass.disturbed = kernels.fuse_field(
             x, cov, field_frd_gauss, self._field_ned, self._field_checks, self._heading_var_rad2,
             self._params.heading_gate, self._bias_limits, not compass.faulty,
         )  # fmt: skip
-        return self._judge_heading(time_us, innovation_rad, innovation_var, ratio)
+        return self._judge_heading(time_us, ratio)
 
-    def _judge_heading(
-        self, time_us: int, innovation_rad: float, innovation_var: float, ratio: float
-    ) -> bool:
+    def _judge_heading(self, time_us: int, ratio: float) -> bool:
         """Note what became of a field, and what follows where it was refused for long."""
-        x, cov, compass = self._delayed.x, self._delayed.cov, self.compass
-        usable = not (compass.disturbed or compass.faulty)
-        self.heading.innovation[0] = innovation_rad
-        self.heading.innovation_var[0] = innovation_var
-        if not usable:
+        compass = self.compass
+        if not (compass.disturbed or compass.faulty) and self.heading.record(ratio, time_us):
+            return True
+        x, cov, innovation_rad = self._delayed.x, self._delayed.cov, float(self.heading.innovation[0])
+        if compass.disturbed or compass.faulty:
             self.heading.refuse(ratio, time_us)
             if compass.faulty:
                 agrees = ratio < 1.0 and abs(innovation_rad) < COMPASS_ERROR_RAD
                 known = cov[2, 2] < HEADING_KNOWN_RAD**2
                 compass.note(consistent=bool(agrees and known and not compass.disturbed), time_us=time_us)
             return False
-        if self.heading.record(ratio, time_us):
-            return True
         if not self.heading.absent(time_us, HORIZONTAL_RESET_US):
             return False
         if self.bank.std_rad < HEADING_KNOWN_RAD:
@@ -178,35 +226,6 @@ class Fusion:
             self._reset(self.height, kernels.POS + 2, at_m, self._baro_var, Jump.HEIGHT, time_us)
             return True
         return taken
-
-    def takes_together(self, time_us: int, altitude_m: float) -> bool:
-        """Whether field and pressure of one moment may be fused at once.
-
-        Not where the field could turn the filter before the pressure comes, nor a pressure that is the one
-        before again, which the filter's velocity judges.
-        """
-        may_turn = self.heading.absent(time_us, HORIZONTAL_RESET_US)
-        return not (may_turn or self.barometer.repeats(altitude_m))
-
-    def fuse_mag_and_baro(self, time_us: int, field_frd_gauss: Array, altitude_m: float) -> Corrected:
-        """Field and pressure of one moment, as `fuse_mag` and `fuse_baro`, and carry them to now.
-
-        For those that `takes_together` only.
-        """
-        delayed, compass = self._delayed, self.compass
-        self.barometer.note(altitude_m, 0.0, time_us)
-        down_m = self._ground_altitude_m - altitude_m
-        done = Corrected(
-            *correct(
-                delayed.block, delayed.samples, self._limits, field_frd_gauss, down_m, not compass.faulty
-            )
-        )
-        compass.disturbed = done.disturbed
-        self._judge_heading(time_us, done.heading_innovation_rad, done.heading_var_rad2, done.heading_ratio)
-        self.height.innovation[0] = done.height_innovation_m
-        self.height.innovation_var[0] = done.height_var_m2
-        self._judge_height(time_us, down_m, done.height_ratio)
-        return done
 
     def fuse_fix(self, fix: GpsFix) -> bool:
         """Fix: its velocity and horizontal position."""

@@ -75,6 +75,7 @@ def describe(cov: Array, gyro_frd_rad_s: Array, estimate: Array) -> None:
 def advance(block: Block, samples: Block, time_us: int, gyro_frd_rad_s: Array, accel_frd_m_s2: Array) -> int:
     """Put a sample into the ring, move the filter on to the newest that the delay lets through.
 
+    It is of the interval that ends at ``time_us``, which must be after the last one's.
     ``block`` (1,) is of `HORIZON`, whose estimate moves by the new sample, ``samples`` (capacity,) of
     `SAMPLE`. Returns the horizon's time, or NOT_FINITE for a sample that is dropped.
     """
@@ -164,14 +165,6 @@ class DelayedHorizon:
     def horizon_us(self) -> int:
         """Simulated time that ``x`` and ``cov`` describe."""
         return int(self._cursor[HORIZON_US])
-
-    def add(self, time_us: int, gyro_frd_rad_s: Array, accel_frd_m_s2: Array) -> int:
-        """Take the sample of the interval that ends at ``time_us``, which must be after the last one's.
-
-        Returns the horizon's time, or NOT_FINITE: such a sample changes nothing.
-        """
-        horizon_us: int = advance(self.block, self.samples, time_us, gyro_frd_rad_s, accel_frd_m_s2)
-        return horizon_us
 
     def corrected(self) -> None:
         """Carry a change of ``x`` and ``cov`` to the estimate of now."""

@@ -13,14 +13,15 @@ from autopilot.estimation.rotation import quat_rotate_inverse
 PARAMS = EstimatorParams()
 FIELD_NED_GAUSS = np.array(PARAMS.magnetic_field_ned_gauss)
 PERIOD_US = 20_000
-LEVEL = (np.zeros(3), np.array((0.0, 0.0, -9.80665)))
+DELAY_US = 120_000
+LEVEL = ((0.0, 0.0, 0.0), (0.0, 0.0, -9.80665))
 
 
 def aligned():
     x = np.zeros(kernels.STATES)
     x[0] = 1.0
     delayed = DelayedHorizon(
-        x, 0.01 * np.eye(kernels.ERRORS), time_us=0, delay_us=120_000,
+        x, 0.01 * np.eye(kernels.ERRORS), time_us=0, delay_us=DELAY_US,
         noise_psd=np.array(PARAMS.process_noise_psd),
     )  # fmt: skip
     return delayed, Fusion(PARAMS, delayed, ground_altitude_m=488.0, origin=None)
@@ -32,16 +33,23 @@ def one_after_the_other(delayed, fusion, time_us, field, altitude_m):
         delayed.corrected()
 
 
+def apart(delayed, fusion, time_us, field, altitude_m):
+    fusion.advance(time_us, *LEVEL, None)
+    one_after_the_other(delayed, fusion, time_us - DELAY_US, field, altitude_m)
+
+
 def at_once(delayed, fusion, time_us, field, altitude_m):
-    if not fusion.takes_together(time_us, altitude_m):
-        return one_after_the_other(delayed, fusion, time_us, field, altitude_m)
-    done = fusion.fuse_mag_and_baro(time_us, field, altitude_m)
-    if fusion.jumps:
+    measured_us = time_us - DELAY_US
+    fusion.advance(time_us, *LEVEL, (measured_us, field.tolist(), altitude_m))
+    if fusion.done is None:
+        one_after_the_other(delayed, fusion, measured_us, field, altitude_m)
+    elif fusion.jumps:
         delayed.corrected()
     else:
-        assert done.sound == kernels.is_sound(delayed.x, delayed.cov)
-        assert done.tilt_var_rad2 == max(delayed.cov[0, 0], delayed.cov[1, 1])
-    return None
+        sound, tilt_var_rad2 = fusion.done
+        assert sound == kernels.is_sound(delayed.x, delayed.cov)
+        assert tilt_var_rad2 == max(delayed.cov[0, 0], delayed.cov[1, 1])
+    return fusion.done is not None
 
 
 def known(delayed, fusion):
@@ -57,8 +65,8 @@ def known(delayed, fusion):
 def test_at_once_is_one_after_the_other(seed):
     """Through fields that are not the site's, headings and heights that are refused, and resets to them."""
     rng = np.random.default_rng(seed)
-    apart, together = aligned(), aligned()
-    jumps = Jump.NONE
+    one, other = aligned(), aligned()
+    jumps, taken_at_once = Jump.NONE, 0
     for k in range(1, 1_500):
         time_us = k * PERIOD_US
         turned_rad = 2.0 if 300 < k < 800 else 0.0
@@ -67,16 +75,17 @@ def test_at_once_is_one_after_the_other(seed):
         if 100 < k < 130:
             field *= 3.0
         altitude_m = 488.0 + 0.3 * rng.standard_normal() + (80.0 if k > 900 else 0.0)
-        for (delayed, fusion), fuse in ((apart, one_after_the_other), (together, at_once)):
+        for (delayed, fusion), fuse in ((one, apart), (other, at_once)):
             fusion.jumps = Jump.NONE
-            for back in range(4, -1, -1):
-                delayed.add(time_us - 4_000 * back, *LEVEL)
-            fuse(delayed, fusion, time_us, field, altitude_m)
-        assert known(*apart) == known(*together), k
-        jumps |= together[1].jumps
+            for back in range(4, 0, -1):
+                fusion.advance(time_us - 4_000 * back, *LEVEL, None)
+            taken_at_once += bool(fuse(delayed, fusion, time_us, field, altitude_m))
+        assert known(*one) == known(*other), k
+        jumps |= other[1].jumps
+    assert taken_at_once > 1_000
     assert jumps == Jump.YAW | Jump.HEIGHT
-    assert together[1].heading.refused > 300
-    assert together[1].height.refused > 100
+    assert other[1].heading.refused > 300
+    assert other[1].height.refused > 100
 
 
 def test_the_interpreter_gives_the_bits_of_the_compiler():
@@ -84,12 +93,14 @@ def test_the_interpreter_gives_the_bits_of_the_compiler():
     for believed in (True, False):
         delayed, fusion = aligned()
         for k in range(40):
-            delayed.add(4_000 * (k + 1), rng.normal(0.0, 0.3, 3), rng.normal(0.0, 1.0, 3) - (0.0, 0.0, 9.8))
-        field = FIELD_NED_GAUSS + 0.02 * rng.standard_normal(3)
-        blocks = [delayed.block.copy(), delayed.block.copy()]
-        compiled, interpreted = (
-            kernel(block, delayed.samples, fusion._limits, field, -0.2, believed)
-            for kernel, block in zip((correct, getattr(correct, "py_func", correct)), blocks, strict=True)
-        )
-        assert compiled == interpreted
-        assert blocks[0].tobytes() == blocks[1].tobytes()
+            gyro, accel = rng.normal(0.0, 0.3, 3), rng.normal(0.0, 1.0, 3) - (0.0, 0.0, 9.8)
+            fusion.advance(4_000 * (k + 1), gyro, accel, None)
+        step = fusion._step
+        step["field_frd_gauss"] = FIELD_NED_GAUSS + 0.02 * rng.standard_normal(3)
+        step["down_m"], step["believed"] = -0.2, believed
+        memories = []
+        for kernel in (correct, getattr(correct, "py_func", correct)):
+            block, given = delayed.block.copy(), step.copy()
+            kernel(block, delayed.samples, given)
+            memories.append(block.tobytes() + given.tobytes())
+        assert memories[0] == memories[1]

@@ -280,7 +280,7 @@ def test_numbers_that_break_end_the_filter_and_a_restart_mends_it(broken, value)
     def sabotage(k, estimator):
         if k == step(8.0):
             origin.append(estimator.live.origin_lat_deg)
-            array = estimator._filter.cov if broken == "cov" else estimator._filter.x
+            array = estimator.filter.cov if broken == "cov" else estimator.filter.x
             array[(4, 4) if broken == "cov" else 8] = value
         if k == step(10.0):
             assert estimator.diagnostics.numerical_failure
@@ -315,7 +315,7 @@ def test_a_tilt_that_is_not_known_is_no_attitude():
     def forget(k, estimator):
         if k == step(8.0):
             # about both axes, for the compass would tell one of them
-            estimator._filter.cov[[0, 1], [0, 1]] = np.radians(60.0) ** 2
+            estimator.filter.cov[[0, 1], [0, 1]] = np.radians(60.0) ** 2
 
     states = replay(Estimator(EstimatorParams()), flight, on_step=forget)
     assert not states[step(8.05)].attitude_valid
