@@ -16,11 +16,11 @@ from autopilot.config import VehicleConfig
 from autopilot.flight_log import FlightLog
 from autopilot.inertial_step import InertialSteps
 from autopilot.mavlink.codec import Encoder, Message
-from autopilot.mavlink.hil import TO_VEHICLE, HilActuatorControls, HilEncoder, HilParser
+from autopilot.mavlink.hil import TO_VEHICLE, HilActuatorControls, HilEncoder, HilParser, HilSensor
 from autopilot.protocol.service import AUTOPILOT_COMPONENT, GROUND_STATION, NEVER_US, Addressed
 from autopilot.protocol.status import TEXT_BYTES
 from autopilot.recording import VEHICLE_RECORD, record
-from autopilot.vehicle import Vehicle, is_clock
+from autopilot.vehicle import Vehicle
 from netsim.record_log import RecordLog
 from netsim.wire.lockstep import BATCH_DELIVERED, BATCH_HANDED_OVER
 from netsim.wire.messages import RxItem, TxItem
@@ -88,9 +88,9 @@ class Host:
     def push(self, size: int) -> Iterator[list[Message]]:
         """The steps that ``size`` bytes in `incoming` complete: a HIL_SENSOR and what came before it."""
         self._catch_up()
-        for message in self._parser.push(bytes(self.incoming[:size])):
+        for message in self._parser.push(self.incoming[:size].tobytes()):
             self._waiting.append(message)
-            if is_clock(message):
+            if type(message) is HilSensor and message.id == 0:  # of the first sensor set, which is the clock
                 complete, self._waiting = self._waiting, []
                 yield complete
 
@@ -162,7 +162,7 @@ class Host:
 
     def _look_ahead(self, now_us: int, answer: bytes) -> None:
         """Let inertial steps follow on this answer, if that may be, up to the next look at anything else."""
-        if self._waiting or not self._parser.is_between_frames or self._flight_log is not None:
+        if self._waiting or self._parser.unfinished or self._flight_log is not None:
             return
         period_us = self._config.record_period_us
         next_record_us = NEVER_US if self._log is None else now_us - now_us % period_us + period_us

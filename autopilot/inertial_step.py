@@ -8,6 +8,7 @@ That is worth several times the arithmetic, since a process that shares its proc
 nothing of what it needs in the caches.
 """
 
+from collections.abc import Sequence
 from struct import Struct
 from typing import NamedTuple
 
@@ -149,7 +150,7 @@ class InertialSteps:
         self._moment: NDArray[np.void] = np.zeros(1, MOMENT)
         self._moment_octets = self._moment.view(np.uint8).data
         self._octets = (incoming, answer, self._moment)
-        self._blocks: tuple[Horizon, Horizon, Cascade] | None = None
+        self._blocks: Sequence[Horizon | Cascade] | None = None
         self._opened_us = 0
 
     def step(self, size: int) -> memoryview | None:
@@ -162,12 +163,10 @@ class InertialSteps:
         """Let such steps follow the one that was answered by this frame; ``sequence`` is the next one's."""
         self._answer[:] = answer
         self._answer[_HANDED_OVER] &= ~_HANDED_OVER_BIT
-        self._opened_us = ahead.now_us
-        _MOMENT.pack_into(
-            self._moment_octets, 0,
-            ahead.now_us, ahead.until_us, ahead.aids_us, ahead.sound_until_us, sequence, ahead.flies,
-        )  # fmt: skip
-        self._blocks = (ahead.horizon, ahead.samples, ahead.cascade)
+        now_us, flies, until_us, aids_us, sound_until_us, *blocks = ahead
+        self._opened_us = now_us
+        _MOMENT.pack_into(self._moment_octets, 0, now_us, until_us, aids_us, sound_until_us, sequence, flies)
+        self._blocks = blocks
 
     def close(self) -> tuple[int, int] | None:
         """End them; returns time of the last and number of the next frame, None if there were none."""

@@ -71,11 +71,6 @@ _TO_GROUND_TOO = frozenset({common.MAVLINK_MSG_ID_HEARTBEAT, common.MAVLINK_MSG_
 """What the application tells simulator and ground station of itself."""
 
 
-def is_clock(message: Message) -> bool:
-    """Whether a simulator's message makes a step: HIL_SENSOR of the first sensor set."""
-    return bool(message.get_msgId() == common.MAVLINK_MSG_ID_HIL_SENSOR and message.id == 0)
-
-
 class StepOutput(Struct, frozen=True, kw_only=True):
     """What a step sends."""
 

@@ -21,12 +21,14 @@ from autopilot.mavlink.codec import Encoder, Message, Parser
 from autopilot.mavlink.dialect import ESC_STATUS
 from autopilot.mavlink.frame import CHECKSUM_BYTES, HEADER_BYTES, MAGIC
 
-_HEADER = Struct("<BBBBBBBHB")
-"""Magic, payload's length, incompatible and compatible flags, sequence, system, component, kind (24 bit)."""
+_BEGINNING = Struct("<BBB4xHB")
+"""Of the header: magic, payload's length, incompatible flags, kind (24 bit)."""
 _CHECKED = Struct("<BBBBBBHB")
-"""The header without the magic byte."""
+"""All but the magic byte: length, incompatible and compatible flags, sequence, system, component, kind."""
 _MAGIC_BYTE = bytes([MAGIC])
 _FIRST_CHECKED = 1
+_made = tuple.__new__
+"""A named tuple of a tuple with its fields, without a function of Python's own."""
 HIL_SENSOR: Final[int] = common.MAVLINK_MSG_ID_HIL_SENSOR
 HIL_GPS: Final[int] = common.MAVLINK_MSG_ID_HIL_GPS
 HIL_ACTUATOR_CONTROLS: Final[int] = common.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS
@@ -56,7 +58,7 @@ class HilSensor(NamedTuple):
     @classmethod
     def from_payload(cls, payload: bytes) -> Self:
         """Unpack a payload of full length."""
-        return cls._make(_SENSOR.fields.unpack(payload))
+        return _made(cls, _SENSOR.fields.unpack(payload))
 
     def payload(self) -> bytes:
         """Pack it, trailing zeros included. Raises struct.error or OverflowError for what does not fit."""
@@ -90,7 +92,7 @@ class HilGps(NamedTuple):
     def from_payload(cls, payload: bytes) -> Self:
         """Unpack a payload of full length."""
         time_usec, *fields, fix_type, satellites, id_, yaw = _GPS.fields.unpack(payload)
-        return cls._make((time_usec, fix_type, *fields, satellites, id_, yaw))
+        return _made(cls, (time_usec, fix_type, *fields, satellites, id_, yaw))
 
     def payload(self) -> bytes:
         """Pack it, trailing zeros included. Raises struct.error for what does not fit."""
@@ -114,8 +116,8 @@ class EscReport(NamedTuple):
     @classmethod
     def from_payload(cls, payload: bytes) -> Self:
         """Unpack a payload of full length."""
-        time_usec, *values, index = _ESCS.fields.unpack(payload)
-        return cls(index, time_usec, values[:4], values[4:8], values[8:])
+        values = _ESCS.fields.unpack(payload)
+        return _made(cls, (values[13], values[0], values[1:5], values[5:9], values[9:13]))
 
     def payload(self) -> bytes:
         """Pack it, trailing zeros included. Raises struct.error or OverflowError for what does not fit."""
@@ -189,23 +191,20 @@ def pack(message: HilMessage, *, sequence: int, system: int, component: int) -> 
 class HilEncoder(Encoder):
     """`Encoder` for a simulator's link: hot messages by struct, the rest as ever, in one sequence."""
 
-    @property
-    def sequence(self) -> int:
+    def __init__(self, *, system: int, component: int) -> None:
+        super().__init__(system=system, component=component)
+        self.sequence = 0
         """Number of the next frame."""
-        return int(self._mavlink.seq)
-
-    @sequence.setter
-    def sequence(self, number: int) -> None:
-        self._mavlink.seq = number
 
     def encode(self, message: Message | HilMessage) -> bytes:
         """Pack a message; see `Encoder.encode`."""
-        if not isinstance(message, HilMessage):
-            return super().encode(message)
-        link = self._mavlink
-        system, component = self._own
-        frame = pack(message, sequence=link.seq, system=system, component=component)
-        link.seq = (link.seq + 1) % 256
+        if type(message) in _FORMATS:
+            system, component = self._own
+            frame = pack(message, sequence=self.sequence, system=system, component=component)
+        else:
+            self._mavlink.seq = self.sequence
+            frame = super().encode(message)
+        self.sequence = (self.sequence + 1) % 256
         return frame
 
 
@@ -215,29 +214,26 @@ class HilParser(Parser):
     def __init__(self, *hot: type[HilMessage]) -> None:
         super().__init__()
         self._hot = {_FORMATS[kind].kind: (kind, _FORMATS[kind]) for kind in hot}
-
-    @property
-    def is_between_frames(self) -> bool:
-        """Whether nothing of an unfinished frame is kept."""
-        return not self._buffer
+        self.unfinished = self._buffer
+        """What has come of a frame that is not whole yet."""
 
     def push(self, data: bytes) -> list[Message | HilMessage]:
         """Messages that are complete after the next ``data`` of a byte stream."""
         messages: list[Message | HilMessage] = []
         at, size = 0, len(data)
-        if not self._buffer:
+        if not self.unfinished:
             # as long as whole, right and unsigned frames of hot kinds follow each other
             while size - at > HEADER_BYTES:
-                magic, length, incompatible, _, _, _, _, kind, kind_high = _HEADER.unpack_from(data, at)
+                magic, length, incompatible, kind, kind_high = _BEGINNING.unpack_from(data, at)
                 if magic != MAGIC or incompatible or kind_high or kind not in self._hot:
                     break
                 hot, form = self._hot[kind]
                 begin = at + HEADER_BYTES
                 end = begin + length
-                if length > form.fields.size or size < end + CHECKSUM_BYTES:
+                if length >= len(form.padding) or size < end + CHECKSUM_BYTES:
                     break
                 checksum = crc16.mcrf4xx(data[at + _FIRST_CHECKED : end] + form.crc_extra)
-                if data[end] != checksum & 0xFF or data[end + 1] != checksum >> 8:
+                if data[end] | data[end + 1] << 8 != checksum:
                     break
                 messages.append(hot.from_payload(data[begin:end] + form.padding[length]))
                 at = end + CHECKSUM_BYTES

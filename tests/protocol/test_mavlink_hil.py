@@ -63,7 +63,7 @@ def theirs(message):
 
 def bits(message):
     """Give what tells two values apart, NaNs and signs of zero included."""
-    flat = [x for field in message for x in (field if isinstance(field, list) else [field])]
+    flat = [x for field in message for x in (field if isinstance(field, list | tuple) else [field])]
     return [struct.pack("<d", x) if isinstance(x, float) else x for x in flat]
 
 

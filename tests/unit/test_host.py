@@ -48,10 +48,10 @@ def host(radio):
         yield host
 
 
-def sensor(time_us, *, delivered=True):
+def sensor(time_us, *, delivered=True, number=0):
     at_rest = (0.0, 0.0, -9.81, 0.0, 0.0, 0.0, 0.2, 0.0, 0.4, 1013.25, 0.0, 0.0, 15.0)
     fields = 0x1FFF | (BATCH_DELIVERED if delivered else 0)
-    return SIMULATOR.encode(common.MAVLink_hil_sensor_message(time_us, *at_rest, fields, 0))
+    return SIMULATOR.encode(common.MAVLink_hil_sensor_message(time_us, *at_rest, fields, number))
 
 
 def gps(time_us):
@@ -67,6 +67,12 @@ def step(host, data, *link_messages):
         answers.append([message for message in Parser().push(answer) if "ACTUATOR" in message.get_type()])
         links += out
     return [message.time_usec for each in answers for message in each], links
+
+
+def test_only_the_first_sensor_set_is_the_clock(host):
+    data = sensor(3_000, number=1) + sensor(4_000) + sensor(7_000, number=1)
+    assert step(host, data) == ([4_000], [])
+    assert step(host, sensor(8_000)) == ([8_000], [])
 
 
 @pytest.mark.parametrize("again_us", [8_000, 4_000])

@@ -16,7 +16,7 @@ from autopilot.onboard.phases import Phase
 from autopilot.params import ParameterError
 from autopilot.protocol.service import COMPANION, GROUND_STATION, Addressed, Partner
 from autopilot.recording import VEHICLE_RECORD, record
-from autopilot.vehicle import DECISION_PERIOD_US, Vehicle, is_clock
+from autopilot.vehicle import DECISION_PERIOD_US, Vehicle
 
 NAN = math.nan
 ACCEPTED = common.MAV_RESULT_ACCEPTED
@@ -78,9 +78,7 @@ def test_the_first_step_greets_the_simulator_as_px4_does():
     assert sum(map(len, later)) == 2
 
 
-def test_only_the_first_sensor_set_is_the_clock():
-    assert is_clock(sensor(4_000))
-    assert not is_clock(sensor(4_000, number=1))
+def test_only_the_first_sensor_set_is_flown_by():
     vehicle = Vehicle(vehicle_config())
     vehicle.step(sim_messages=[sensor(4_000)])
     output = vehicle.step(sim_messages=[sensor(7_000, number=1), sensor(8_000)])
