@@ -130,6 +130,9 @@ class Messaging:
             config.links.bandwidth_bytes_s,
             overhead_bytes=SIGNATURE_BYTES if config.links.signing_key_file is not None else 0,
         )
+        self._is_limited = bool(self.shapers)
+        self._link_active: Sequence[bool] = ()
+        """By the links' numbers, as the streams were told."""
         self.not_addressed = dict.fromkeys(_OUTSIDE, 0)
         """Messages for somebody else, by the links' numbers."""
         self._parameter_service = ParameterService(parameters, set_parameter, self.shapers.has_room)
@@ -195,7 +198,8 @@ class Messaging:
 
         Where ``link_active`` says that nobody listens, only the heartbeat is formed.
         """
-        self._warn()
+        if self._pilot.warnings:
+            self._warn()
         if self.missions.has_news:
             self.services.look_again()
         answered = len(self._outgoing)
@@ -204,13 +208,16 @@ class Messaging:
         timed = len(self._outgoing)
         if any(link_active):
             self._keep_telemetry()
+        if link_active != self._link_active:
+            self._link_active = link_active
+            for link in _OUTSIDE:
+                self.streams[link].active = link_active[link]
         for link in _OUTSIDE:
             streams = self.streams[link]
-            streams.active = link_active[link]
             if now_us >= streams.deadline_us:
                 self._outgoing += reply(Partner(link), *streams.on_timer(now_us))
-        outgoing = self.take_outgoing()
-        if not self.shapers:
+        outgoing, self._outgoing = self._outgoing, []
+        if not self._is_limited:
             return outgoing
         return self.shapers.shape(
             now_us, answered=outgoing[:answered], timed=outgoing[answered:timed], streamed=outgoing[timed:]

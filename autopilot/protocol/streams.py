@@ -97,12 +97,6 @@ class _Stream:
     due_us: int
     has_new_data: bool
 
-    def postpone(self, now_us: int) -> None:
-        """Set the next time: on the grid, unless that has fallen behind."""
-        self.due_us += self.interval_us
-        if self.due_us <= now_us:
-            self.due_us = now_us + self.interval_us
-
 
 class Streams:
     """The periodic messages of one link. While nobody listens only the heartbeat is formed.
@@ -138,34 +132,29 @@ class Streams:
         """Messages that are due."""
         if now_us < self.deadline_us:
             return ()
+        streams = self._streams
         if not self._active:
-            return self._heartbeat_alone(now_us)
+            streams = {_HEARTBEAT: streams[_HEARTBEAT]} if _HEARTBEAT in streams else {}
         messages = []
         deadline_us = NEVER_US
-        for message_id, stream in self._streams.items():
-            if stream.has_new_data:
-                if now_us >= stream.due_us:
-                    stream.postpone(now_us)
-                    if message_id in ON_NEW_DATA:
-                        stream.has_new_data = False
-                    if (message := self.form(message_id)) is not None:
-                        messages.append(message)
-                if stream.has_new_data:
-                    deadline_us = min(deadline_us, stream.due_us)
+        for message_id, stream in streams.items():
+            if not stream.has_new_data:
+                continue
+            due_us = stream.due_us
+            if now_us >= due_us:
+                due_us += stream.interval_us
+                if due_us <= now_us:  # the grid has fallen behind
+                    due_us = now_us + stream.interval_us
+                stream.due_us = due_us
+                stream.has_new_data = message_id not in ON_NEW_DATA
+                build = self._builders.get(message_id)
+                message = None if build is None else build()
+                if message is not None:
+                    messages.append(message)
+            if stream.has_new_data and due_us < deadline_us:
+                deadline_us = due_us
         self.deadline_us = deadline_us
         return messages
-
-    def _heartbeat_alone(self, now_us: int) -> Sequence[Message]:
-        stream = self._streams.get(_HEARTBEAT)
-        if stream is None:
-            self.deadline_us = NEVER_US
-            return ()
-        message = None
-        if now_us >= stream.due_us:
-            stream.postpone(now_us)
-            message = self.form(_HEARTBEAT)
-        self.deadline_us = stream.due_us
-        return () if message is None else [message]
 
     def on_new_data(self, message_id: int) -> None:
         """Note that a message of `ON_NEW_DATA` has something new to say."""
