@@ -105,12 +105,13 @@ def record(vehicle: "Vehicle") -> bytes:
     setpoint_n_m, setpoint_e_m, setpoint_d_m = _UNKNOWN
     setpoint = flight.setpoint
     if setpoint is not None and setpoint.pos_ned_m is not None:
-        setpoint_n_m, setpoint_e_m, setpoint_d_m = (
-            value_m if held else math.nan
-            for value_m, held in zip(setpoint.pos_ned_m.tolist(), setpoint.pos_axes, strict=True)
-        )
+        holds_n, holds_e, holds_d = setpoint.pos_axes
+        n_m, e_m, d_m = setpoint.pos_ned_m.tolist()
+        setpoint_n_m = n_m if holds_n else math.nan
+        setpoint_e_m = e_m if holds_e else math.nan
+        setpoint_d_m = d_m if holds_d else math.nan
     singles = [*vel_ned_m_s, *q_ned_frd]
-    if not max(map(abs, singles)) <= _SINGLE_MAX:
+    if not (min(singles) >= -_SINGLE_MAX and max(singles) <= _SINGLE_MAX):
         singles = [min(max(value, -_SINGLE_MAX), _SINGLE_MAX) for value in singles]
     return _ROW.pack(
         flight.now_us, commander.armed, commander.mode.custom_mode,

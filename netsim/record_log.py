@@ -22,6 +22,7 @@ class RecordLog:
     def __init__(self, path: str | Path, dtype: np.dtype[Any]) -> None:
         self._file = Path(path).open("wb")  # noqa: SIM115 - closed by close()
         self._dtype = dtype
+        self._block_bytes = BLOCK_ROWS * dtype.itemsize
         self._rows: list[Any] = []
         self._packed = bytearray()
         """Rows that came packed, and do not fill a block yet."""
@@ -39,12 +40,12 @@ class RecordLog:
 
     def append_packed(self, rows: bytes) -> None:
         """Add rows as `append_array`, whose bytes these are."""
-        self._packed += rows
-        block_bytes = BLOCK_ROWS * self._dtype.itemsize
-        whole = len(self._packed) // block_bytes * block_bytes
-        if whole:
-            self._write(bytes(self._packed[:whole]))
-            del self._packed[:whole]
+        packed = self._packed
+        packed += rows
+        if len(packed) >= self._block_bytes:
+            whole = len(packed) - len(packed) % self._block_bytes
+            self._write(bytes(packed[:whole]))
+            del packed[:whole]
 
     def close(self) -> None:
         """Write what is left, and close the file even if that fails. Harmless when repeated."""
