@@ -71,8 +71,8 @@ def step(host, data, *link_messages):
 
 def test_only_the_first_sensor_set_is_the_clock(host):
     data = sensor(3_000, number=1) + sensor(4_000) + sensor(7_000, number=1)
-    assert step(host, data) == ([4_000], [])
-    assert step(host, sensor(8_000)) == ([8_000], [])
+    assert step(host, data)[0] == [4_000]
+    assert step(host, sensor(8_000))[0] == [8_000]
 
 
 @pytest.mark.parametrize("again_us", [8_000, 4_000])
