@@ -4,14 +4,12 @@ Gathers them from estimator, sensors, links, battery, geofence and failure detec
 of a second old is looked at ten times a second. Decides nothing.
 """
 
-from collections.abc import Callable
-
 from pymavlink.dialects.v20 import common
 
 from autopilot.commander.battery import BatteryMonitor, BatterySimulator, BatteryWarning
 from autopilot.commander.conditions import Condition
 from autopilot.commander.failsafe import US_PER_S, Cause
-from autopilot.commander.failure_detector import EscSample, Failure, FailureDetector, thrust_fractions
+from autopilot.commander.failure_detector import Failure, FailureDetector
 from autopilot.commander.geofence import Breach, Geofence, Origin
 from autopilot.mavlink.codec import Message
 from autopilot.params import Settings
@@ -36,15 +34,12 @@ class Monitor:
         sensors: SensorInput,
         offboard: OffboardService,
         manual: ManualControlService,
-        has_mission: Callable[[], bool],
     ) -> None:
-        """``has_mission`` tells whether there is a mission to fly."""
         self.battery = BatteryMonitor(settings.battery)
         self.geofence = geofence
         self.breach: Breach | None = None
         """What the vehicle breached when it was looked at last."""
         self.failures = FailureDetector(settings.failure_detector)
-        self._has_mission = has_mission
         self._pack = BatterySimulator(settings.battery_sim, settings.battery)
         self._sensors = sensors
         self._offboard = offboard
@@ -77,28 +72,33 @@ class Monitor:
         if message.get_msgId() == common.MAVLINK_MSG_ID_HEARTBEAT and message.type == common.MAV_TYPE_GCS:
             self._ground_station_us = now_us
 
-    def update(self, flight: FlightData) -> None:
-        """Set the conditions and causes of ``flight``, whose other values are those of this step."""
+    def update(self, flight: FlightData, *, has_mission: bool) -> None:
+        """Set the conditions and causes of ``flight``, whose other values are those of this step.
+
+        ``has_mission``: there is a mission to fly.
+        """
         now_us, armed = flight.now_us, flight.commander.armed
         sample = self._pack.update(now_us, flight.motors, armed=armed)
         if sample is not None:
             self.battery.update(sample, armed=armed)
-        if self._sensors.motor_currents_us > self._esc_us and self._sensors.motor_currents_a is not None:
-            self._esc_us = self._sensors.motor_currents_us
-            thrusts = thrust_fractions(flight.motors.tolist(), self._thrust_model_factor)
-            self.failures.on_esc(
-                EscSample(self._esc_us, self._sensors.motor_currents_a), thrusts, armed=armed
-            )
+        sensors = self._sensors
+        if sensors.motor_currents_us > self._esc_us and sensors.motor_currents_a is not None:
+            self._esc_us = sensors.motor_currents_us
+            if armed:
+                self.failures.on_esc(
+                    self._esc_us, sensors.motor_currents_a, flight.motors, self._thrust_model_factor
+                )
         if now_us >= self._slow_us:
             self._slow_us = now_us + SLOW_PERIOD_US
             self._look_around(flight)
-        flight.conditions = conditions = self._conditions(flight, now_us)
+        conditions = self._conditions(flight, now_us) | (_MISSION if has_mission else 0)
+        flight.conditions = conditions
         flight.causes = self._causes(flight, now_us, conditions)
 
     def _conditions(self, flight: FlightData, now_us: int) -> int:
         state, slow = flight.state, self._slow_conditions
         conditions = self._sensors.conditions(now_us) | slow & _CHARGE
-        if now_us - state.time_us <= TIMEOUTS_US[_IMU]:  # else no sample was taken, and it stands still
+        if now_us - state.time_us <= _IMU_TIMEOUT_US:  # else no sample was taken, and it stands still
             if state.attitude_valid:
                 conditions |= _ATTITUDE
             if state.height_valid:
@@ -113,8 +113,6 @@ class Monitor:
             conditions |= _SETPOINTS
         if self._manual.is_fresh(now_us, self._manual_loss_us):
             conditions |= _MANUAL
-        if self._has_mission():
-            conditions |= _MISSION
         return conditions
 
     def _causes(self, flight: FlightData, now_us: int, conditions: int) -> int:
@@ -172,8 +170,9 @@ class Monitor:
         )  # fmt: skip
 
 
+_IMU_TIMEOUT_US = TIMEOUTS_US[Condition.IMU]
 # plain integers: the flag types' operations cost more than all the rest
-_IMU, _CHARGE = int(Condition.IMU), int(Condition.CHARGE)
+_CHARGE = int(Condition.CHARGE)
 _GPS, _ATTITUDE, _HEIGHT = int(Condition.GPS), int(Condition.ATTITUDE), int(Condition.HEIGHT)
 _VELOCITY, _POSITION, _HOME = int(Condition.VELOCITY), int(Condition.POSITION), int(Condition.HOME)
 _SETPOINTS, _MANUAL, _MISSION = int(Condition.SETPOINTS), int(Condition.MANUAL), int(Condition.MISSION)

@@ -24,6 +24,8 @@ from autopilot.protocol.offboard import OffboardService
 from autopilot.types import Array, Setpoint, TrajectorySetpoint
 
 _NO_CONTROLS = [0.0] * 16
+_NO_MOTORS = (0.0,) * 12
+"""Controls beyond the motors'"""
 _FENCE_WARNS = 1
 """GF_ACTION up to which a geofence is not kept to."""
 _HEIGHT_MAX_M = 1e5
@@ -63,6 +65,10 @@ class Pilot:
         self._manual = manual
         self._geofence = geofence
         self._land_detector = LandDetector(settings.land_detector)
+        self.landed = True
+        """On the ground for certain, as `feel` found it."""
+        self.flies_on = False
+        """Whether the next step follows the trajectory of this one, if nothing comes that changes it."""
         self._setpoint: Setpoint = IDLE
         self._active: tuple[FlightMode, bool, int, float | None, bool] | None = None
         """Mode, arming, estimator resets, take-off altitude and a failsafe's hold that is flown now."""
@@ -205,11 +211,6 @@ class Pilot:
             self._check_mission(flown=True)
 
     @property
-    def landed(self) -> bool:
-        """On the ground for certain."""
-        return self._land_detector.landed
-
-    @property
     def next_mode(self) -> FlightMode | None:
         """The mode to go on with, where the present one has done what it is for, or may not go on."""
         if self.mission_trouble is not None and self._flight.commander.mode is FlightMode.MISSION:
@@ -223,7 +224,7 @@ class Pilot:
         if state.position_valid and flight.home is None:
             self._set_home()
         armed = flight.commander.armed
-        if not armed and self._land_detector.landed:
+        if self.landed and not armed:
             return
         controller, hover_thrust = self.controller, self.controller.hover_thrust
         north_m_s, east_m_s, down_m_s = state.vel_ned_m_s.tolist()
@@ -231,7 +232,7 @@ class Pilot:
         self._land_detector.update(
             flight.now_us,
             armed=armed,
-            down_m=float(state.pos_ned_m[2]),
+            down_m=state.pos_ned_m.item(2),
             vel_down_m_s=down_m_s,
             horizontal_speed_m_s=(north_m_s * north_m_s + east_m_s * east_m_s) ** 0.5,
             rotation_rad_s=(p * p + q * q + r * r) ** 0.5,
@@ -240,19 +241,22 @@ class Pilot:
             ),
             thrust_of_hover=controller.thrust / hover_thrust,
         )
+        self.landed = self._land_detector.landed
 
     def fly(self, dt_s: float) -> None:
         """Set the mode's setpoint and the controls that follow it."""
         flight, commander, state = self._flight, self._flight.commander, self._flight.state
         self._keep_up()
+        self.flies_on = False
         if not commander.armed:
             return
-        landed = self._land_detector.landed
+        landed, controller = self.landed, self.controller
+        offboard = self._offboard.setpoint if commander.mode is FlightMode.OFFBOARD else None
         setpoint: Setpoint
         if landed and not commander.spooled_up(flight.now_us):
             setpoint = IDLE
-        elif commander.mode is FlightMode.OFFBOARD and self._offboard.setpoint is not None:
-            setpoint = self._offboard.setpoint
+        elif offboard is not None:
+            setpoint = offboard
         else:
             setpoint = self.navigator.update(
                 state,
@@ -261,33 +265,23 @@ class Pilot:
                 touching=self._land_detector.stage is not Stage.AIRBORNE,
                 home_ned_m=flight.home.pos_ned_m if flight.home is not None else None,
                 manual=self._manual.sticks,
-                hover_thrust=self.controller.hover_thrust,
-                disturbance_ned_m_s2=self.controller.disturbance_ned_m_s2,
+                hover_thrust=controller.hover_thrust,
+                disturbance_ned_m_s2=controller.disturbance_ned_m_s2,
             )
         self._setpoint = setpoint
         flight.setpoint = setpoint if isinstance(setpoint, TrajectorySetpoint) else None
-        self._give(self.controller.update(state, setpoint, dt_s=dt_s, landed=landed))
-
-    @property
-    def flies_on(self) -> bool:
-        """Whether the next step follows the trajectory of this one, if nothing comes that changes it."""
-        commander = self._flight.commander
-        return (
-            commander.armed
-            and commander.mode is FlightMode.OFFBOARD
-            and not self._land_detector.landed
-            and self.controller.flies_on(self._offboard.setpoint)
-        )
+        self._give(controller.update(state, setpoint, dt_s=dt_s, landed=landed))
+        self.flies_on = not landed and setpoint is offboard and controller.flies_on
 
     def catch_up(self) -> None:
         """Take what compiled code has had the controller give since `fly`, if the motors turn."""
         if self._flight.commander.armed:
             self._give(self.controller.controls)
 
-    def _give(self, motors: Array) -> None:
+    def _give(self, motors: list[float]) -> None:
         """Tell the motors' controls (4,)."""
         self._flight.motors = motors
-        self.controls = motors.tolist() + _NO_CONTROLS[4:]
+        self.controls = [*motors, *_NO_MOTORS]
 
     def _keep_up(self) -> None:
         """Have navigator and controller in the commander's mode."""
@@ -317,7 +311,7 @@ class Pilot:
         self.navigator.enter(
             flight.commander.mode,
             flight.state,
-            landed=self._land_detector.landed,
+            landed=self.landed,
             takeoff_down_m=self._takeoff_down_m(),
             home_ned_m=flight.home.pos_ned_m if flight.home is not None else None,
         )

@@ -104,8 +104,7 @@ class EstimatorState:
     """Turn about down of the last reset, in [-pi, pi]"""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrajectorySetpoint:
+class TrajectorySetpoint(Struct, frozen=True, kw_only=True):
     """Where to go: for each axis a position, else a velocity, else an acceleration.
 
     None means that the group is not controlled. A position with a velocity uses the velocity as feed-forward,

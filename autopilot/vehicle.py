@@ -121,7 +121,6 @@ class Vehicle:
             sensors=self._sensors,
             offboard=self.offboard,
             manual=self.manual,
-            has_mission=lambda: self.pilot.mission_valid,
         )
         self.flight.battery = self.monitor.battery
         self.pilot = Pilot(
@@ -223,7 +222,8 @@ class Vehicle:
         now_us = self._last_us
         self.flight.time_stands = True
         to_answer = self._take_in(link_messages, now_us)
-        self.monitor.update(self.flight)  # for a mode may be asked for just after what it needs
+        # for a mode may be asked for just after what it needs
+        self.monitor.update(self.flight, has_mission=self.pilot.mission_valid)
         self._decide()
         for received in to_answer:
             self._on_link_message(received, now_us)
@@ -329,17 +329,17 @@ class Vehicle:
         flight, pilot = self.flight, self.pilot
         if flight.state.position_valid:
             flight.origin_known = True
-        landed_before = pilot.landed
+        was_landed = pilot.landed
         pilot.feel()
-        if pilot.landed is not landed_before:
-            if landed_before:
+        if pilot.landed is not was_landed:
+            if was_landed:
                 flight.took_off_us = flight.now_us
             else:
                 flight.landed_us = flight.now_us
                 self.estimator.on_landed()
         if self.estimator.numerical_failure and not self.commander.armed:
             self.estimator.restart()
-        self.monitor.update(flight)
+        self.monitor.update(flight, has_mission=pilot.mission_valid)
 
     def _is_wanted(self, link_messages: Sequence[Addressed]) -> bool:
         """Whether a link wants something of this vehicle: what is for others must not change its timing."""

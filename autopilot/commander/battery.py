@@ -6,13 +6,12 @@ only the measurements, as a power module gives them, and is PX4's estimator (src
 from a warning is left to the failsafes.
 """
 
+from collections.abc import Sequence
 from enum import IntEnum
 from math import exp, hypot
 from typing import Annotated, NamedTuple
 
 from msgspec import Meta, Struct
-
-from autopilot.types import Array
 
 US_PER_S = 1_000_000
 AS_PER_MAH = 3.6
@@ -130,13 +129,13 @@ class BatterySimulator:
         self.params = params
         self.pack = pack
 
-    def update(self, now_us: int, controls: Array, *, armed: bool) -> BatterySample | None:
+    def update(self, now_us: int, controls: Sequence[float], *, armed: bool) -> BatterySample | None:
         """Draw what the motor ``controls`` (4,), 0..1, ask for; give a sample when one is due.
 
         The controls count for the time since the last update; these are taken to be equally far apart.
         """
         if armed:
-            for control in controls.tolist():
+            for control in controls:
                 speed = control + 0.1
                 self._cubes += speed * speed * speed
         self._steps += 1

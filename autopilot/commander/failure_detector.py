@@ -3,10 +3,10 @@
 After PX4's FailureDetector. What follows from a failure is left to the failsafes.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from enum import IntFlag
 from math import asin, atan2, cos, pi, radians
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 from msgspec import Meta, Struct
 
@@ -53,17 +53,9 @@ class Failure(IntFlag):
     """It came since arming, and has stopped: motors can no longer be judged. Not a failure to act upon."""
 
 
-class EscSample(NamedTuple):
-    """What the speed controllers report."""
-
-    time_us: int
-    currents_a: Sequence[float]
-    """(4,) in the order of the motor controls"""
-
-
-def thrust_fractions(controls: Iterable[float], thrust_model_factor: float) -> list[float]:
-    """Share of full thrust that motor controls 0..1 stand for: factor u^2 + (1 - factor) u (THR_MDL_FAC)."""
-    return [u * (thrust_model_factor * u + 1.0 - thrust_model_factor) for u in controls]
+def thrust_fraction(control: float, thrust_model_factor: float) -> float:
+    """Share of full thrust for a motor's control 0..1: factor u^2 + (1 - factor) u (THR_MDL_FAC)."""
+    return control * (thrust_model_factor * control + 1.0 - thrust_model_factor)
 
 
 class FailureDetector:
@@ -121,25 +113,30 @@ class FailureDetector:
             self._esc_lost = now_us - self._esc_us > ESC_TIMEOUT_US
         return self.failures
 
-    def on_esc(self, sample: EscSample, thrusts: Sequence[float], *, armed: bool) -> None:
-        """Take telemetry of the motors and the shares of full thrust, 0..1, that were asked of them.
+    def on_esc(
+        self,
+        time_us: int,
+        currents_a: Sequence[float],
+        controls: Sequence[float],
+        thrust_model_factor: float,
+    ) -> None:
+        """Take telemetry of an armed vehicle's motors (4,) and the controls 0..1 that were asked of them.
 
         A motor fails that is asked for more than the least thrust and draws too little current for it, in all
         samples over the time-out; samples that are too far apart do not add up.
         """
-        if not armed:
-            return
-        if self._esc_us is None or sample.time_us - self._esc_us > ESC_TIMEOUT_US:
+        if self._esc_us is None or time_us - self._esc_us > ESC_TIMEOUT_US:
             self._low_us.clear()
-        self._esc_us = sample.time_us
-        self._measures_current = self._measures_current or max(sample.currents_a) > 0.0
-        if not self._measures_current or not self.params.motor_check:
-            return
+        self._esc_us = time_us
         params = self.params
-        for motor, (current_a, thrust) in enumerate(zip(sample.currents_a, thrusts, strict=True)):
+        self._measures_current = self._measures_current or max(currents_a) > 0.0
+        if not self._measures_current or not params.motor_check:
+            return
+        for motor, control in enumerate(controls):
+            current_a, thrust = currents_a[motor], thrust_fraction(control, thrust_model_factor)
             if thrust <= params.motor_thrust_min or current_a >= thrust * params.motor_current_per_thrust_a:
                 self._low_us.pop(motor, None)
-            elif sample.time_us - self._low_us.setdefault(motor, sample.time_us) >= params.motor_timeout_us:
+            elif time_us - self._low_us.setdefault(motor, time_us) >= params.motor_timeout_us:
                 self.failed_motors |= {motor}
 
     def _judge_attitude(self, now_us: int, q_ned_frd: Array) -> None:

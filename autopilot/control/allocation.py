@@ -153,7 +153,7 @@ class Allocator:
     @property
     def thrust(self) -> float:
         """Collective that was given last, 0..1."""
-        return float(self._thrust[0])
+        return self._thrust.item()
 
     def set_params(self, params: AllocationParams) -> None:
         """Act by these from the next demand on. Raises ValueError for a frame that cannot fly."""

@@ -15,9 +15,7 @@ CASCADE = np.dtype(
         # what is followed: `PositionController.take` lays out a trajectory's setpoint
         ("wanted", "f8", (3, 3)),
         ("mask", "u1", (3, 3)),  # compiled code knows no truth values within a block
-        ("yaw_rad", "f8"),
-        ("yaw_rate_rad_s", "f8"),
-        ("climb_max_m_s", "f8"),
+        ("turn", "f8", 3),  # and how it turns and may climb, as `cascade.YAW` and the rest have it
         # how far the position loop's divider is
         ("updates", "i8"),
         ("position_divider", "i8"),

@@ -30,6 +30,8 @@ ABOVE_LEAST = 1.001
 """A thrust is the least one up to rounding"""
 BY_TILT = True
 """Only the thrust along the present axis is given; see `InnerLoop.update`."""
+YAW, YAW_RATE, CLIMB_MAX = range(3)
+"""Of the block's ``turn``: heading, rad, its rate, rad/s, and the greatest climb, m/s"""
 _HOVER_LEARN_UP = 0.5
 """Least cosine of the tilt at which the hover thrust is learned"""
 
@@ -65,7 +67,8 @@ def follow_trajectory(
         c["since_position_s"] = 0.0
     c["updates"] += 1
     observer, hover, decided = c["observer"], c["hover"], c["decided"]
-    limits, yaw_rad = c["position_limits"], c["yaw_rad"]
+    limits, turn = c["position_limits"], c["turn"]
+    yaw_rad, yaw_rate_rad_s = turn[YAW], turn[YAW_RATE]
     observe_disturbance(
         observer, c["observer_settings"], acc, q_ned_frd, c["thrust"], hover[HOVER], dt_s,
         velocity_valid and not landed,
@@ -80,10 +83,9 @@ def follow_trajectory(
             acc_down = decided[ACCELERATION, 2] - disturbance[2]
             position[INTEGRAL, 2] += integral_shift_m_s2(before, hover[HOVER], acc_down)
         control_position(
-            c["wanted"], c["mask"], pos, vel, acc, disturbance, hover[HOVER], yaw_rad, c["climb_max_m_s"],
+            c["wanted"], c["mask"], pos, vel, acc, disturbance, hover[HOVER], yaw_rad, turn[CLIMB_MAX],
             position_dt_s, c["position_gains"], limits, position, decided,
         )  # fmt: skip
-    yaw_rate_rad_s = c["yaw_rate_rad_s"]
     if idles:
         decided[ATTITUDE] = quat_from_euler(0.0, 0.0, yaw_rad)
         decided[THRUST_VECTOR, COLLECTIVE] = 0.0

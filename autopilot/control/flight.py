@@ -1,9 +1,9 @@
 """The cascade of one vehicle: position, attitude, rates and allocation at their rates."""
 
 import math
-from dataclasses import replace
+from struct import Struct
 
-import numpy as np
+from msgspec.structs import replace
 
 from autopilot.control.allocation import Allocator
 from autopilot.control.attitude import AttitudeController
@@ -34,6 +34,8 @@ from autopilot.types import (
 )
 
 _ALL = (True, True, True)
+_TURN = Struct("=3d")
+"""The block's ``turn``, to which an array is slow to write"""
 
 
 class FlightController:
@@ -43,7 +45,9 @@ class FlightController:
         self.params = params
         self.block = block = new_block()
         """Of all of them, for compiled code"""
-        self._moment = block[0]
+        self._controls: Array = block["controls"][0]
+        self._updates: Array = block["updates"]
+        self._turn = block["turn"][0].data
         self._position = PositionController(
             params.position, integral_share=_integral_share(params), block=block
         )
@@ -60,7 +64,7 @@ class FlightController:
         """What became of the last trajectory setpoint, as `control_position` has it"""
         self._yaw_rad: float | None = None
         self._reset_counter = 0
-        self._moment["position_divider"] = params.position_divider
+        block["position_divider"] = params.position_divider
 
     def set_params(self, params: ControlParams) -> None:
         """Act by these from the next update on, in flight too. Raises ValueError for a frame that cannot fly.
@@ -77,7 +81,7 @@ class FlightController:
         self._attitude.set_params(params.attitude)
         self._rates.set_params(params.rate)
         self._takeoff.set_params(params.position)
-        self._moment["position_divider"] = params.position_divider
+        self.block["position_divider"] = params.position_divider
         if was_observing != params.disturbance.enabled:
             self._hand_over_disturbance(to_observer=not was_observing)
 
@@ -97,19 +101,20 @@ class FlightController:
         return self._inner.torque.copy()
 
     @property
-    def controls(self) -> Array:
+    def controls(self) -> list[float]:
         """(4,) that were given last by an update."""
-        controls: Array = self._moment["controls"].copy()
+        controls: list[float] = self._controls.tolist()
         return controls
 
-    def flies_on(self, setpoint: Setpoint | None) -> bool:
-        """Whether `cascade.follow_trajectory` on the block is all that an update with this setpoint would do.
+    @property
+    def flies_on(self) -> bool:
+        """Whether `cascade.follow_trajectory` on the block is all that another update would do.
 
-        In flight that is, with nothing changed since the last update but the estimate.
+        In flight that is, with the setpoint of the last one and nothing changed since but the estimate.
         """
+        setpoint = self._setpoint
         return (
             isinstance(setpoint, TrajectorySetpoint)
-            and setpoint is self._setpoint
             and (setpoint.yaw_rad is not None or setpoint.yaw_rate_rad_s == 0.0)  # else the heading goes on
             and self._takeoff.phase is Phase.FLYING
         )
@@ -151,7 +156,7 @@ class FlightController:
             yaw_rad=self._yaw_rad,
         )
 
-    def idle(self) -> Array:
+    def idle(self) -> list[float]:
         """(4,) zeros, for a disarmed vehicle; forgets everything that flight had taught."""
         self._leave_position()
         self._yaw_rad = None
@@ -159,7 +164,7 @@ class FlightController:
         self._hover.reset()
         self._inner.reset()
         self._takeoff.reset()
-        return np.zeros(4)
+        return [0.0] * 4
 
     def update(
         self,
@@ -168,7 +173,7 @@ class FlightController:
         *,
         dt_s: float,
         landed: bool,
-    ) -> Array:
+    ) -> list[float]:
         """(4,) motor controls 0..1, in the order of the airframe's rotors, for the next ``dt_s`` (> 0).
 
         Call it at every inertial sample: rates and attitude act every time, position every
@@ -184,7 +189,8 @@ class FlightController:
             self._rates.reset_integral()
             self._disturbance.reset()
         if isinstance(setpoint, TrajectorySetpoint):
-            return self._follow(state, setpoint, dt_s=dt_s, landed=landed)
+            self._follow(state, setpoint, dt_s=dt_s, landed=landed)
+            return self.controls
         self._leave_position()
         self._yaw_rad = None
         self._disturbance.update(
@@ -193,18 +199,20 @@ class FlightController:
         )  # fmt: skip
         above = airmode_above(landed, self.params.position.thr_min)
         if isinstance(setpoint, RateSetpoint):
-            return self._inner.follow_rates(
+            self._inner.follow_rates(
                 state.omega_frd_rad_s, setpoint, dt_s=dt_s, integrate=not landed, airmode_above=above
             )
-        self._setpoint = setpoint
-        return self._inner.update(
-            state.q_ned_frd, state.omega_frd_rad_s, setpoint, dt_s=dt_s, by_tilt=False, integrate=not landed,
-            airmode_above=above,
-        )  # fmt: skip
+        else:
+            self._setpoint = setpoint
+            self._inner.update(
+                state.q_ned_frd, state.omega_frd_rad_s, setpoint, dt_s=dt_s, by_tilt=False,
+                integrate=not landed, airmode_above=above,
+            )  # fmt: skip
+        return self.controls
 
     def _follow(
         self, state: EstimatorState, setpoint: TrajectorySetpoint, *, dt_s: float, landed: bool
-    ) -> Array:
+    ) -> None:
         """All of the cascade, the position loop at its divider."""
         phase = self._takeoff.phase
         if setpoint.yaw_rad is not None:
@@ -215,9 +223,7 @@ class FlightController:
             self._yaw_rad = math.remainder(self._yaw_rad + setpoint.yaw_rate_rad_s * dt_s, math.tau)
         self._reset_counter = state.reset_counter
         self._position.take(state, setpoint)
-        moment = self._moment
-        moment["yaw_rad"], moment["yaw_rate_rad_s"] = self._yaw_rad, setpoint.yaw_rate_rad_s
-        moment["climb_max_m_s"] = self._takeoff.climb_max_m_s
+        _TURN.pack_into(self._turn, 0, self._yaw_rad, setpoint.yaw_rate_rad_s, self._takeoff.climb_max_m_s)
         self._setpoint = setpoint
         self._rates.start(state.omega_frd_rad_s)
         follow_trajectory(
@@ -225,7 +231,6 @@ class FlightController:
             state.acc_ned_m_s2, state.velocity_valid, dt_s, phase is Phase.GROUND, landed,
             phase is Phase.FLYING,
         )  # fmt: skip
-        return self.controls
 
     def _hand_over_disturbance(self, *, to_observer: bool) -> None:
         """Let the integrals hold what the observer held, or the other way round: the demand stays."""
@@ -234,17 +239,17 @@ class FlightController:
             held_ned_m_s2 = self._position.integral
             norm_m_s2 = math.sqrt(held_ned_m_s2 @ held_ned_m_s2)
             held_ned_m_s2 *= min(self.params.disturbance.acc_max_m_s2 / max(norm_m_s2, 1e-12), 1.0)
-        if self._moment["updates"] > 0:  # else nobody flies by the integrals, and they stay empty
+        if self._updates[0] > 0:  # else nobody flies by the integrals, and they stay empty
             self._position.add_to_integral(-held_ned_m_s2)
         self._disturbance.acc_ned_m_s2[:] = -held_ned_m_s2 if to_observer else 0.0
 
     def _leave_position(self) -> None:
         """Forget the position loop: idle, or somebody else commands attitude or rates."""
         self._setpoint = None
-        if self._moment["updates"] > 0:
+        if self._updates[0] > 0:
             self._position.reset()
-            self._moment["updates"] = 0
-            self._moment["since_position_s"] = 0.0
+            self._updates[0] = 0
+            self.block["since_position_s"] = 0.0
 
 
 def _integral_share(params: ControlParams) -> float:

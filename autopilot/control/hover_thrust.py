@@ -72,7 +72,7 @@ class HoverThrustEstimator:
     @property
     def hover_thrust(self) -> float:
         """The estimate, 0..1 of full thrust."""
-        return float(self.memory[HOVER])
+        return self.memory.item(HOVER)
 
     def update(self, *, acc_up_m_s2: float, thrust_up: float, dt_s: float) -> float:
         """Learn from acceleration over ground and the vertical part of the thrust given; the new estimate."""

@@ -5,6 +5,7 @@ to thrust by the hover thrust, limits in which the vertical goes before the hori
 """
 
 import math
+from struct import Struct
 
 import numpy as np
 from numba import njit
@@ -176,6 +177,9 @@ def control_position(
 
 
 _NO_AXES = (False, False, False)
+_ZERO = (0.0, 0.0, 0.0)
+_ROWS = Struct("=9d")
+"""The block's ``wanted``, to which an array is slow to write"""
 
 
 class PositionOutput:
@@ -225,6 +229,7 @@ class PositionController:
         self.wanted: Array = block["wanted"][0]
         """Rows position, velocity, acceleration; ``mask`` says which of them are asked for"""
         self.mask: NDArray[np.bool_] = block["mask"][0].view(np.bool_)
+        self._wanted_octets, self._mask_octets = self.wanted.data, block["mask"][0].reshape(9).data
         self.set_params(params, integral_share=integral_share)
         self._taken: tuple[TrajectorySetpoint, bool, bool, bool] | None = None
         """What ``wanted`` and ``mask`` were made of."""
@@ -292,15 +297,18 @@ class PositionController:
         ):
             return
         self._taken = (setpoint, state.position_valid, state.height_valid, state.velocity_valid)
-        groups = (
-            (setpoint.pos_ned_m, setpoint.pos_axes),
-            (setpoint.vel_ned_m_s, setpoint.vel_axes),
-            (setpoint.acc_ned_m_s2, setpoint.acc_axes),
-        )
-        self.mask[:] = [_NO_AXES if values is None else axes for values, axes in groups]
-        for row, (values, _) in enumerate(groups):
-            if values is not None:
-                self.wanted[row] = values
+        pos, vel, acc = setpoint.pos_ned_m, setpoint.vel_ned_m_s, setpoint.acc_ned_m_s2
+        _ROWS.pack_into(
+            self._wanted_octets, 0,
+            *(_ZERO if pos is None else pos.tolist()),
+            *(_ZERO if vel is None else vel.tolist()),
+            *(_ZERO if acc is None else acc.tolist()),
+        )  # fmt: skip
+        self._mask_octets[:] = bytes((
+            *(_NO_AXES if pos is None else setpoint.pos_axes),
+            *(_NO_AXES if vel is None else setpoint.vel_axes),
+            *(_NO_AXES if acc is None else setpoint.acc_axes),
+        ))  # fmt: skip
         if not (state.position_valid and state.height_valid):
             known = np.array((state.position_valid, state.position_valid, state.height_valid))
             lost = self.mask[0] & ~known

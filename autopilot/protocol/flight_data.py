@@ -3,11 +3,8 @@
 Written by `autopilot.vehicle` and by those of its parts whose values they are: pilot and monitor.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-
-import numpy as np
-from numpy.typing import NDArray
 
 from autopilot.commander.battery import BatteryMonitor, BatteryParams
 from autopilot.commander.commander import Commander
@@ -64,7 +61,7 @@ class FlightData:
     """What the controller follows; None when idle."""
     attitude_setpoint: Callable[[], AttitudeSetpoint | None] = lambda: None
     """What the attitude controller follows; asked only when it is told."""
-    motors: NDArray[np.float64] = field(default_factory=lambda: np.zeros(4))
+    motors: Sequence[float] = (0.0, 0.0, 0.0, 0.0)
     """(4,) controls in 0..1."""
     armed_us: int = 0
     """When it was armed last; like the next two, 0 before the first time."""

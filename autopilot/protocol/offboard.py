@@ -7,7 +7,6 @@ setpoint is dropped and counted; it does not keep offboard mode alive.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from autopilot.commander.failsafe import US_PER_S
 from autopilot.mavlink.codec import Message
@@ -21,11 +20,8 @@ _SOURCES_MAX = 8
 """Of more, the one that has been silent longest is forgotten."""
 
 
-class Received(NamedTuple):
-    """A source's newest setpoint."""
-
-    setpoint: Setpoint
-    time_us: int
+_Received = tuple[Setpoint, int]
+"""A source's newest setpoint, and when it came"""
 
 
 class OffboardService(Listener):
@@ -37,7 +33,7 @@ class OffboardService(Listener):
         self._flight = flight
         self.rejected = 0
         """Messages that were no setpoint."""
-        self._received: dict[Partner, Received] = {}
+        self._received: dict[Partner, _Received] = {}
         self._counts: Partner | None = None
         """The source that is flown by, or would be."""
         self.setpoint: Setpoint | None = None
@@ -54,7 +50,7 @@ class OffboardService(Listener):
     def received_us(self) -> int | None:
         """When the setpoint came."""
         received = self._newest
-        return None if received is None else received.time_us
+        return None if received is None else received[1]
 
     def is_fresh(self, now_us: int, timeout_us: int) -> bool:
         """Whether the source that counts has sent within ``timeout_us``, which is what fresh means."""
@@ -79,9 +75,9 @@ class OffboardService(Listener):
         if setpoint is None:
             self.rejected += 1
             return ()
-        self._received[partner] = Received(setpoint, now_us)
+        self._received[partner] = (setpoint, now_us)
         if len(self._received) > _SOURCES_MAX:
-            del self._received[min(self._idle_sources(), key=lambda source: self._received[source].time_us)]
+            del self._received[min(self._idle_sources(), key=self._time_us)]
         if not self._is_flown:
             self._choose(now_us)
         elif partner == self._counts:
@@ -89,7 +85,7 @@ class OffboardService(Listener):
         return ()
 
     @property
-    def _newest(self) -> Received | None:
+    def _newest(self) -> _Received | None:
         return None if self._counts is None else self._received.get(self._counts)
 
     @property
@@ -99,16 +95,19 @@ class OffboardService(Listener):
 
     def _is_fresh(self, source: Partner | None, now_us: int) -> bool:
         received = None if source is None else self._received.get(source)
-        return received is not None and now_us - received.time_us <= self._timeout_us
+        return received is not None and now_us - received[1] <= self._timeout_us
 
     def _choose(self, now_us: int) -> None:
         """Let the asker count while it is fresh, else the source of the newest setpoint, fresh or not."""
         if self._is_fresh(self._asker, now_us):
             self._counts = self._asker
         elif self._received:
-            self._counts = max(self._received, key=lambda source: self._received[source].time_us)
+            self._counts = max(self._received, key=self._time_us)
         received = self._newest
-        self.setpoint = None if received is None else received.setpoint
+        self.setpoint = None if received is None else received[0]
+
+    def _time_us(self, source: Partner) -> int:
+        return self._received[source][1]
 
     def _idle_sources(self) -> list[Partner]:
         return [source for source in self._received if source != self._counts]

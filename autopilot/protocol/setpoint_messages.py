@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.estimation.rotation import quat_to_euler
 from autopilot.mavlink.codec import Message
+from autopilot.mavlink.within import PositionTarget
 from autopilot.navigation.geodesy import geodetic_to_ned
 from autopilot.protocol.flight_data import FlightData
 from autopilot.types import (
@@ -35,7 +36,7 @@ _YAW_IGNORED = common.POSITION_TARGET_TYPEMASK_YAW_IGNORE
 _YAW_RATE_IGNORED = common.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
 _BY_HEADING = frozenset({common.MAV_FRAME_BODY_NED, common.MAV_FRAME_BODY_OFFSET_NED})
 _FROM_HERE = frozenset({common.MAV_FRAME_LOCAL_OFFSET_NED, common.MAV_FRAME_BODY_OFFSET_NED})
-_LOCAL_FRAMES = _BY_HEADING | _FROM_HERE | {common.MAV_FRAME_LOCAL_NED}
+_LOCAL_NED = int(common.MAV_FRAME_LOCAL_NED)
 _ABOVE_SEA = frozenset({common.MAV_FRAME_GLOBAL, common.MAV_FRAME_GLOBAL_INT})
 _ABOVE_HOME = frozenset({common.MAV_FRAME_GLOBAL_RELATIVE_ALT, common.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT})
 
@@ -56,6 +57,8 @@ _NORM_ERROR_MAX = 0.1
 _Axes = tuple[bool, bool, bool]
 _Group = tuple[Vector | None, _Axes]
 """Vector, 0 on axes that are left out, and the axes that count."""
+_Motion = tuple[Vector, Vector, float, float]
+"""Velocity, acceleration, yaw, yaw rate as a message has them, whatever its mask says of them."""
 _AXES: tuple[_Axes, ...] = tuple((not bits & 1, not bits & 2, not bits & 4) for bits in range(8))
 """By the three bits that leave axes out."""
 _ALL_AXES, _NO_AXES = _AXES[0], _AXES[7]
@@ -63,27 +66,43 @@ _ALL_AXES, _NO_AXES = _AXES[0], _AXES[7]
 
 def decode(message: Message, flight: FlightData) -> Setpoint | None:
     """Setpoint of one of `SETPOINT_MESSAGES`; None for one that cannot be flown."""
+    if isinstance(message, PositionTarget):
+        return _local_target(message, flight.state)
     kind = message.get_msgId()
     if kind == _ATTITUDE:
         return _attitude(message)
-    pos = _global_position(message, flight) if kind == _GLOBAL else _local_position(message, flight)
+    if kind == _LOCAL:
+        fields = [getattr(message, name) for name in PositionTarget._fields]
+        return _local_target(PositionTarget(*fields), flight.state)
+    pos = _global_position(message, flight)
     if pos is None:
         return None
-    by_heading = kind == _LOCAL and message.coordinate_frame in _BY_HEADING
-    return _trajectory(message, pos, flight.state, by_heading=by_heading)
+    m = message
+    motion = (m.vx, m.vy, m.vz), (m.afx, m.afy, m.afz), m.yaw, m.yaw_rate
+    return _trajectory(message.type_mask, pos, motion, flight.state, by_heading=False)
 
 
 # ---- positions, velocities, accelerations
 
 
+def _local_target(target: PositionTarget, state: EstimatorState) -> TrajectorySetpoint | None:
+    # as a whole: each field by its name is an object of its own to be fetched
+    _, _, _, frame, mask, x, y, z, vx, vy, vz, afx, afy, afz, yaw, yaw_rate = target
+    given = _group(mask, (x, y, z))
+    pos = given if frame == _LOCAL_NED else _position(frame, given, state)
+    if pos is None:
+        return None
+    motion = (vx, vy, vz), (afx, afy, afz), yaw, yaw_rate
+    return _trajectory(mask, pos, motion, state, by_heading=frame in _BY_HEADING)
+
+
 def _trajectory(
-    message: Message, pos: _Group, state: EstimatorState, *, by_heading: bool
+    mask: int, pos: _Group, motion: _Motion, state: EstimatorState, *, by_heading: bool
 ) -> TrajectorySetpoint | None:
-    mask = message.type_mask
-    vel = _group(mask >> 3, (message.vx, message.vy, message.vz))
-    acc = _group(mask >> 6, (message.afx, message.afy, message.afz))
-    yaw_rad = None if mask & _YAW_IGNORED else message.yaw
-    yaw_rate_rad_s = 0.0 if mask & _YAW_RATE_IGNORED else message.yaw_rate
+    velocity, acceleration, yaw, yaw_rate = motion
+    vel, acc = _group(mask >> 3, velocity), _group(mask >> 6, acceleration)
+    yaw_rad = None if mask & _YAW_IGNORED else yaw
+    yaw_rate_rad_s = 0.0 if mask & _YAW_RATE_IGNORED else yaw_rate
     numbers = (*(pos[0] or ()), *(vel[0] or ()), *(acc[0] or ()))
     if not numbers or (mask & _FORCE and acc[0] is not None):
         return None
@@ -105,13 +124,15 @@ def _trajectory(
     )
 
 
-def _local_position(message: Message, flight: FlightData) -> _Group | None:
-    """Position from the estimator's origin; None for one that cannot be, or a frame that is not known."""
-    frame, state = message.coordinate_frame, flight.state
-    if frame not in _LOCAL_FRAMES or (frame in _BY_HEADING and not state.attitude_valid):
+def _position(frame: int, group: _Group, state: EstimatorState) -> _Group | None:
+    """Position from the estimator's origin of one in another local frame than LOCAL_NED.
+
+    None for one that cannot be, or a frame that is not known.
+    """
+    if frame not in _BY_HEADING | _FROM_HERE or (frame in _BY_HEADING and not state.attitude_valid):
         return None
-    pos, axes = group = _group(message.type_mask, (message.x, message.y, message.z))
-    if pos is None or frame == common.MAV_FRAME_LOCAL_NED:
+    pos, axes = group
+    if pos is None:
         return group
     if frame == common.MAV_FRAME_BODY_NED or not _knows(state, axes):
         return None  # PX4 has no positions ahead of the vehicle in BODY_NED

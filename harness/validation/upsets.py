@@ -81,7 +81,8 @@ def recover(seed: int) -> Upset:
     controller = FlightController(ControlParams())
     tilts_deg = [_tilt_deg(body.q_ned_frd)]
     for _ in range(round(WATCH_S / DT_S)):
-        body.step(controller.update(body.estimate(), LEVEL, dt_s=DT_S, landed=False), _NO_FORCE)
+        controls = controller.update(body.estimate(), LEVEL, dt_s=DT_S, landed=False)
+        body.step(np.array(controls), _NO_FORCE)
         tilts_deg.append(_tilt_deg(body.q_ned_frd))
     return Upset(
         start_rate_rad_s=float(np.linalg.norm(rates)),
@@ -104,7 +105,8 @@ def throw(seed: int) -> Catch:
         wanted = AttitudeSetpoint(q_ned_frd=q / np.linalg.norm(q), yaw_rate_rad_s=0.0, thrust=_THROW_THRUST)
         thrower = FlightController(ControlParams())
         for _ in range(round(rng.uniform(*_THROW_S) / STEP_S)):
-            solo.step(controls=thrower.update(_true_state(solo), wanted, dt_s=STEP_S, landed=False))
+            controls = thrower.update(_true_state(solo), wanted, dt_s=STEP_S, landed=False)
+            solo.step(controls=np.array(controls))
         start_s, truth = solo.now_s, solo.world.truth
         off_deg, tilts_deg = [], [_tilt_deg(truth.q_ned_frd[0])]
         for _ in range(round(CATCH_S / STEP_S)):

@@ -193,7 +193,8 @@ def test_a_thrust_vector_counts_along_the_rotors():
 def is_flown(setpoint):
     """The controller makes controls of it, and they are such."""
     flight = make_flight()
-    controls = FlightController(ControlParams()).update(flight.state, setpoint, dt_s=0.004, landed=False)
+    controller = FlightController(ControlParams())
+    controls = np.array(controller.update(flight.state, setpoint, dt_s=0.004, landed=False))
     return np.isfinite(controls).all() and (controls >= 0.0).all() and (controls <= 1.0).all()
 
 

@@ -217,7 +217,7 @@ def test_vibration_is_the_mean_step_between_samples():
 
 def test_outputs_are_the_motors():
     flight = make_flight()
-    flight.motors = np.array((0.1, 0.2, 0.3, 0.4))
+    flight.motors = (0.1, 0.2, 0.3, 0.4)
     status = over_the_wire(make_telemetry(flight).control.actuator_output_status())
     assert status.active == 4
     assert status.actuator[:5] == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.0])

@@ -56,4 +56,4 @@ def fly(
     *,
     landed: bool = False,
 ) -> Array:
-    return controller.update(iris.estimate(), setpoint, dt_s=DT_S, landed=landed)
+    return np.array(controller.update(iris.estimate(), setpoint, dt_s=DT_S, landed=landed))

@@ -123,7 +123,7 @@ class Real(Loop):
         self.state = self.iris.estimate()
         setpoint = self.update()
         controls = self.controller.update(self.state, setpoint, dt_s=DT_S, landed=self.landed)
-        self.iris.step(controls, self.force_ned_n)
+        self.iris.step(np.array(controls), self.force_ned_n)
         north, east, down = self.state.vel_ned_m_s
         self.detector.update(
             self.iris.time_us, armed=True, down_m=self.state.pos_ned_m[2], vel_down_m_s=down,

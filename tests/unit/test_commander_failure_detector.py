@@ -10,11 +10,10 @@ from msgspec import structs
 
 from autopilot.commander.failure_detector import (
     ESC_TIMEOUT_US,
-    EscSample,
     Failure,
     FailureDetector,
     FailureDetectorParams,
-    thrust_fractions,
+    thrust_fraction,
 )
 from autopilot.control.allocation import Allocator
 from autopilot.control.params import AllocationParams
@@ -26,6 +25,8 @@ PARAMS = FailureDetectorParams()
 LEVEL = quat_from_euler(0.0, 0.0, 0.0)
 TRIGGER_US = 300_000
 HOVER_A = 4.0
+LINEAR = 0.0
+"""Thrust model factor with which controls are shares of full thrust"""
 HOVERING = (0.534,) * 4
 ALL_TURN = (HOVER_A,) * 4
 SECOND_STANDS = (HOVER_A, 0.0, HOVER_A, HOVER_A)
@@ -41,8 +42,8 @@ class Timeline:
         begin_us, first = self.now_us, {}
         while self.now_us < begin_us + duration_us:
             self.now_us += STEP
-            if currents_a is not None and self.now_us % ESC_PERIOD == 0:
-                self.detector.on_esc(EscSample(self.now_us, currents_a), thrusts, armed=armed)
+            if armed and currents_a is not None and self.now_us % ESC_PERIOD == 0:
+                self.detector.on_esc(self.now_us, currents_a, thrusts, LINEAR)
             for failure in Failure(self.detector.update(self.now_us, q_ned_frd, armed=armed)):
                 first.setdefault(failure, self.now_us - begin_us)
         return first
@@ -183,7 +184,8 @@ def test_settings_act_at_once():
 
 @settings(max_examples=100, deadline=None)
 @given(st.floats(0.0, 1.0))
-def test_thrust_fractions_undo_the_allocation(thrust):
+def test_thrust_fraction_undoes_the_allocation(thrust):
     params = AllocationParams()
     controls = Allocator(params).allocate(thrust, np.zeros(3), airmode=True)
-    assert thrust_fractions(controls.tolist(), params.thrust_model_factor) == pytest.approx([thrust] * 4)
+    for control in controls.tolist():
+        assert thrust_fraction(control, params.thrust_model_factor) == pytest.approx(thrust)

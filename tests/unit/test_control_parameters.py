@@ -61,7 +61,7 @@ def test_controls_are_finite_for_all_accepted_parameters_and_wild_setpoints(over
     state = estimate(vel_ned_m_s=np.array(vel_m_s), omega_frd_rad_s=np.array((3.0, -3.0, 1.0)))
     for setpoint in wanted:
         for _ in range(2 * params.position_divider):
-            controls = controller.update(state, setpoint, dt_s=DT_S, landed=False)
+            controls = np.array(controller.update(state, setpoint, dt_s=DT_S, landed=False))
             assert ((controls >= 0.0) & (controls <= 1.0)).all()
         q_ned_frd = controller.attitude_setpoint.q_ned_frd
         assert q_ned_frd @ q_ned_frd == pytest.approx(1.0)

@@ -82,7 +82,7 @@ def test_the_flight_is_the_same_to_the_bit(stream):
     for of in (
         lambda host: host.vehicle.estimator.state,
         lambda host: host.vehicle.estimator.diagnostics,
-        lambda host: host.vehicle.flight.motors.tolist(),
+        lambda host: list(host.vehicle.flight.motors),
         lambda host: host.vehicle.flight.now_us,
         lambda host: host.vehicle.pilot.controls,
         lambda host: host.vehicle.pilot.controller.block.tobytes(),
