@@ -91,12 +91,12 @@ class Monitor:
         if now_us >= self._slow_us:
             self._slow_us = now_us + SLOW_PERIOD_US
             self._look_around(flight)
-        conditions = self._conditions(flight, now_us) | (_MISSION if has_mission else 0)
-        flight.conditions = conditions
-        flight.causes = self._causes(flight, now_us, conditions)
+        flight.conditions, flight.causes = self._judge(flight, now_us, has_mission=has_mission)
 
-    def _conditions(self, flight: FlightData, now_us: int) -> int:
+    def _judge(self, flight: FlightData, now_us: int, *, has_mission: bool) -> tuple[int, int]:
+        """Conditions and causes."""
         state, slow = flight.state, self._slow_conditions
+        causes = self._slow_causes | _OF_BATTERY[self.battery.warning]
         conditions = self._sensors.conditions(now_us) | slow & _CHARGE
         if now_us - state.time_us <= _IMU_TIMEOUT_US:  # else no sample was taken, and it stands still
             if state.attitude_valid:
@@ -111,17 +111,15 @@ class Monitor:
             conditions |= _HOME
         if self._offboard.is_fresh(now_us, self._offboard_loss_us):
             conditions |= _SETPOINTS
-        if self._manual.is_fresh(now_us, self._manual_loss_us):
-            conditions |= _MANUAL
-        return conditions
-
-    def _causes(self, flight: FlightData, now_us: int, conditions: int) -> int:
-        state = flight.state
-        causes = self._slow_causes | _OF_BATTERY[self.battery.warning]
+        if self._manual.sticks is not None:
+            if self._manual.is_fresh(now_us, self._manual_loss_us):
+                conditions |= _MANUAL
+            else:
+                causes |= _MANUAL_LOST
+        if has_mission:
+            conditions |= _MISSION
         if not conditions & _GPS:
             causes |= _GPS_LOST
-        if not conditions & _MANUAL and self._manual.sticks is not None:
-            causes |= _MANUAL_LOST
         if conditions & _ATTITUDE:
             self._aligned = True
             failures = self.failures.update(now_us, state.q_ned_frd, armed=flight.commander.armed)
@@ -131,7 +129,9 @@ class Monitor:
                 causes |= _MOTOR_FAILED
         elif self._aligned:
             causes |= _ESTIMATOR_FAILED
-        return causes | _ESTIMATOR_FAILED if state.navigation_failed else causes
+        if state.navigation_failed:
+            causes |= _ESTIMATOR_FAILED
+        return conditions, causes
 
     def _look_around(self, flight: FlightData) -> None:
         """Do what may be a tenth of a second old."""

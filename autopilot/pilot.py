@@ -213,7 +213,10 @@ class Pilot:
     @property
     def next_mode(self) -> FlightMode | None:
         """The mode to go on with, where the present one has done what it is for, or may not go on."""
-        if self.mission_trouble is not None and self._flight.commander.mode is FlightMode.MISSION:
+        mode = self._flight.commander.mode
+        if mode is FlightMode.OFFBOARD:
+            return None  # it ends when somebody says so
+        if mode is FlightMode.MISSION and self.mission_trouble is not None:
             return FlightMode.HOLD
         return self.navigator.next_mode(self._flight.state)
 

@@ -10,7 +10,7 @@ from autopilot.control.attitude import AttitudeController
 from autopilot.control.block import new_block
 from autopilot.control.cascade import airmode_above, follow_trajectory
 from autopilot.control.disturbance import DisturbanceObserver
-from autopilot.control.hover_thrust import HoverThrustEstimator
+from autopilot.control.hover_thrust import HOVER, HoverThrustEstimator
 from autopilot.control.inner_loop import InnerLoop
 from autopilot.control.params import ControlParams
 from autopilot.control.position import (
@@ -46,6 +46,8 @@ class FlightController:
         self.block = block = new_block()
         """Of all of them, for compiled code"""
         self._controls: Array = block["controls"][0]
+        self._thrust: Array = block["thrust"]
+        self._learned: Array = block["hover"][0]
         self._updates: Array = block["updates"]
         self._turn = block["turn"][0].data
         self._position = PositionController(
@@ -88,7 +90,7 @@ class FlightController:
     @property
     def thrust(self) -> float:
         """Collective thrust that the motors were told to give, 0..1 of full."""
-        return self._allocator.thrust
+        return self._thrust.item()
 
     @property
     def rate_setpoint_frd_rad_s(self) -> Array:
@@ -122,7 +124,7 @@ class FlightController:
     @property
     def hover_thrust(self) -> float:
         """Present estimate of the thrust that hovers, 0..1 of full."""
-        return self._hover.hover_thrust
+        return self._learned.item(HOVER)
 
     @property
     def disturbance_ned_m_s2(self) -> Array:
@@ -194,7 +196,7 @@ class FlightController:
         self._leave_position()
         self._yaw_rad = None
         self._disturbance.update(
-            state.acc_ned_m_s2, state.q_ned_frd, thrust=self._allocator.thrust,
+            state.acc_ned_m_s2, state.q_ned_frd, thrust=self.thrust,
             hover_thrust=self.hover_thrust, dt_s=dt_s, observe=not landed and state.velocity_valid,
         )  # fmt: skip
         above = airmode_above(landed, self.params.position.thr_min)

@@ -38,6 +38,8 @@ class OffboardService(Listener):
         """The source that is flown by, or would be."""
         self.setpoint: Setpoint | None = None
         """The newest of the source that counts."""
+        self.received_us: int | None = None
+        """When that came."""
         self._asker: Partner | None = None
         self._timeout_us = round(flight.commander.params.offboard_loss_s * US_PER_S)
 
@@ -46,18 +48,12 @@ class OffboardService(Listener):
         """Whose setpoints count; None before any came."""
         return self._counts
 
-    @property
-    def received_us(self) -> int | None:
-        """When the setpoint came."""
-        received = self._newest
-        return None if received is None else received[1]
-
     def is_fresh(self, now_us: int, timeout_us: int) -> bool:
         """Whether the source that counts has sent within ``timeout_us``, which is what fresh means."""
         self._timeout_us = timeout_us
         if not self._is_flown:
             self._choose(now_us)
-        return self._is_fresh(self._counts, now_us)
+        return self.received_us is not None and now_us - self.received_us <= timeout_us
 
     def ask(self, partner: Partner, now_us: int) -> None:
         """Note who is about to ask for Offboard: its setpoints count if they are fresh.
@@ -81,12 +77,8 @@ class OffboardService(Listener):
         if not self._is_flown:
             self._choose(now_us)
         elif partner == self._counts:
-            self.setpoint = setpoint
+            self.setpoint, self.received_us = setpoint, now_us
         return ()
-
-    @property
-    def _newest(self) -> _Received | None:
-        return None if self._counts is None else self._received.get(self._counts)
 
     @property
     def _is_flown(self) -> bool:
@@ -103,8 +95,8 @@ class OffboardService(Listener):
             self._counts = self._asker
         elif self._received:
             self._counts = max(self._received, key=self._time_us)
-        received = self._newest
-        self.setpoint = None if received is None else received[0]
+        if self._counts is not None:
+            self.setpoint, self.received_us = self._received[self._counts]
 
     def _time_us(self, source: Partner) -> int:
         return self._received[source][1]
