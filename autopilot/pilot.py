@@ -230,15 +230,10 @@ class Pilot:
         if self.landed and not armed:
             return
         controller, hover_thrust = self.controller, self.controller.hover_thrust
-        north_m_s, east_m_s, down_m_s = state.vel_ned_m_s.tolist()
-        p, q, r = state.omega_frd_rad_s.tolist()
         self._land_detector.update(
             flight.now_us,
+            state,
             armed=armed,
-            down_m=state.pos_ned_m.item(2),
-            vel_down_m_s=down_m_s,
-            horizontal_speed_m_s=(north_m_s * north_m_s + east_m_s * east_m_s) ** 0.5,
-            rotation_rad_s=(p * p + q * q + r * r) ** 0.5,
             down_demand_m_s=down_demand_m_s(
                 state, self._setpoint, z_p_1_s=controller.params.position.z_p, hover_thrust=hover_thrust
             ),

@@ -11,6 +11,8 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
+from autopilot.types import EstimatorState
+
 GROUND_CONTACT_US = 350_000
 MAYBE_LANDED_US = 250_000
 LANDED_US = 300_000
@@ -62,12 +64,9 @@ class LandDetector:
     def update(
         self,
         now_us: int,
+        state: EstimatorState,
         *,
         armed: bool,
-        down_m: float,
-        vel_down_m_s: float,
-        horizontal_speed_m_s: float,
-        rotation_rad_s: float,
         down_demand_m_s: float,
         thrust_of_hover: float,
     ) -> None:
@@ -76,20 +75,29 @@ class LandDetector:
             self.stage = Stage.LANDED
             self._climb_from_down_m = None
         elif self.stage is Stage.LANDED:
-            self._watch_for_take_off(now_us, down_m, vel_down_m_s, down_demand_m_s)
+            self._watch_for_take_off(now_us, state, down_demand_m_s)
         else:
-            still = (
-                abs(vel_down_m_s) < self.params.vertical_speed_max_m_s
-                and horizontal_speed_m_s < self.params.horizontal_speed_max_m_s
-            )
+            # in flight neither is so, and the motion need not be looked at
             low_thrust = thrust_of_hover < LOW_THRUST_OF_HOVER
-            contact = still and (low_thrust or down_demand_m_s > DESCENT_DEMAND_M_S)
-            resting = contact and low_thrust and rotation_rad_s < self.params.rotation_max_rad_s
+            contact = (low_thrust or down_demand_m_s > DESCENT_DEMAND_M_S) and self._is_still(state)
+            resting = contact and low_thrust and not self._rotates(state)
             self._advance(now_us, contact=contact, resting=resting)
 
-    def _watch_for_take_off(
-        self, now_us: int, down_m: float, vel_down_m_s: float, down_demand_m_s: float
-    ) -> None:
+    def _is_still(self, state: EstimatorState) -> bool:
+        north_m_s, east_m_s, down_m_s = state.vel_ned_m_s.tolist()
+        speed_m_s: float = (north_m_s * north_m_s + east_m_s * east_m_s) ** 0.5
+        return (
+            abs(down_m_s) < self.params.vertical_speed_max_m_s
+            and speed_m_s < self.params.horizontal_speed_max_m_s
+        )
+
+    def _rotates(self, state: EstimatorState) -> bool:
+        p, q, r = state.omega_frd_rad_s.tolist()
+        rotation_rad_s: float = (p * p + q * q + r * r) ** 0.5
+        return not rotation_rad_s < self.params.rotation_max_rad_s
+
+    def _watch_for_take_off(self, now_us: int, state: EstimatorState, down_demand_m_s: float) -> None:
+        down_m, vel_down_m_s = state.pos_ned_m.item(2), state.vel_ned_m_s.item(2)
         if down_demand_m_s >= 0.0:
             self._climb_from_down_m = None
         elif self._climb_from_down_m is None:

@@ -124,11 +124,8 @@ class Real(Loop):
         setpoint = self.update()
         controls = self.controller.update(self.state, setpoint, dt_s=DT_S, landed=self.landed)
         self.iris.step(np.array(controls), self.force_ned_n)
-        north, east, down = self.state.vel_ned_m_s
         self.detector.update(
-            self.iris.time_us, armed=True, down_m=self.state.pos_ned_m[2], vel_down_m_s=down,
-            horizontal_speed_m_s=math.hypot(north, east),
-            rotation_rad_s=float(np.linalg.norm(self.state.omega_frd_rad_s)),
+            self.iris.time_us, self.state, armed=True,
             down_demand_m_s=down_demand_m_s(
                 self.state, setpoint, z_p_1_s=self.control.position.z_p,
                 hover_thrust=self.controller.hover_thrust,

@@ -1,5 +1,8 @@
 """Timelines of the land detector, at 4 ms steps."""
 
+import numpy as np
+from control_fixtures import estimate
+
 from autopilot.commander.land_detector import (
     GROUND_CONTACT_US,
     LANDED_US,
@@ -21,7 +24,7 @@ class Timeline:
         self.detector = LandDetector(LandDetectorParams())
         self.now_us = 0
 
-    def run(self, duration_us, *, armed=True, down_m=-2.0, rotation_rad_s=0.0, **motion):
+    def run(self, duration_us, *, vel_down_m_s, armed=True, down_m=-2.0, rotation_rad_s=0.0, **demand):
         """Give when each new stage was reached, from the beginning of this piece."""
         begin_us, reached = self.now_us, {}
         for _ in range(duration_us // STEP):
@@ -29,11 +32,13 @@ class Timeline:
             before = self.detector.stage
             self.detector.update(
                 self.now_us,
+                estimate(
+                    pos_ned_m=np.array((0.0, 0.0, down_m)),
+                    vel_ned_m_s=np.array((0.0, 0.1, vel_down_m_s)),
+                    omega_frd_rad_s=np.array((0.0, rotation_rad_s, 0.0)),
+                ),
                 armed=armed,
-                down_m=down_m,
-                horizontal_speed_m_s=0.1,
-                rotation_rad_s=rotation_rad_s,
-                **motion,
+                **demand,
             )
             if self.detector.stage is not before:
                 reached[self.detector.stage] = self.now_us - begin_us
