@@ -134,7 +134,7 @@ def test_switching_the_observer_hands_the_wind_over(before, after):
 def test_switching_the_observer_off_under_attitude_commands_leaves_no_integral_behind():
     iris, gusts, controller = in_wind(PARAMS)
     for _ in range(5):
-        iris.step(controller.update(iris.estimate(), LEVEL, dt_s=DT_S, landed=False), gusts.force_ned_n())
+        iris.step(fly(controller, iris, LEVEL), gusts.force_ned_n())
     assert controller.disturbance_ned_m_s2.any()
     controller.set_params(WITHOUT_OBSERVER)
     assert not controller.disturbance_ned_m_s2.any()
