@@ -229,7 +229,8 @@ class PositionController:
         self.wanted: Array = block["wanted"][0]
         """Rows position, velocity, acceleration; ``mask`` says which of them are asked for"""
         self.mask: NDArray[np.bool_] = block["mask"][0].view(np.bool_)
-        self._wanted_octets, self._mask_octets = self.wanted.data, block["mask"][0].reshape(9).data
+        self._wanted_octets = self.wanted.reshape(9).data
+        self._mask_octets = block["mask"][0].reshape(9).data
         self.set_params(params, integral_share=integral_share)
         self._taken: tuple[TrajectorySetpoint, bool, bool, bool] | None = None
         """What ``wanted`` and ``mask`` were made of."""
