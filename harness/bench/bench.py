@@ -71,6 +71,7 @@ class Machine(Struct, frozen=True, kw_only=True):
     memory_gb: float
     system: str
     python: str
+    """Version, and whose build it is"""
     load: float
     """Processes that wanted a processor in the minute before it began, on average"""
 
@@ -296,7 +297,7 @@ def _machine() -> Machine:
         model=_processor_model(),
         memory_gb=round(psutil.virtual_memory().total / 1e9, 1),
         system=platform.platform(),
-        python=platform.python_version(),
+        python=f"{platform.python_version()} of {sys.base_prefix}",
         load=round(os.getloadavg()[0], 2),
     )
 
