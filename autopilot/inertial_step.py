@@ -19,9 +19,9 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.control.block import Block as Cascade
 from autopilot.control.cascade import follow_trajectory
-from autopilot.estimation.horizon import ACC, DELAY_US, OMEGA, STD, WAITING, advance
+from autopilot.estimation.horizon import ACC, DELAY_US, NOT_FINITE, OMEGA, STD, WAITING, advance
 from autopilot.estimation.horizon import Block as Horizon
-from autopilot.estimation.kernels import GYRO_BIAS, POS, VEL, is_plausible
+from autopilot.estimation.kernels import GYRO_BIAS, POS, VEL
 from autopilot.mavlink.frame import CHECKSUM_BYTES, FIRST, HEADER_BYTES, PAYLOAD, Octets, payload_bytes, seal
 from autopilot.mavlink.hil import HilSensor
 from autopilot.sensors import BARO_FIELDS, IMU_FIELDS, MAG_FIELDS
@@ -113,10 +113,9 @@ def inertial_step(
     accel, gyro = np.empty(3), np.empty(3)
     for i in range(3):
         accel[i], gyro[i] = measured[i], measured[3 + i]
-    if not is_plausible(gyro, accel):
+    if advance(horizon, samples, time_us, gyro, accel) == NOT_FINITE:
         return False
 
-    advance(horizon, samples, time_us, gyro, accel)
     if m["flies"]:
         estimate = filtered["estimate"]
         follow_trajectory(

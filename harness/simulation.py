@@ -17,6 +17,7 @@ from autopilot.mavlink.codec import Message
 from autopilot.mavlink.modes import mode_from_custom
 from autopilot.onboard.motion import STAYS_AWAY
 from autopilot.onboard.phases import Phase
+from autopilot.protocol.service import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
 from harness import esc
 from harness.answers import Answers
 from harness.faults import MOST_ATTENUATION_DB, AnyFault, Faults, kind
@@ -47,8 +48,6 @@ from netsim.record_log import RecordLog
 STREAM = 250
 """Sets the physics' random streams apart from those of the run's other processes."""
 _RECORDED_OF_TRUTH = ("pos_ned_m", "vel_ned_m_s", "q_ned_frd", "omega_frd_rad_s", "rotor_speed_rad_s")
-COMPONENT_AUTOPILOT = 1
-COMPONENT_ONBOARD = 191
 
 
 class Simulation:
@@ -325,16 +324,16 @@ class Simulation:
     def on_message(self, instance: int, message: Message) -> None:
         """Take in what a vehicle said beside its answer."""
         if message.get_msgId() == mavlink.MAVLINK_MSG_ID_NAMED_VALUE_INT:
-            if message.get_srcComponent() == COMPONENT_ONBOARD and message.name == START_NAME:
+            if message.get_srcComponent() == APPLICATION_COMPONENT and message.name == START_NAME:
                 self._starts_us[instance] = start_us(message.value)
                 self._phase_news = True
             return
         if message.get_msgId() != mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             return
-        if message.get_srcComponent() == COMPONENT_AUTOPILOT:
+        if message.get_srcComponent() == AUTOPILOT_COMPONENT:
             mode = mode_from_custom(message.custom_mode)
             self._modes[instance] = "" if mode is None else mode.label
-        elif message.get_srcComponent() == COMPONENT_ONBOARD:
+        elif message.get_srcComponent() == APPLICATION_COMPONENT:
             with contextlib.suppress(ValueError):
                 self._phases[instance] = Phase(message.custom_mode)
                 self._phase_news = True

@@ -77,7 +77,8 @@ def advance(block: Block, samples: Block, time_us: int, gyro_frd_rad_s: Array, a
 
     It is of the interval that ends at ``time_us``, which must be after the last one's.
     ``block`` (1,) is of `HORIZON`, whose estimate moves by the new sample, ``samples`` (capacity,) of
-    `SAMPLE`. Returns the horizon's time, or NOT_FINITE for a sample that is dropped.
+    `SAMPLE`. Returns the horizon's time, or NOT_FINITE for a sample that is dropped: nothing has
+    changed then.
     """
     if not is_plausible(gyro_frd_rad_s, accel_frd_m_s2):
         return NOT_FINITE

@@ -9,6 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import stamp
+from autopilot.protocol.service import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
 from harness.answers import Answers
 from harness.messages import FormationMoves
 from harness.motion_start import agreed, flown_start_us, since_start_s, start_us
@@ -16,7 +17,7 @@ from harness.recording import EVENT_KINDS
 from harness.report import Outcome, finish
 from harness.run_folder import PhysicsConfig, RunFolder
 from harness.scenario import load
-from harness.simulation import COMPONENT_AUTOPILOT, COMPONENT_ONBOARD, Simulation
+from harness.simulation import Simulation
 
 EASTWARDS = 'formation.motion={kind="track", speed_m_s=5.0, acceleration_m_s2=3.0, course_deg=90.0}'
 SCENARIO = load(Path(__file__).parents[2] / "scenarios" / "ring.toml", ["agents=3", EASTWARDS])
@@ -106,7 +107,7 @@ def simulated(tmp_path):
     simulation.close()
 
 
-def _says(simulation, instance, value, *, component=COMPONENT_ONBOARD, name=b"start_ms"):
+def _says(simulation, instance, value, *, component=APPLICATION_COMPONENT, name=b"start_ms"):
     message = common.MAVLink_named_value_int_message(0, name, value)
     simulation.on_message(instance, stamp(message, system=instance + 1, component=component))
 
@@ -114,7 +115,7 @@ def _says(simulation, instance, value, *, component=COMPONENT_ONBOARD, name=b"st
 def test_what_most_of_the_living_say_is_an_event_once(simulated):
     simulation, told, folder = simulated
     _says(simulation, 0, 4)
-    _says(simulation, 1, 4, component=COMPONENT_AUTOPILOT)
+    _says(simulation, 1, 4, component=AUTOPILOT_COMPONENT)
     _says(simulation, 1, 4, name=b"other")
     simulation.step()
     assert told == []
