@@ -292,7 +292,7 @@ class ManualFlight:
         if not self._locked_down:
             motion[POS, 2] = state.pos_ned_m[2]
         if stick == 0.0:
-            speed_m_s = max(abs(motion[VEL, 2]), abs(float(state.vel_ned_m_s[2])))
+            speed_m_s = max(abs(motion.item(VEL, 2)), abs(state.vel_ned_m_s.item(2)))
             self._locked_down = self._locked_down or _is_slow(speed_m_s, manual.hold_max_z_m_s)
             wanted_m_s = 0.0
         else:
