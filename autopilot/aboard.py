@@ -3,8 +3,8 @@
 import numpy as np
 
 from autopilot.config import VehicleConfig
+from autopilot.mavlink.components import APPLICATION_COMPONENT
 from autopilot.onboard.app import OnboardApp
-from autopilot.protocol.service import APPLICATION_COMPONENT
 
 
 def make_application(config: VehicleConfig) -> OnboardApp:

@@ -26,11 +26,11 @@ from autopilot.companion_log import CompanionLog
 from autopilot.companion_radio import CompanionRadio
 from autopilot.config import VehicleConfig
 from autopilot.mavlink.codec import Encoder, Message, Parser, stamp
+from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
 from autopilot.mavlink.within import PositionTarget
 from autopilot.onboard.app import NOTHING
 from autopilot.onboard.messages import heartbeat
 from autopilot.onboard.phases import Phase
-from autopilot.protocol.service import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
 from autopilot.rehearsal import RehearsalError, rehearse
 from netsim.child import Finished, Ready, Stop, commands, emit
 from netsim.wire.messages import RxItem, TxItem

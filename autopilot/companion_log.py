@@ -13,9 +13,9 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.config import VehicleConfig
 from autopilot.mavlink.codec import Message
+from autopilot.mavlink.components import AUTOPILOT_COMPONENT
 from autopilot.navigation.geodesy import geodetic_to_ned
 from autopilot.onboard.app import OnboardApp
-from autopilot.protocol.service import AUTOPILOT_COMPONENT
 from autopilot.recording import LEAST_FIX_TYPE, VEHICLE_RECORD
 from autopilot.types import Array
 from netsim.record_log import RecordLog

@@ -8,7 +8,7 @@ coflight's own say on the simulator's link.
 from collections.abc import Sequence
 
 from autopilot.mavlink.codec import Encoder, Message
-from autopilot.protocol.service import APPLICATION_COMPONENT
+from autopilot.mavlink.components import APPLICATION_COMPONENT
 from netsim.free_radio import FreeRadio
 from netsim.radio import Deliveries
 from netsim.transport import Transport

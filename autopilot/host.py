@@ -16,8 +16,9 @@ from autopilot.config import VehicleConfig
 from autopilot.flight_log import FlightLog
 from autopilot.inertial_step import InertialSteps
 from autopilot.mavlink.codec import Encoder, Message
+from autopilot.mavlink.components import AUTOPILOT_COMPONENT
 from autopilot.mavlink.hil import TO_VEHICLE, HilActuatorControls, HilEncoder, HilParser, HilSensor
-from autopilot.protocol.service import AUTOPILOT_COMPONENT, GROUND_STATION, NEVER_US, Addressed
+from autopilot.protocol.service import GROUND_STATION, NEVER_US, Addressed
 from autopilot.protocol.status import TEXT_BYTES
 from autopilot.recording import VEHICLE_RECORD, record
 from autopilot.vehicle import Vehicle

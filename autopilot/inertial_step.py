@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from pymavlink.dialects.v20 import common
 
 from autopilot.control.block import Block as Cascade
 from autopilot.control.cascade import follow_trajectory
@@ -24,23 +23,26 @@ from autopilot.estimation.horizon import Block as Horizon
 from autopilot.estimation.kernels import GYRO_BIAS, POS, VEL
 from autopilot.mavlink.frame import CHECKSUM_BYTES, FIRST, HEADER_BYTES, PAYLOAD, Octets, payload_bytes, seal
 from autopilot.mavlink.hil import HilSensor
+from autopilot.mavlink.hil_layout import (
+    ACTUATORS_BYTES,
+    ACTUATORS_CONTROLS,
+    ACTUATORS_EXTRA,
+    ACTUATORS_FLAGS,
+    ACTUATORS_MODE,
+    ACTUATORS_TIME,
+    SENSOR_BYTES,
+    SENSOR_EXTRA,
+    SENSOR_FLOATS,
+    SENSOR_KIND,
+    SENSOR_UPDATED,
+)
 from autopilot.sensors import BARO_FIELDS, IMU_FIELDS, MAG_FIELDS
 from netsim.wire.lockstep import BATCH_HANDED_OVER
 
-# HIL_SENSOR: time in eight bytes, then floats, acceleration and rates first, then what of it is new in four
-_SENSOR_KIND = common.MAVLINK_MSG_ID_HIL_SENSOR
-_SENSOR_EXTRA = common.mavlink_map[_SENSOR_KIND].crc_extra
-_SENSOR_BYTES = 65
-_FLOATS = PAYLOAD + 8
-_UPDATED = PAYLOAD + 60
 _LEAST_BYTES, _MOST_BYTES = 61, 62
-"""Lengths of its payload: ``fields_updated`` needs a byte or two, ``id`` none, and zeros are cut off."""
+"""Lengths of HIL_SENSOR's payload: zeros are cut off, ``fields_updated`` needs a byte or two, ``id`` none."""
 _AIDS = MAG_FIELDS | BARO_FIELDS
-# HIL_ACTUATOR_CONTROLS: time and flags in eight bytes each, sixteen floats, the mode
-_ACTUATORS_EXTRA = common.mavlink_map[common.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS].crc_extra
-_ACTUATORS_BYTES = 81
-_CONTROLS, _MODE = PAYLOAD + 16, PAYLOAD + 80
-_HANDED_OVER, _HANDED_OVER_BIT = HEADER_BYTES + 8 + 4, BATCH_HANDED_OVER >> 32
+_HANDED_OVER, _HANDED_OVER_BIT = ACTUATORS_FLAGS - FIRST + 4, BATCH_HANDED_OVER >> 32
 """Where in a frame one of the flags is, and which bit."""
 _ROTORS = 4
 _RECEIVE_BYTES = 4096
@@ -95,13 +97,13 @@ def inertial_step(
     `MOMENT`.
     """
     m, filtered = moment[0], horizon[0]
-    length = payload_bytes(incoming, size, _SENSOR_KIND, _SENSOR_EXTRA)
+    length = payload_bytes(incoming, size, SENSOR_KIND, SENSOR_EXTRA)
     if length < _LEAST_BYTES or length > _MOST_BYTES:
         return False
-    updated = np.int64(incoming[_UPDATED])
+    updated = np.int64(incoming[SENSOR_UPDATED])
     if length == _MOST_BYTES:
-        updated |= np.int64(incoming[_UPDATED + 1]) << 8
-    time_us = incoming[PAYLOAD:_FLOATS].view(np.int64)[0]
+        updated |= np.int64(incoming[SENSOR_UPDATED + 1]) << 8
+    time_us = incoming[PAYLOAD:SENSOR_FLOATS].view(np.int64)[0]
     if updated & ~_AIDS != IMU_FIELDS or (updated & _AIDS and time_us >= m["aids_us"]):
         return False
     cursor = filtered["cursor"]
@@ -109,7 +111,7 @@ def inertial_step(
         return False
     if cursor[WAITING] + 1 >= samples.size:  # a full ring moves the horizon further
         return False
-    measured = incoming[_FLOATS:_UPDATED].view(np.float32)
+    measured = incoming[SENSOR_FLOATS:SENSOR_UPDATED].view(np.float32)
     accel, gyro = np.empty(3), np.empty(3)
     for i in range(3):
         accel[i], gyro[i] = measured[i], measured[3 + i]
@@ -122,13 +124,13 @@ def inertial_step(
             cascade, estimate[:VEL], estimate[OMEGA:STD], estimate[POS:GYRO_BIAS], estimate[VEL:POS],
             estimate[ACC:OMEGA], _VELOCITY_VALID, (time_us - m["now_us"]) / US_PER_S, _IDLES, _LANDED, _FLIES,
         )  # fmt: skip
-        controls, given = cascade[0]["controls"], answer[_CONTROLS:_MODE].view(np.float32)
+        controls, given = cascade[0]["controls"], answer[ACTUATORS_CONTROLS:ACTUATORS_MODE].view(np.float32)
         for i in range(_ROTORS):
             given[i] = controls[i]
     m["now_us"] = time_us
 
-    answer[PAYLOAD:_FLOATS].view(np.int64)[0] = time_us
-    seal(answer, m["sequence"], _ACTUATORS_EXTRA)
+    answer[ACTUATORS_TIME:ACTUATORS_FLAGS].view(np.int64)[0] = time_us
+    seal(answer, m["sequence"], ACTUATORS_EXTRA)
     m["sequence"] = (m["sequence"] + 1) % 256
     return True
 
@@ -143,7 +145,7 @@ class InertialSteps:
 
     def __init__(self) -> None:
         incoming = np.zeros(FIRST + _RECEIVE_BYTES, np.uint8)
-        answer = np.zeros(PAYLOAD + _ACTUATORS_BYTES + CHECKSUM_BYTES, np.uint8)
+        answer = np.zeros(PAYLOAD + ACTUATORS_BYTES + CHECKSUM_BYTES, np.uint8)
         self.incoming = incoming.data[FIRST:]
         self._answer = answer.data[FIRST:]
         self._moment: NDArray[np.void] = np.zeros(1, MOMENT)
@@ -180,4 +182,4 @@ class InertialSteps:
         """What the last of them was of, until other bytes come."""
         length = self.incoming[1]
         payload = bytes(self.incoming[HEADER_BYTES : HEADER_BYTES + length])
-        return HilSensor.from_payload(payload.ljust(_SENSOR_BYTES, b"\0"))
+        return HilSensor.from_payload(payload.ljust(SENSOR_BYTES, b"\0"))

@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from autopilot.mavlink.components import AUTOPILOT_COMPONENT
 from autopilot.params import (
     ROW_INDEX_OF,
     ROWS,
@@ -34,7 +35,6 @@ from autopilot.params import (
 from autopilot.stated_params import STATED
 
 INT32, REAL32 = "6", "9"
-AUTOPILOT_COMPONENT = 1
 FIELDS = ("vehicle", "component", "name", "value", "type")
 HEADER = "# Vehicle-Id Component-Id Name Value Type"
 

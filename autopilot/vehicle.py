@@ -26,6 +26,7 @@ from autopilot.config import VehicleConfig
 from autopilot.estimation.estimator import Estimator
 from autopilot.inertial_step import Ahead
 from autopilot.mavlink.codec import Message, stamp
+from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
 from autopilot.mavlink.hil import HilActuatorControls
 from autopilot.mavlink.modes import FlightMode
 from autopilot.mavlink.within import PositionTarget
@@ -40,9 +41,7 @@ from autopilot.protocol.manual_control import ManualControlService
 from autopilot.protocol.offboard import OffboardService
 from autopilot.protocol.service import (
     ALL,
-    APPLICATION_COMPONENT,
     APPLICATION_PARTNER,
-    AUTOPILOT_COMPONENT,
     GROUND_STATION,
     NEVER_US,
     Addressed,

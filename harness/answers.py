@@ -9,22 +9,25 @@ from numba import njit
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common
 
-from autopilot.mavlink.frame import CHECKSUM_BYTES, FIRST, HEADER_BYTES, PAYLOAD, Octets, payload_bytes
+from autopilot.mavlink.frame import CHECKSUM_BYTES, FIRST, HEADER_BYTES, Octets, payload_bytes
 from autopilot.mavlink.hil import HilActuatorControls
+from autopilot.mavlink.hil_layout import (
+    ACTUATORS_BYTES,
+    ACTUATORS_CONTROLS,
+    ACTUATORS_EXTRA,
+    ACTUATORS_FLAGS,
+    ACTUATORS_KIND,
+    ACTUATORS_MODE,
+    ACTUATORS_TIME,
+)
 from autopilot.types import Array
 from netsim.wire.lockstep import BATCH_HANDED_OVER
 
 ROTORS = 4
 ROOM_BYTES = 250
 """For what one vehicle says at once; a longer speech is heard in parts."""
-# the payload: time and flags in eight bytes each, sixteen floats, the mode
-_TIME, _FLAGS, _CONTROLS, _MODE = PAYLOAD, PAYLOAD + 8, PAYLOAD + 16, PAYLOAD + 80
-_PAYLOAD_BYTES = 81
-"""Nothing is cut off it, for its last byte, the mode, is not zero."""
-ANSWER_BYTES = HEADER_BYTES + _PAYLOAD_BYTES + CHECKSUM_BYTES
+ANSWER_BYTES = HEADER_BYTES + ACTUATORS_BYTES + CHECKSUM_BYTES
 """Length of a whole frame."""
-_ANSWER_KIND = common.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS
-_ANSWER_EXTRA = common.mavlink_map[_ANSWER_KIND].crc_extra
 _ARMED = common.MAV_MODE_FLAG_SAFETY_ARMED
 
 VOICE = np.dtype(
@@ -108,16 +111,17 @@ def take(
         heard_bytes = voice["heard_bytes"]
         if heard_bytes != ANSWER_BYTES or voice["by_hand"]:
             continue
-        if payload_bytes(row, heard_bytes, _ANSWER_KIND, _ANSWER_EXTRA) != _PAYLOAD_BYTES:
+        if payload_bytes(row, heard_bytes, ACTUATORS_KIND, ACTUATORS_EXTRA) != ACTUATORS_BYTES:
             continue
-        if row[_TIME:_FLAGS].view(np.int64)[0] != time_us:
+        if row[ACTUATORS_TIME:ACTUATORS_FLAGS].view(np.int64)[0] != time_us:
             continue
-        wanted = row[_CONTROLS:_MODE].view(np.float32)
+        wanted = row[ACTUATORS_CONTROLS:ACTUATORS_MODE].view(np.float32)
         for rotor in range(ROTORS):
             controls[i, rotor] = wanted[rotor]
-        armed[i] = row[_MODE] & _ARMED != 0
+        armed[i] = row[ACTUATORS_MODE] & _ARMED != 0
         voice["answered_us"] = time_us
-        voice["handed_over"] = row[_FLAGS:_CONTROLS].view(np.int64)[0] & BATCH_HANDED_OVER != 0
+        flags = row[ACTUATORS_FLAGS:ACTUATORS_CONTROLS].view(np.int64)[0]
+        voice["handed_over"] = flags & BATCH_HANDED_OVER != 0
         voice["heard_bytes"] = 0
         voice["ever"] = True
         taken += 1

@@ -14,10 +14,10 @@ import numpy as np
 from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot.mavlink.codec import Message
+from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
 from autopilot.mavlink.modes import mode_from_custom
 from autopilot.onboard.motion import STAYS_AWAY
 from autopilot.onboard.phases import Phase
-from autopilot.protocol.service import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
 from harness import esc
 from harness.answers import Answers
 from harness.faults import MOST_ATTENUATION_DB, AnyFault, Faults, kind

@@ -43,6 +43,7 @@ class FlightMode(Enum):
 
     def __init__(self, label: str, main: int, sub: int) -> None:
         self.label = label
+        self.main = main
         self.custom_mode = main << 16 | sub << 24
         self.base_mode = _BASE_MODES[main]
 

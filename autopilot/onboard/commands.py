@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 from pymavlink.dialects.v20 import common
 
+from autopilot.mavlink.components import AUTOPILOT_COMPONENT
+from autopilot.mavlink.modes import FlightMode
+
 SILENCE_US = 500_000
 """No COMMAND_ACK within this: sent again with the confirmation counter raised, as MAVLink asks."""
 REFUSAL_US = 1_000_000
@@ -25,7 +28,7 @@ class Command:
 ARM = Command(common.MAV_CMD_COMPONENT_ARM_DISARM, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
 OFFBOARD = Command(
     common.MAV_CMD_DO_SET_MODE,
-    (float(common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED), 6.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+    (common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, FlightMode.OFFBOARD.main, 0.0, 0.0, 0.0, 0.0, 0.0),
 )
 
 
@@ -83,8 +86,9 @@ class CommandSender:
         """COMMAND_LONG if one is due."""
         if now_us < self.next_deadline_us() or self._wanted is None:
             return []
+        number, params = self._wanted.number, self._wanted.params
         message = common.MAVLink_command_long_message(
-            self._target_system, 1, self._wanted.number, self._confirmation, *self._wanted.params
+            self._target_system, AUTOPILOT_COMPONENT, number, self._confirmation, *params
         )
         self._confirmation = min(self._confirmation + 1, 255)
         self._send_us = now_us + SILENCE_US

@@ -29,7 +29,7 @@ from autopilot.onboard.receivers import BIAS_SIGMAS
 from autopilot.onboard.tracks import EXTRAPOLATED_S, KNOWN, Rings, odometry_at
 
 PERIOD_US = 200_000
-"""Of a round: beacons come about as often."""
+"""Of a round; with beacons as they are by default, everybody is heard in each."""
 ANCHOR_S = 10.0
 """Time constant with which the GPS of all moves the common place: slow against rounds, fast against GPS."""
 MISFIT_M = 0.3

@@ -10,6 +10,7 @@ before all that, commands nothing and sets nothing; once released it goes on fro
 
 from msgspec import Struct
 
+from autopilot.mavlink.modes import FlightMode
 from autopilot.onboard.commands import ARM, OFFBOARD, CommandSender, take_off
 from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.phases import Phase
@@ -23,7 +24,6 @@ FLOWN_HEIGHT_M = 0.3
 """From here on a vehicle that is disarmed has landed, and is not sent up again."""
 HEARTBEAT_LAG_US = 1_500_000
 """A HEARTBEAT (1 Hz) shows a change that a COMMAND_ACK announced after this at the latest."""
-OFFBOARD_MAIN_MODE = 6
 
 
 class Situation(Struct, frozen=True, kw_only=True):
@@ -105,7 +105,7 @@ class Flight:
                 return self._taking_off(own, situation, now_us, disarmed=disarmed)
             case Phase.YIELDED:
                 self._commands.want(None, now_us)
-                if own.main_mode == OFFBOARD_MAIN_MODE and not own.failsafe:
+                if own.mode is FlightMode.OFFBOARD and not own.failsafe:
                     return Phase.JOINING
                 return Phase.LANDED if disarmed else self.phase
             case Phase.LANDED:
@@ -136,7 +136,7 @@ class Flight:
             return Phase.LANDED
         if own.failsafe:
             return self._yield("failsafe", now_us)
-        if own.main_mode == OFFBOARD_MAIN_MODE:
+        if own.mode is FlightMode.OFFBOARD:
             self._offboard_seen = True
         elif self._offboard_seen:
             return self._yield("offboard left", now_us)

@@ -2,6 +2,7 @@
 
 from pymavlink.dialects.v20 import common
 
+from autopilot.mavlink.components import AUTOPILOT_COMPONENT
 from autopilot.mavlink.within import PositionTarget
 from autopilot.onboard.guidance import Setpoint
 from autopilot.onboard.phases import Phase
@@ -11,7 +12,6 @@ START_NAME = b"start_ms"
 GAIN_NAME = "MPC_XY_P"
 """Gain of the autopilot's position loop, 1/s."""
 COMMANDS = frozenset({common.MAVLINK_MSG_ID_COMMAND_LONG, common.MAVLINK_MSG_ID_COMMAND_INT})
-_AUTOPILOT_COMPONENT = 1
 _LOCAL_NED = int(common.MAV_FRAME_LOCAL_NED)
 _NO_YAW = common.POSITION_TARGET_TYPEMASK_YAW_IGNORE | common.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
 _NO_YAW_NOR_ACCELERATION = (
@@ -27,7 +27,7 @@ def offboard_setpoint(setpoint: Setpoint, target_system: int, now_us: int) -> Po
     pos_ned_m, vel_ned_m_s, acc_ned_m_s2 = setpoint
     mask = _NO_YAW if acc_ned_m_s2 else _NO_YAW_NOR_ACCELERATION
     return PositionTarget(
-        now_us // 1_000, target_system, _AUTOPILOT_COMPONENT, _LOCAL_NED, mask,
+        now_us // 1_000, target_system, AUTOPILOT_COMPONENT, _LOCAL_NED, mask,
         *pos_ned_m, *vel_ned_m_s, *(acc_ned_m_s2 or ()),
     )  # fmt: skip
 
@@ -46,7 +46,7 @@ def heartbeat(phase: Phase, start_us: int | None, now_us: int) -> list[common.MA
 def gain_request(target_system: int) -> common.MAVLink_message:
     """PARAM_REQUEST_READ of the position loop's gain."""
     return common.MAVLink_param_request_read_message(
-        target_system, _AUTOPILOT_COMPONENT, GAIN_NAME.encode("ascii"), -1
+        target_system, AUTOPILOT_COMPONENT, GAIN_NAME.encode("ascii"), -1
     )
 
 

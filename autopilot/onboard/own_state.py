@@ -9,6 +9,7 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.config import Site
 from autopilot.mavlink.codec import Message
+from autopilot.mavlink.modes import FlightMode, mode_from_custom
 from autopilot.mavlink.within import LocalPosition
 from autopilot.navigation.geodesy import place_ned_m
 from autopilot.onboard.beacon import Fix
@@ -31,7 +32,7 @@ class OwnState:
         fix: newest GPS position, with the accuracy that the receiver states.
         truth_ned_m: where the simulator says that the vehicle is, down from where it stood at the first
             such message; None unless it does. ``truth_us`` is its time.
-        armed, failsafe, main_mode, heartbeat_us: by the newest HEARTBEAT and when that came.
+        armed, failsafe, mode, heartbeat_us: by the newest HEARTBEAT and when that came.
 
     """
 
@@ -47,7 +48,7 @@ class OwnState:
         self.truth_us = -1
         self.armed = False
         self.failsafe = False
-        self.main_mode = 0
+        self.mode: FlightMode | None = None
         self.heartbeat_us = -1
         self._site = site
         self._gps_delay_ms = round(gps_delay_s * 1e3)
@@ -114,7 +115,7 @@ class OwnState:
             return
         self.armed = bool(msg.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED)
         self.failsafe = self.armed and msg.system_status >= common.MAV_STATE_CRITICAL
-        self.main_mode = msg.custom_mode >> 16 & 0xFF
+        self.mode = mode_from_custom(msg.custom_mode)
         self.heartbeat_us = now_us
 
     def _place(self) -> None:

@@ -5,9 +5,6 @@ from typing import NamedTuple, Protocol
 
 from autopilot.mavlink.codec import Message
 
-AUTOPILOT_COMPONENT = 1
-APPLICATION_COMPONENT = 191
-"""MAV_COMP_ID_ONBOARD_COMPUTER"""
 GROUND_STATION, COMPANION, APPLICATION = 0, 1, 2
 """Numbers of the links: two to the outside, and the application in this process."""
 EVERYBODY = -1

@@ -9,7 +9,7 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import stamp
-from autopilot.protocol.service import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
+from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
 from harness.answers import Answers
 from harness.messages import FormationMoves
 from harness.motion_start import agreed, flown_start_us, since_start_s, start_us

@@ -7,12 +7,13 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.config import Devices, OnboardConfig
 from autopilot.formation_plan import FormationPlan, RacetrackMotion
+from autopilot.mavlink.modes import FlightMode
 from autopilot.mavlink.within import PositionTarget
 from autopilot.onboard import OnboardApp, Phase, messages
 from autopilot.onboard import beacon as wire
 from autopilot.onboard.app import NOTHING
 from autopilot.onboard.commands import CommandSender
-from autopilot.onboard.flight import OFFBOARD_MAIN_MODE, Flight, Situation
+from autopilot.onboard.flight import Flight, Situation
 from autopilot.onboard.formation import COAST_S
 from autopilot.onboard.guidance import SETPOINT_PERIOD_US
 from autopilot.onboard.own_state import OwnState
@@ -211,7 +212,7 @@ def joining():
     flight = Flight(commands=commands, on_station_tolerance_m=0.7, on_station_hold_s=2.0)
     flight.phase = Phase.JOINING
     own = OwnState(site=SITE, gps_delay_s=0.12)
-    own.armed, own.main_mode = True, OFFBOARD_MAIN_MODE
+    own.armed, own.mode = True, FlightMode.OFFBOARD
     return flight, own
 
 
@@ -220,7 +221,7 @@ def test_after_yielding_a_place_is_held_anew():
     flight, own = joining()
     there, since_us = Situation(shape_std_m=0.1, miss_m=0.1, place_height_m=8.0), {}
     for now_us in range(0, 70_000_000, 50_000):
-        own.main_mode = OFFBOARD_MAIN_MODE if not 3_000_000 <= now_us < 63_000_000 else 4
+        own.mode = FlightMode.HOLD if 3_000_000 <= now_us < 63_000_000 else FlightMode.OFFBOARD
         flight.update(own, there, now_us)
         since_us.setdefault((flight.phase, now_us >= 63_000_000), now_us)
     assert since_us == {
