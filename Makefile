@@ -1,7 +1,5 @@
 # coflight: `make swarm` flies, `make test` tests; each does all of its own set-up.
-# A distribution's interpreter is built with profile-guided optimisation, a version manager's mostly without, and
-# a swarm is an interpreter's work for the most part (docs/performance.md).
-PYTHON ?= $(shell /usr/bin/python3.11 -c 'import ensurepip, venv' 2>/dev/null && echo /usr/bin/python3.11 || echo python3.11)
+PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.set-up
