@@ -167,6 +167,12 @@ def test_one_ctrl_c_stops_everything_and_keeps_the_records(folder: Path) -> None
     assert not any(psutil.pid_exists(pid) for pid in summary["pids"])
 
 
+def take_terminal() -> None:
+    """Have standard input as controlling terminal, and hear of its end even where the tests run by nohup."""
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
 def start_in_terminal(folder: Path) -> tuple[int, "subprocess.Popen[bytes]"]:
     """Start a run without end in a terminal of its own, and wait until it flies.
 
@@ -177,7 +183,7 @@ def start_in_terminal(folder: Path) -> tuple[int, "subprocess.Popen[bytes]"]:
     launcher = subprocess.Popen(
         [sys.executable, "-c", code, "fine.toml", "--duration", "1e6"],
         cwd=folder, stdin=terminal, stdout=terminal, stderr=terminal, start_new_session=True,
-        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),  # noqa: PLW1509  it takes no lock
+        preexec_fn=take_terminal,  # noqa: PLW1509  it takes no lock
     )  # fmt: skip
     os.close(terminal)
     shown = b""
