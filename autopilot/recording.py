@@ -106,7 +106,7 @@ def record(vehicle: "Vehicle") -> bytes:
     setpoint = flight.setpoint
     if setpoint is not None and setpoint.pos_ned_m is not None:
         holds_n, holds_e, holds_d = setpoint.pos_axes
-        n_m, e_m, d_m = setpoint.pos_ned_m.tolist()
+        n_m, e_m, d_m = setpoint.pos_ned_m
         setpoint_n_m = n_m if holds_n else math.nan
         setpoint_e_m = e_m if holds_e else math.nan
         setpoint_d_m = d_m if holds_d else math.nan

@@ -109,12 +109,13 @@ class TrajectorySetpoint(Struct, frozen=True, kw_only=True):
 
     None means that the group is not controlled. A position with a velocity uses the velocity as feed-forward,
     likewise acceleration. ``pos_axes``, ``vel_axes`` and ``acc_axes`` narrow a group to some of its axes
-    (north, east, down), as to hold a place and descend at a speed.
+    (north, east, down), as to hold a place and descend at a speed. A vector may be a plain tuple, which takes
+    less to make than an array.
     """
 
-    pos_ned_m: Array | None = None
-    vel_ned_m_s: Array | None = None
-    acc_ned_m_s2: Array | None = None
+    pos_ned_m: Triple | None = None
+    vel_ned_m_s: Triple | None = None
+    acc_ned_m_s2: Triple | None = None
     pos_axes: tuple[bool, bool, bool] = (True, True, True)
     vel_axes: tuple[bool, bool, bool] = (True, True, True)
     acc_axes: tuple[bool, bool, bool] = (True, True, True)

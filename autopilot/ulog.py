@@ -186,8 +186,8 @@ def _setpoint(vehicle: "Vehicle") -> Numbers | None:
     setpoint = vehicle.flight.setpoint
     if setpoint is None:
         return None
-    position = _NAN3 if setpoint.pos_ned_m is None else tuple(setpoint.pos_ned_m.tolist())
-    velocity = _NAN3 if setpoint.vel_ned_m_s is None else tuple(setpoint.vel_ned_m_s.tolist())
+    position = _NAN3 if setpoint.pos_ned_m is None else tuple(setpoint.pos_ned_m)
+    velocity = _NAN3 if setpoint.vel_ned_m_s is None else tuple(setpoint.vel_ned_m_s)
     return (
         *(value if used else math.nan for value, used in zip(position, setpoint.pos_axes, strict=True)),
         *(value if used else math.nan for value, used in zip(velocity, setpoint.vel_axes, strict=True)),

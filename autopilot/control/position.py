@@ -301,9 +301,9 @@ class PositionController:
         pos, vel, acc = setpoint.pos_ned_m, setpoint.vel_ned_m_s, setpoint.acc_ned_m_s2
         _ROWS.pack_into(
             self._wanted_octets, 0,
-            *(_ZERO if pos is None else pos.tolist()),
-            *(_ZERO if vel is None else vel.tolist()),
-            *(_ZERO if acc is None else acc.tolist()),
+            *(_ZERO if pos is None else pos),
+            *(_ZERO if vel is None else vel),
+            *(_ZERO if acc is None else acc),
         )  # fmt: skip
         self._mask_octets[:] = bytes((
             *(_NO_AXES if pos is None else setpoint.pos_axes),

@@ -304,10 +304,10 @@ def down_demand_m_s(
     if not isinstance(setpoint, TrajectorySetpoint):
         return GRAVITY_M_S2 * (1.0 - setpoint.thrust / hover_thrust)
     vel, acc = setpoint.vel_ned_m_s, setpoint.acc_ned_m_s2
-    vel_down_m_s = vel.item(2) if vel is not None and setpoint.vel_axes[2] else None
+    vel_down_m_s = float(vel[2]) if vel is not None and setpoint.vel_axes[2] else None
     if setpoint.pos_ned_m is not None and setpoint.pos_axes[2]:
-        demand_m_s = z_p_1_s * (setpoint.pos_ned_m.item(2) - state.pos_ned_m.item(2))
+        demand_m_s = z_p_1_s * (float(setpoint.pos_ned_m[2]) - state.pos_ned_m.item(2))
         return demand_m_s if vel_down_m_s is None else demand_m_s + vel_down_m_s
     if vel_down_m_s is not None:
         return vel_down_m_s
-    return acc.item(2) if acc is not None and setpoint.acc_axes[2] else 0.0
+    return float(acc[2]) if acc is not None and setpoint.acc_axes[2] else 0.0

@@ -113,9 +113,9 @@ def _trajectory(
             return None
         vel, acc = _by_heading(vel, state), _by_heading(acc, state)
     return TrajectorySetpoint(
-        pos_ned_m=None if pos[0] is None else np.array(pos[0], float),
-        vel_ned_m_s=None if vel[0] is None else np.array(vel[0], float),
-        acc_ned_m_s2=None if acc[0] is None else np.array(acc[0], float),
+        pos_ned_m=pos[0],
+        vel_ned_m_s=vel[0],
+        acc_ned_m_s2=acc[0],
         pos_axes=pos[1],
         vel_axes=vel[1],
         acc_axes=acc[1],

@@ -1,5 +1,6 @@
 """What the controllers follow and what the motors are given, in the messages of MAVLink."""
 
+import numpy as np
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
@@ -39,7 +40,7 @@ class Control(Part):
         for index, (vector, axes) in enumerate(groups):
             used = axes if vector is not None else (False, False, False)
             type_mask |= sum(1 << (3 * index + axis) for axis in range(3) if not used[axis])
-            values += [0.0, 0.0, 0.0] if vector is None else vector.tolist()
+            values += (0.0, 0.0, 0.0) if vector is None else map(float, vector)
         if setpoint.yaw_rad is None:
             type_mask |= common.POSITION_TARGET_TYPEMASK_YAW_IGNORE
         return common.MAVLink_position_target_local_ned_message(
@@ -55,7 +56,7 @@ class Control(Part):
         lat_e7, lon_e7, alt_m = 0, 0, 0.0
         if setpoint.pos_ned_m is not None:
             lat_deg, lon_deg, alt = ned_to_geodetic(
-                setpoint.pos_ned_m,
+                np.array(setpoint.pos_ned_m),
                 origin_lat_deg=state.origin_lat_deg,
                 origin_lon_deg=state.origin_lon_deg,
                 origin_alt_m=state.origin_alt_m,

@@ -275,7 +275,7 @@ class Solo:
     def set_reference(self, setpoint: TrajectorySetpoint) -> None:
         """Stream this offboard setpoint from now on, and with the next step; all three groups must be set."""
         groups = (setpoint.pos_ned_m, setpoint.vel_ned_m_s, setpoint.acc_ned_m_s2)
-        values = [value for group in groups if group is not None for value in group.tolist()]
+        values = [value for group in groups if group is not None for value in map(float, group)]
         self._setpoint = common.MAVLink_set_position_target_local_ned_message(
             0, 1, 1, common.MAV_FRAME_LOCAL_NED, _YAW_RATE_IGNORED, *values, setpoint.yaw_rad or 0.0, 0.0
         )

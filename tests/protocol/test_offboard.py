@@ -86,7 +86,7 @@ def decode(message, flight=None):
 
 def test_groups_and_axes_follow_the_mask():
     got = decode(local(POSITION, x=1.0, y=2.0, z=-3.0))
-    assert got.pos_ned_m.tolist() == [1.0, 2.0, -3.0]
+    assert got.pos_ned_m == (1.0, 2.0, -3.0)
     assert (got.vel_ned_m_s, got.acc_ned_m_s2, got.yaw_rad, got.yaw_rate_rad_s) == (None, None, None, 0.0)
     # position of north and east, speed of down, with a yaw
     got = decode(local(0b1001_1101_1100, x=1.0, y=2.0, vz=0.5, yaw=0.1))
