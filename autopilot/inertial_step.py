@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 from autopilot.control.block import Block as Cascade
 from autopilot.control.cascade import follow_trajectory
-from autopilot.estimation.horizon import ACC, DELAY_US, NOT_FINITE, OMEGA, STD, WAITING, advance
+from autopilot.estimation.horizon import DELAY_US, NOT_FINITE, WAITING, advance
 from autopilot.estimation.horizon import Block as Horizon
-from autopilot.estimation.kernels import GYRO_BIAS, POS, VEL
 from autopilot.mavlink.frame import CHECKSUM_BYTES, FIRST, HEADER_BYTES, PAYLOAD, Octets, payload_bytes, seal
 from autopilot.mavlink.hil import HilSensor
 from autopilot.mavlink.hil_layout import (
@@ -47,8 +46,6 @@ _HANDED_OVER, _HANDED_OVER_BIT = ACTUATORS_FLAGS - FIRST + 4, BATCH_HANDED_OVER 
 _ROTORS = 4
 _RECEIVE_BYTES = 4096
 US_PER_S = 1_000_000
-# where these steps are made at all
-_VELOCITY_VALID, _IDLES, _LANDED, _FLIES = True, False, False, True
 
 MOMENT = np.dtype(
     [
@@ -119,12 +116,10 @@ def inertial_step(
         return False
 
     if m["flies"]:
-        estimate = filtered["estimate"]
-        follow_trajectory(
-            cascade, estimate[:VEL], estimate[OMEGA:STD], estimate[POS:GYRO_BIAS], estimate[VEL:POS],
-            estimate[ACC:OMEGA], _VELOCITY_VALID, (time_us - m["now_us"]) / US_PER_S, _IDLES, _LANDED, _FLIES,
-        )  # fmt: skip
-        controls, given = cascade[0]["controls"], answer[ACTUATORS_CONTROLS:ACTUATORS_MODE].view(np.float32)
+        c = cascade[0]
+        c["dt_s"] = (time_us - m["now_us"]) / US_PER_S  # what else is laid out in the block is as it was
+        follow_trajectory(cascade, filtered["estimate"])
+        controls, given = c["controls"], answer[ACTUATORS_CONTROLS:ACTUATORS_MODE].view(np.float32)
         for i in range(_ROTORS):
             given[i] = controls[i]
     m["now_us"] = time_us

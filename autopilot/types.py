@@ -61,7 +61,8 @@ class GpsFix:
 class EstimatorState:
     """What the estimator knows at ``time_us``. Positions are from ``origin``, the first good fix.
 
-    Not frozen, for the estimator keeps one up to date in place: see `Estimator.live`.
+    Not frozen, for the estimator keeps one up to date in place: see `Estimator.live`. Its vectors are copies
+    of those given, and lie together in ``estimate``, so that compiled code is given one array.
     """
 
     time_us: int
@@ -102,6 +103,27 @@ class EstimatorState:
     vel_reset_delta_ned_m_s: Array = field(default_factory=lambda: np.zeros(3))
     yaw_reset_delta_rad: float = 0.0
     """Turn about down of the last reset, in [-pi, pi]"""
+    estimate: Array = field(init=False)
+    """(31,) of which the vectors are views, as `estimation.horizon` lays it out"""
+
+    def __post_init__(self) -> None:
+        """Lay copies of the vectors out in an estimate of its own."""
+        self.lie_over(np.concatenate([getattr(self, name) for name, _ in _LAID_OUT]))
+
+    def lie_over(self, estimate: Array) -> None:
+        """Have its vectors be views of another estimate (31,)."""
+        self.estimate, at = estimate, 0
+        for name, size in _LAID_OUT:
+            setattr(self, name, estimate[at : at + size])
+            at += size
+
+
+_LAID_OUT = (
+    ("q_ned_frd", 4), ("vel_ned_m_s", 3), ("pos_ned_m", 3), ("gyro_bias_rad_s", 3), ("accel_bias_m_s2", 3),
+    ("acc_ned_m_s2", 3), ("omega_frd_rad_s", 3), ("attitude_std_rad", 3), ("vel_std_m_s", 3),
+    ("pos_std_m", 3),
+)  # fmt: skip
+"""The vectors of an `EstimatorState`, in the order of its ``estimate``, and their sizes."""
 
 
 class TrajectorySetpoint(Struct, frozen=True, kw_only=True):

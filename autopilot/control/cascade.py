@@ -23,6 +23,8 @@ from autopilot.control.position import (
     integral_shift_m_s2,
 )
 from autopilot.control.position import THRUST as THRUST_VECTOR
+from autopilot.estimation.horizon import ACC, OMEGA, STD
+from autopilot.estimation.kernels import GYRO_BIAS, POS, VEL
 from autopilot.estimation.rotation import quat_from_euler
 from autopilot.types import Array
 
@@ -46,19 +48,16 @@ def airmode_above(landed: bool, thr_min: float) -> float:  # noqa: FBT001 - kern
 
 
 @njit(cache=True)
-def follow_trajectory(
-    block: Block,
-    # the estimate, NED and FRD, and whether the velocity in it is known
-    q_ned_frd: Array, omega: Array, pos: Array, vel: Array, acc: Array, velocity_valid: bool,  # noqa: FBT001
-    # since the last sample; idling on the ground, on the ground at all, in flight
-    dt_s: float, idles: bool, landed: bool, flies: bool,  # noqa: FBT001
-) -> None:  # fmt: skip
-    """Fill the block's ``controls`` (4,) 0..1, and what led to them, from the setpoint laid out in it.
+def follow_trajectory(block: Block, estimate: Array) -> None:
+    """Fill the block's ``controls`` (4,) 0..1, and what led to them, from what is laid out in it.
 
-    The position loop acts at every ``position_divider``-th call. What flight teaches of the hover thrust it
-    teaches from the second on.
+    That is the setpoint and what is so in this sample. ``estimate`` (31,) is as `horizon` lays it out, NED
+    and FRD. The position loop acts at every ``position_divider``-th call. What flight teaches of the hover
+    thrust it teaches from the second on.
     """
     c = block[0]
+    q_ned_frd, omega, acc = estimate[:VEL], estimate[OMEGA:STD], estimate[ACC:OMEGA]
+    dt_s, velocity_valid, landed = c["dt_s"], c["velocity_valid"] != 0, c["landed"] != 0
     goes_on = c["updates"] > 0
     c["since_position_s"] += dt_s
     position_dt_s = 0.0
@@ -77,16 +76,17 @@ def follow_trajectory(
         disturbance, position = observer[OBSERVED:THRUST], c["position"]
         x, y = q_ned_frd[1], q_ned_frd[2]
         up = 1.0 - 2.0 * (x * x + y * y)
-        if goes_on and flies and velocity_valid and up >= _HOVER_LEARN_UP:
+        if goes_on and c["flies"] and velocity_valid and up >= _HOVER_LEARN_UP:
             before = hover[HOVER]
             learn_hover_thrust(hover, c["hover_settings"], -acc[2], observer[THRUST] * up, position_dt_s)
             acc_down = decided[ACCELERATION, 2] - disturbance[2]
             position[INTEGRAL, 2] += integral_shift_m_s2(before, hover[HOVER], acc_down)
         control_position(
-            c["wanted"], c["mask"], pos, vel, acc, disturbance, hover[HOVER], yaw_rad, turn[CLIMB_MAX],
-            position_dt_s, c["position_gains"], limits, position, decided,
+            c["wanted"], c["mask"], estimate[POS:GYRO_BIAS], estimate[VEL:POS], acc, disturbance,
+            hover[HOVER], yaw_rad, turn[CLIMB_MAX], position_dt_s, c["position_gains"], limits, position,
+            decided,
         )  # fmt: skip
-    if idles:
+    if c["idles"]:
         decided[ATTITUDE] = quat_from_euler(0.0, 0.0, yaw_rad)
         decided[THRUST_VECTOR, COLLECTIVE] = 0.0
         yaw_rate_rad_s = 0.0

@@ -3,11 +3,12 @@
 import math
 from struct import Struct
 
+import numpy as np
 from msgspec.structs import replace
 
 from autopilot.control.allocation import Allocator
 from autopilot.control.attitude import AttitudeController
-from autopilot.control.block import new_block
+from autopilot.control.block import CASCADE, new_block
 from autopilot.control.cascade import airmode_above, follow_trajectory
 from autopilot.control.disturbance import DisturbanceObserver
 from autopilot.control.hover_thrust import HOVER, HoverThrustEstimator
@@ -34,8 +35,9 @@ from autopilot.types import (
 )
 
 _ALL = (True, True, True)
-_TURN = Struct("=3d")
-"""The block's ``turn``, to which an array is slow to write"""
+_SAMPLE = Struct("=3dd4q")
+"""The block's ``turn`` and what follows up to ``flies``, to which an array is slow to write"""
+_SAMPLE_AT = CASCADE.fields["turn"][1]
 
 
 class FlightController:
@@ -49,7 +51,7 @@ class FlightController:
         self._thrust: Array = block["thrust"]
         self._learned: Array = block["hover"][0]
         self._updates: Array = block["updates"]
-        self._turn = block["turn"][0].data
+        self._octets = block.view(np.uint8).data
         self._position = PositionController(
             params.position, integral_share=_integral_share(params), block=block
         )
@@ -225,14 +227,13 @@ class FlightController:
             self._yaw_rad = math.remainder(self._yaw_rad + setpoint.yaw_rate_rad_s * dt_s, math.tau)
         self._reset_counter = state.reset_counter
         self._position.take(state, setpoint)
-        _TURN.pack_into(self._turn, 0, self._yaw_rad, setpoint.yaw_rate_rad_s, self._takeoff.climb_max_m_s)
+        _SAMPLE.pack_into(
+            self._octets, _SAMPLE_AT, self._yaw_rad, setpoint.yaw_rate_rad_s, self._takeoff.climb_max_m_s,
+            dt_s, state.velocity_valid, phase is Phase.GROUND, landed, phase is Phase.FLYING,
+        )  # fmt: skip
         self._setpoint = setpoint
         self._rates.start(state.omega_frd_rad_s)
-        follow_trajectory(
-            self.block, state.q_ned_frd, state.omega_frd_rad_s, state.pos_ned_m, state.vel_ned_m_s,
-            state.acc_ned_m_s2, state.velocity_valid, dt_s, phase is Phase.GROUND, landed,
-            phase is Phase.FLYING,
-        )  # fmt: skip
+        follow_trajectory(self.block, state.estimate)
 
     def _hand_over_disturbance(self, *, to_observer: bool) -> None:
         """Let the integrals hold what the observer held, or the other way round: the demand stays."""

@@ -25,10 +25,10 @@ from autopilot.estimation.fusion import (
     Jump,
     Origin,
 )
-from autopilot.estimation.horizon import ACC, ESTIMATE, NOT_FINITE, OMEGA, STD, DelayedHorizon
+from autopilot.estimation.horizon import NOT_FINITE, DelayedHorizon
 from autopilot.estimation.params import EstimatorParams
 from autopilot.estimation.rotation import quat_conjugate, quat_multiply
-from autopilot.types import Array, EstimatorState, GpsFix, ImuSample
+from autopilot.types import EstimatorState, GpsFix, ImuSample
 
 DEAD_RECKONING_US = 1_000_000
 WAITING_MAX = 256
@@ -61,9 +61,7 @@ class Estimator:
         """Nothing is to be fused while the horizon is before this."""
         self._aided_until_us = self._height_until_us = -1
         """Up to which horizon velocity and position, and the height, count as known."""
-        estimate = np.zeros(ESTIMATE)
-        estimate[0] = 1.0
-        self.live = _state_over(estimate)
+        self.live = _unknown_state()
         """The state at the last inertial sample: the one object, rewritten by the next sample, for those who
         read it and keep nothing."""
         self._state: EstimatorState | None = None
@@ -195,7 +193,8 @@ class Estimator:
             live = self.live
             self._state = replace(
                 live,
-                **{name: getattr(live, name).copy() for name in _ARRAYS},
+                pos_reset_delta_ned_m=live.pos_reset_delta_ned_m.copy(),
+                vel_reset_delta_ned_m_s=live.vel_reset_delta_ned_m_s.copy(),
             )
         return self._state
 
@@ -278,9 +277,8 @@ class Estimator:
             self._params, self.filter, ground_altitude_m=self._ground_altitude_m, origin=self._origin
         )
         before = self.live
-        self.live = replace(
-            before, **{name: getattr(_state_over(self.filter.estimate), name) for name in _VIEWS}
-        )
+        self.live = replace(before)
+        self.live.lie_over(self.filter.estimate)
         self.live.attitude_valid = True
         if self._origin is not None:
             self._note_jump(before, Jump.POSITION | Jump.HEIGHT | Jump.VELOCITY | Jump.YAW)
@@ -353,13 +351,7 @@ class Estimator:
         if self._origin is None and fusion.origin is not None:
             self._origin = fusion.origin
             self.live.origin_lat_deg, self.live.origin_lon_deg, self.live.origin_alt_m = fusion.origin
-        live = self.live
-        before = replace(
-            live,
-            q_ned_frd=live.q_ned_frd.copy(),
-            pos_ned_m=live.pos_ned_m.copy(),
-            vel_ned_m_s=live.vel_ned_m_s.copy(),
-        )
+        before = replace(self.live)
         delayed.corrected()
         self._note_jump(before, fusion.jumps)
         fusion.jumps = Jump.NONE
@@ -397,28 +389,21 @@ class Estimator:
         self._bring_up_to_date(self._time_us)
 
 
-_VIEWS = (
-    "q_ned_frd", "vel_ned_m_s", "pos_ned_m", "omega_frd_rad_s", "acc_ned_m_s2", "gyro_bias_rad_s",
-    "accel_bias_m_s2", "pos_std_m", "vel_std_m_s", "attitude_std_rad",
-)  # fmt: skip
-"""What of the state lies in the horizon's estimate."""
-_ARRAYS = (*_VIEWS, "pos_reset_delta_ned_m", "vel_reset_delta_ned_m_s")
-
-
-def _state_over(estimate: Array) -> EstimatorState:
-    """Give a state that is nothing but views of the horizon's estimate, as yet not valid."""
+def _unknown_state() -> EstimatorState:
+    """Give a state in which nothing is valid, level and at rest."""
+    zero = np.zeros(3)
     return EstimatorState(
         time_us=0,
-        q_ned_frd=estimate[: kernels.VEL],
-        vel_ned_m_s=estimate[kernels.VEL : kernels.POS],
-        pos_ned_m=estimate[kernels.POS : kernels.GYRO_BIAS],
-        omega_frd_rad_s=estimate[OMEGA : OMEGA + 3],
-        acc_ned_m_s2=estimate[ACC : ACC + 3],
-        gyro_bias_rad_s=estimate[kernels.GYRO_BIAS : kernels.ACCEL_BIAS],
-        accel_bias_m_s2=estimate[kernels.ACCEL_BIAS : kernels.STATES],
-        pos_std_m=estimate[STD + 6 : STD + 9],
-        vel_std_m_s=estimate[STD + 3 : STD + 6],
-        attitude_std_rad=estimate[STD : STD + 3],
+        q_ned_frd=np.array((1.0, 0.0, 0.0, 0.0)),
+        vel_ned_m_s=zero,
+        pos_ned_m=zero,
+        omega_frd_rad_s=zero,
+        acc_ned_m_s2=zero,
+        gyro_bias_rad_s=zero,
+        accel_bias_m_s2=zero,
+        pos_std_m=zero,
+        vel_std_m_s=zero,
+        attitude_std_rad=zero,
         origin_lat_deg=0.0,
         origin_lon_deg=0.0,
         origin_alt_m=0.0,
