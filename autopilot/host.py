@@ -167,9 +167,7 @@ class Host:
             return
         period_us = self._config.record_period_us
         next_record_us = NEVER_US if self._log is None else now_us - now_us % period_us + period_us
-        ahead = self.vehicle.ahead(next_record_us)
-        if ahead is not None:
-            self._inertial.open(ahead, answer, self._encoder.sequence)
+        self.vehicle.look_ahead(self._inertial, answer, self._encoder.sequence, next_record_us)
 
     def _catch_up(self) -> bool:
         """Bring the vehicle to where inertial steps have got, which then are over; False: it is there."""

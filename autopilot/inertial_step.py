@@ -10,7 +10,6 @@ nothing of what it needs in the caches.
 
 from collections.abc import Sequence
 from struct import Struct
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -54,27 +53,9 @@ MOMENT = np.dtype(
     ],
     align=True,
 )  # fmt: skip
-"""The last step's time, what `Ahead` says of the next, the next frame's number, and whether it flies."""
+"""What `InertialSteps.open` is told, of which the last step's time and the next frame's number go on."""
 _MOMENT = Struct("=6q")
 """The same for Python, to which a row of an array is slow to write."""
-
-
-class Ahead(NamedTuple):
-    """A vehicle between two steps that look at more than inertial samples, as long as nobody listens."""
-
-    now_us: int
-    """Time of the last sample"""
-    flies: bool
-    """It follows a trajectory; else its controls stay as they are."""
-    until_us: int
-    """When the next of those is"""
-    aids_us: int
-    """From when on a reading of magnetometer or barometer is taken; before, they are passed over."""
-    sound_until_us: int
-    """Up to when the filter's horizon finds nothing to fuse, and the state stays valid"""
-    horizon: Horizon
-    samples: Horizon
-    cascade: Cascade
 
 
 @njit(cache=True)
@@ -155,11 +136,26 @@ class InertialSteps:
             return self._answer
         return None
 
-    def open(self, ahead: Ahead, answer: bytes, sequence: int) -> None:
-        """Let such steps follow the one that was answered by this frame; ``sequence`` is the next one's."""
+    def open(
+        self, answer: bytes, sequence: int, blocks: tuple[Horizon, Horizon, Cascade], *, now_us: int,
+        until_us: int, aids_us: int, sound_until_us: int, flies: bool,
+    ) -> None:  # fmt: skip
+        """Let such steps follow the one that was answered by this frame.
+
+        Args:
+            answer: the frame.
+            sequence: number of the next one.
+            blocks: the filter's, the samples that wait for it, and the controller's.
+            now_us: time of the last sample.
+            until_us: when there is the next look at anything but such samples.
+            aids_us: from when on a reading of magnetometer or barometer is taken; before, they are passed
+                over.
+            sound_until_us: up to when the filter's horizon finds nothing to fuse, and the state stays valid.
+            flies: the trajectory is followed that was followed last; else the controls stay as they are.
+
+        """
         self._answer[:] = answer
         self._answer[_HANDED_OVER] &= ~_HANDED_OVER_BIT
-        now_us, flies, until_us, aids_us, sound_until_us, *blocks = ahead
         self._opened_us = now_us
         _MOMENT.pack_into(self._moment_octets, 0, now_us, until_us, aids_us, sound_until_us, sequence, flies)
         self._blocks = blocks

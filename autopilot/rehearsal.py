@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.config import Site, VehicleConfig
 from autopilot.estimation.atmosphere import pressure_pa
-from autopilot.inertial_step import Ahead, InertialSteps
+from autopilot.inertial_step import InertialSteps
 from autopilot.mavlink.hil import HilActuatorControls, HilSensor, pack
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.geodesy import ned_to_geodetic
@@ -64,9 +64,7 @@ def rehearse() -> None:
         joining_steps += all(
             vehicle.app is not None and vehicle.app.phase >= Phase.JOINING for vehicle in vehicles
         )
-        ahead = vehicles[0].ahead(NEVER_US) if joining_steps > JOINING_STEPS else None
-        if ahead is not None:
-            _rehearse_inertial_step(ahead)
+        if joining_steps > JOINING_STEPS and _rehearse_inertial_step(vehicles[0], time_us):
             _rehearse_modes(vehicles[0])
             _rehearse_distances(vehicles[0], time_us)
             _rehearse_common_frame()
@@ -105,18 +103,20 @@ def _rehearse_distances(vehicle: Vehicle, now_us: int) -> None:
         raise RehearsalError("the vehicles on their way are not located")
 
 
-def _rehearse_inertial_step(ahead: Ahead) -> None:
-    """Make a step as `autopilot.host` does without its vehicle. Raises RehearsalError."""
+def _rehearse_inertial_step(vehicle: Vehicle, now_us: int) -> bool:
+    """Make a step as `autopilot.host` does without its vehicle, if it can be now. Raises RehearsalError."""
     steps = InertialSteps()
-    answer = HilActuatorControls(ahead.now_us, [0.0] * 16, 1, 0)
-    steps.open(ahead, pack(answer, sequence=0, system=1, component=1), 1)
+    answer = pack(HilActuatorControls(now_us, [0.0] * 16, 1, 0), sequence=0, system=1, component=1)
+    if not vehicle.look_ahead(steps, answer, 1, NEVER_US):
+        return False
     nothing = (0.0, 0.0, 0.0)
     accel = (0.0, 0.0, -_GRAVITY_M_S2)
-    at_rest = HilSensor(ahead.now_us + 1, *accel, *nothing, *nothing, 0.0, 0.0, 0.0, 0.0, IMU_FIELDS)
+    at_rest = HilSensor(now_us + 1, *accel, *nothing, *nothing, 0.0, 0.0, 0.0, 0.0, IMU_FIELDS)
     frame = pack(at_rest, sequence=0, system=0, component=1)
     steps.incoming[: len(frame)] = frame
     if steps.step(len(frame)) is None:
         raise RehearsalError("an inertial sample was not taken for one")
+    return True
 
 
 def _rehearse_common_frame() -> None:

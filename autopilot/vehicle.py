@@ -24,7 +24,7 @@ from autopilot.commander.failsafe import US_PER_S
 from autopilot.commander.geofence import Geofence
 from autopilot.config import VehicleConfig
 from autopilot.estimation.estimator import Estimator
-from autopilot.inertial_step import Ahead
+from autopilot.inertial_step import InertialSteps
 from autopilot.mavlink.codec import Message, stamp
 from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
 from autopilot.mavlink.hil import HilActuatorControls
@@ -234,21 +234,24 @@ class Vehicle:
         """From when on a step has to look at more than what its messages bring, if no link asks before."""
         return min(self._decide_us, self._loop_us, self.messaging.next_deadline_us())
 
-    def ahead(self, limit_us: int) -> Ahead | None:
-        """The steps up to the next look at anything but inertial samples; None: the next is that look.
+    def look_ahead(self, steps: InertialSteps, answer: bytes, sequence: int, limit_us: int) -> bool:
+        """Let ``steps`` follow on this answer up to the next look at anything but inertial samples.
 
-        Somebody else looks at ``limit_us``.
+        ``sequence`` is the next answer's, and somebody else looks at ``limit_us``. False: the next step is
+        that look.
         """
         filtered, now_us, flies = self.estimator.filter, self.flight.now_us, self.pilot.flies_on
         if filtered is None or (self.commander.armed and not flies):
-            return None
-        until_us, sound_until_us = min(self.next_look_us, limit_us), self.estimator.sound_until_us
+            return False
+        until_us = min(self.next_look_us, limit_us)
         if until_us <= now_us + self.config.step_us:
-            return None
-        return Ahead(
-            now_us, flies, until_us, self._sensors.aids_us, sound_until_us,
-            filtered.block, filtered.samples, self.pilot.controller.block,
+            return False
+        steps.open(
+            answer, sequence, (filtered.block, filtered.samples, self.pilot.controller.block), now_us=now_us,
+            until_us=until_us, aids_us=self._sensors.aids_us, sound_until_us=self.estimator.sound_until_us,
+            flies=flies,
         )  # fmt: skip
+        return True
 
     def catch_up(self, now_us: int) -> None:
         """Take what compiled steps have left in filter and controller, the last of which was at this time."""
