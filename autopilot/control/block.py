@@ -12,16 +12,16 @@ Block = NDArray[np.void]
 
 CASCADE = np.dtype(
     [
-        # what is followed: `PositionController.take` lays out a trajectory's setpoint
-        ("wanted", "f8", (3, 3)),
-        ("mask", "u1", (3, 3)),  # compiled code knows no truth values within a block
-        ("turn", "f8", 3),  # and how it turns and may climb, as `cascade.YAW` and the rest have it
-        # of the sample: the time since the last one, and what is so at present
-        ("dt_s", "f8"),
-        ("velocity_valid", "i8"),
+        # what is so in a sample, which `FlightController` lays out as a whole
+        ("turn", "f8", 3),  # how it is to turn and may climb, as `cascade.YAW` and the rest have it
+        ("dt_s", "f8"),  # since the last sample
+        ("velocity_valid", "i8"),  # compiled code knows no truth values within a block
         ("idles", "i8"),  # on the ground
         ("landed", "i8"),
         ("flies", "i8"),  # neither that nor taking off
+        # what is followed: `PositionController.take` lays out a trajectory's setpoint
+        ("wanted", "f8", (3, 3)),
+        ("mask", "u1", (3, 3)),
         # how far the position loop's divider is
         ("updates", "i8"),
         ("position_divider", "i8"),

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from autopilot.control.allocation import Allocator
 from autopilot.control.attitude import AttitudeController
-from autopilot.control.block import CASCADE, new_block
+from autopilot.control.block import new_block
 from autopilot.control.cascade import airmode_above, follow_trajectory
 from autopilot.control.disturbance import DisturbanceObserver
 from autopilot.control.hover_thrust import HOVER, HoverThrustEstimator
@@ -36,8 +36,7 @@ from autopilot.types import (
 
 _ALL = (True, True, True)
 _SAMPLE = Struct("=3dd4q")
-"""The block's ``turn`` and what follows up to ``flies``, to which an array is slow to write"""
-_SAMPLE_AT = CASCADE.fields["turn"][1]
+"""The block's beginning, up to ``flies``, to which an array is slow to write"""
 
 
 class FlightController:
@@ -228,7 +227,7 @@ class FlightController:
         self._reset_counter = state.reset_counter
         self._position.take(state, setpoint)
         _SAMPLE.pack_into(
-            self._octets, _SAMPLE_AT, self._yaw_rad, setpoint.yaw_rate_rad_s, self._takeoff.climb_max_m_s,
+            self._octets, 0, self._yaw_rad, setpoint.yaw_rate_rad_s, self._takeoff.climb_max_m_s,
             dt_s, state.velocity_valid, phase is Phase.GROUND, landed, phase is Phase.FLYING,
         )  # fmt: skip
         self._setpoint = setpoint
