@@ -23,7 +23,6 @@ from autopilot.protocol.manual_control import ManualControlService
 from autopilot.protocol.offboard import OffboardService
 from autopilot.types import Array, Setpoint, TrajectorySetpoint
 
-_NO_CONTROLS = [0.0] * 16
 _NO_MOTORS = (0.0,) * 12
 """Controls beyond the motors'"""
 _FENCE_WARNS = 1
@@ -44,8 +43,6 @@ class Pilot:
         manual: ManualControlService,
         geofence: Geofence,
     ) -> None:
-        self.controls = _NO_CONTROLS
-        """(16,) of HIL_ACTUATOR_CONTROLS, never written to."""
         self.takeoff_altitude = TakeoffAltitude()
         self.controller = FlightController(settings.control)
         control = settings.control
@@ -86,6 +83,11 @@ class Pilot:
         if settings.navigation is not before.navigation or settings.geofence is not before.geofence:
             self._check_mission()
         self._land_detector.params = settings.land_detector
+
+    @property
+    def controls(self) -> list[float]:
+        """(16,) of HIL_ACTUATOR_CONTROLS."""
+        return [*self._flight.motors, *_NO_MOTORS]
 
     # ---- what is asked for in flight; a refusal gives its reason
 
@@ -268,18 +270,13 @@ class Pilot:
             )
         self._setpoint = setpoint
         flight.setpoint = setpoint if isinstance(setpoint, TrajectorySetpoint) else None
-        self._give(controller.update(state, setpoint, dt_s=dt_s, landed=landed))
+        flight.motors = controller.update(state, setpoint, dt_s=dt_s, landed=landed)
         self.flies_on = not landed and setpoint is offboard and controller.flies_on
 
     def catch_up(self) -> None:
         """Take what compiled code has had the controller give since `fly`, if the motors turn."""
         if self._flight.commander.armed:
-            self._give(self.controller.controls)
-
-    def _give(self, motors: list[float]) -> None:
-        """Tell the motors' controls (4,)."""
-        self._flight.motors = motors
-        self.controls = [*motors, *_NO_MOTORS]
+            self._flight.motors = self.controller.controls
 
     def _keep_up(self) -> None:
         """Have navigator and controller in the commander's mode."""
@@ -302,7 +299,6 @@ class Pilot:
             flight.motors = self.controller.idle()
             self._setpoint = IDLE
             flight.setpoint = None
-            self.controls = _NO_CONTROLS
             return
         if not was_armed and flight.state.position_valid and not self._home_is_manual:
             self._set_home()
