@@ -228,7 +228,7 @@ def test_every_mask_gives_a_setpoint_of_what_it_does_not_ignore_or_is_rejected(f
         axes = (got.pos_axes, got.vel_axes, got.acc_axes)
         for group, vector, used in zip(groups, vectors, axes, strict=True):
             assert (vector is not None) == any(group)
-            assert vector is None or (used == group and not vector[~np.array(group)].any())
+            assert vector is None or (used == group and not np.array(vector)[~np.array(group)].any())
         assert (got.yaw_rad is None) == bool(mask & YAW_IGNORED)
         assert (got.yaw_rate_rad_s == 0.0) == bool(mask & YAW_RATE_IGNORED)
         if mask % 7 == 0:

@@ -55,7 +55,7 @@ def test_the_same_parameters_change_nothing_to_the_bit(params):
                 controller.set_params(every_group_anew(params))
             controls.append(fly(controller, iris, HERE, landed=landed))
             iris.step(controls[-1], gusts.force_ned_n())
-            landed = landed and iris.pos_ned_m[2] > -0.02
+            landed = landed and bool(iris.pos_ned_m[2] > -0.02)
         assert not landed
         flights.append(np.array(controls))
     np.testing.assert_array_equal(*flights)

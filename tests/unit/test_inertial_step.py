@@ -34,7 +34,7 @@ class Player:
         self.host = Host(CONFIG, None)
         self.inertial = 0
         if not compiled:
-            self.host._inertial.open = lambda *_: None
+            self.host._inertial.open = lambda *_, **__: None
 
     def hear(self, data):
         host = self.host
