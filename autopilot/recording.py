@@ -94,7 +94,8 @@ def record(vehicle: "Vehicle") -> bytes:
     """Row of `VEHICLE_RECORD` of the vehicle as it is after its last step."""
     flight, app = vehicle.flight, vehicle.app
     state, commander = flight.state, flight.commander
-    w, x, y, z, vel_n, vel_e, vel_d, north_m, east_m, down_m, *_ = state.estimate.tolist()
+    north_m, east_m, down_m = state.pos_ned_m.tolist()
+    vel_ned_m_s, q_ned_frd = state.vel_ned_m_s.tolist(), state.q_ned_frd.tolist()
     origin_n_m, origin_e_m, origin_d_m = _UNKNOWN
     believed_ned_m = std_ned_m = correction_ned_m = odometry_offset_ned_m = _UNKNOWN
     if flight.origin_known:
@@ -109,9 +110,9 @@ def record(vehicle: "Vehicle") -> bytes:
         setpoint_n_m = n_m if holds_n else math.nan
         setpoint_e_m = e_m if holds_e else math.nan
         setpoint_d_m = d_m if holds_d else math.nan
-    singles = (vel_n, vel_e, vel_d, w, x, y, z)
+    singles = [*vel_ned_m_s, *q_ned_frd]
     if not (min(singles) >= -_SINGLE_MAX and max(singles) <= _SINGLE_MAX):
-        singles = tuple(min(max(value, -_SINGLE_MAX), _SINGLE_MAX) for value in singles)
+        singles = [min(max(value, -_SINGLE_MAX), _SINGLE_MAX) for value in singles]
     return _ROW.pack(
         flight.now_us, commander.armed, commander.mode.custom_mode,
         int(app.phase) if app is not None else NO_PHASE,
