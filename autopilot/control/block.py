@@ -15,10 +15,10 @@ CASCADE = np.dtype(
         # what is so in a sample, which `FlightController` lays out as a whole
         ("turn", "f8", 3),  # how it is to turn and may climb, as `cascade.YAW` and the rest have it
         ("dt_s", "f8"),  # since the last sample
-        ("velocity_valid", "i8"),  # compiled code knows no truth values within a block
-        ("idles", "i8"),  # on the ground
-        ("landed", "i8"),
-        ("flies", "i8"),  # neither that nor taking off
+        ("velocity_valid", "u1"),  # compiled code knows no truth values within a block
+        ("idles", "u1"),  # on the ground
+        ("landed", "u1"),
+        ("flies", "u1"),  # neither that nor taking off
         # what is followed: `PositionController.take` lays out a trajectory's setpoint
         ("wanted", "f8", (3, 3)),
         ("mask", "u1", (3, 3)),

@@ -35,7 +35,7 @@ from autopilot.types import (
 )
 
 _ALL = (True, True, True)
-_SAMPLE = Struct("=3dd4q")
+_SAMPLE = Struct("=3dd4?")
 """The block's beginning, up to ``flies``, to which an array is slow to write"""
 
 
