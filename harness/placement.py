@@ -2,7 +2,7 @@
 
 In lockstep everybody waits for the last, which a scheduler that balances load cannot know: it need not leave
 four of eight vehicles on each of two processors, nor any of them where its caches are. So each process is
-given a processor, the vehicles in turn. While somebody else works too, all may go where they like: one that
+given a processor. While somebody else works too, all may go where they like: one that
 is held where others work would hold up the whole swarm.
 
 The emulator, told by the one processor it may use that it shares it with vehicles, gives way to them between
@@ -46,13 +46,13 @@ def leaves_room(before: Times, now: Times) -> bool:
 def homes(
     vehicles: Sequence[str], processors: Sequence[int], *, first: str, last: str
 ) -> dict[str, int] | None:
-    """Processor of each process: vehicles in turn, and ``first`` and ``last`` on the processors at the ends.
+    """Processor of each process: equal shares of vehicles in their order; ``first`` and ``last`` at the ends.
 
     None if the scheduler is to place them: with one processor, or with few vehicles on each.
     """
     if len(processors) < 2 or len(vehicles) < VEHICLES_PER_PROCESSOR * len(processors):
         return None
-    places = {name: processors[i % len(processors)] for i, name in enumerate(vehicles)}
+    places = {name: processors[i * len(processors) // len(vehicles)] for i, name in enumerate(vehicles)}
     return places | {first: processors[0], last: processors[-1]}
 
 

@@ -122,11 +122,11 @@ class Server:
         batches = self._hosted.advance(request)
         delivered = sorted(batches.keys() & self._senders.keys())
         answer(self._hosted.advanced(delivered=tuple(delivered)))
+        # the first vehicles may have to share this processor, and could not begin before all is sent anyway
+        for station in reversed(delivered):
+            self._send(self._senders[station], batches.pop(station))
         for station, batch in batches.items():
-            if (asker := self._askers.get(station)) is not None:
-                asker.ask(encode(batch))  # it may not be there, or slow: nobody waits for it
-            else:
-                self._send(self._senders[station], batch)
+            self._askers[station].ask(encode(batch))  # it may not be there, or slow: nobody waits for it
 
     def _take_in(self, request: Advance) -> set[Station]:
         """Take what vehicles have sent; returns those whose batches do not come."""

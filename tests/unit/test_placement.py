@@ -33,6 +33,8 @@ def test_each_processor_has_its_share_of_vehicles(vehicles, processors):
     counts = collections.Counter(places[name] for name in UAVS[:vehicles])
     assert counts.keys() == set(processors)
     assert max(counts.values()) - min(counts.values()) <= 1
+    # the emulator sends to its neighbours last, and takes the first vehicles for them
+    assert [places[name] for name in UAVS[:vehicles]] == sorted(places[name] for name in UAVS[:vehicles])
     # the two that work beside the vehicles and beside each other
     assert places["radio"] == processors[0]
     assert places["physics"] == processors[-1]
