@@ -16,6 +16,8 @@ from autopilot.onboard import OnboardApp, Phase
 from autopilot.onboard.app import NOTHING
 from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult
 
+PAIR = ((-3.0, 0.0, -8.0), (3.0, 0.0, -8.0))
+ALONE = ((0.0, 0.0, -8.0),)
 STEP_US = 4_000
 SITE = Site()
 MODE_TAKE_OFF, MODE_LOITER, MODE_LAND, MODE_OFFBOARD = (
@@ -346,3 +348,11 @@ class SwarmWorld:
             distance_std_m=0.15, rssi_dbm=-60.0, round_trips=7, measurements=8,
         )  # fmt: skip
         self.in_flight.append((item.at_us + 12_000, i, result))
+
+
+def world(places=PAIR, *, seed=1, **kwargs):
+    return SwarmWorld(places_ned_m=places, seed=seed, **kwargs)
+
+
+def phase_is(phase):
+    return lambda w: all(app.phase is phase for app in w.apps)

@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 from autopilot.estimation import kernels
-from autopilot.estimation.horizon import DelayedHorizon, advance
+from autopilot.estimation.estimator import Estimator
+from autopilot.estimation.horizon import ACC, ESTIMATE, OMEGA, STD, DelayedHorizon, advance
+from autopilot.estimation.kernels import ACCEL_BIAS, GYRO_BIAS, POS, VEL
+from autopilot.estimation.params import EstimatorParams
 
 PSD = np.array([1e-6, 1e-4, 1e-8, 1e-6])
 
@@ -98,3 +101,17 @@ def test_reset_sets_the_state_and_cuts_its_correlations():
     assert not delayed.cov[6:8][:, others].any()
     assert not delayed.cov[others][:, 6:8].any()
     np.testing.assert_array_equal(delayed.cov[np.ix_(others, others)], kept)
+
+
+def test_a_states_vectors_lie_in_the_estimate_where_the_filter_writes_them():
+    estimate = np.arange(float(ESTIMATE))
+    state = Estimator(EstimatorParams()).state
+    state.lie_over(estimate)
+    begins = {
+        "q_ned_frd": 0, "vel_ned_m_s": VEL, "pos_ned_m": POS, "gyro_bias_rad_s": GYRO_BIAS,
+        "accel_bias_m_s2": ACCEL_BIAS, "acc_ned_m_s2": ACC, "omega_frd_rad_s": OMEGA,
+        "attitude_std_rad": STD, "vel_std_m_s": STD + 3, "pos_std_m": STD + 6,
+    }  # fmt: skip
+    assert {name: getattr(state, name)[0] for name in begins} == begins
+    assert sum(getattr(state, name).size for name in begins) == ESTIMATE
+    assert all(np.shares_memory(getattr(state, name), estimate) for name in begins)
