@@ -21,10 +21,10 @@ from pathlib import Path
 import msgspec
 from pymavlink.dialects.v20 import common
 
-from antenna import kernel_folder
+from foundation.kernels import cache_folder
 
 if "--supervised" not in sys.argv:  # else the launcher has
-    os.environ.update(kernel_folder.environment())  # read when numba is imported, which is next
+    os.environ.update(cache_folder.environment())  # read when numba is imported, which is next
 
 from autopilot import parameter_file, plan_file
 from autopilot.config import AutopilotConfig, VehicleConfig, VehiclePorts
@@ -39,8 +39,8 @@ from autopilot.parts import PARTS
 from autopilot.plan_file import PlanFileError
 from autopilot.protocol.service import COMPANION, GROUND_STATION, Addressed, Partner
 from autopilot.site_plan import PlanError
-from netsim.child import Finished, Influenced, Ready, Warned, emit, end_with_parent
-from netsim.profiler import profiled
+from foundation.processes.child_protocol import Finished, Influenced, Ready, Warned, emit, end_with_parent
+from foundation.profiling.profiler import profiled
 from netsim.radio import RadioClient
 
 RETRY_S = 0.1

@@ -32,7 +32,7 @@ from autopilot.onboard.app import NOTHING
 from autopilot.onboard.messages import heartbeat
 from autopilot.onboard.phases import Phase
 from autopilot.rehearsal import RehearsalError, rehearse
-from netsim.child import Finished, Ready, Stop, commands, emit
+from foundation.processes.child_protocol import Finished, Ready, Stop, commands, emit
 from netsim.wire.messages import RxItem, TxItem
 
 TICK_US = 8_000

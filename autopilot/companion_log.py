@@ -14,11 +14,11 @@ from pymavlink.dialects.v20 import common
 from autopilot.config import VehicleConfig
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.components import AUTOPILOT_COMPONENT
-from autopilot.navigation.geodesy import geodetic_to_ned
 from autopilot.onboard.app import OnboardApp
 from autopilot.recording import LEAST_FIX_TYPE, VEHICLE_RECORD
-from autopilot.types import Array
-from netsim.record_log import RecordLog
+from foundation.geometry.geodesy import geodetic_to_ned
+from foundation.records.record_log import RecordLog
+from foundation.types import Array
 
 _UNKNOWN = np.full(3, np.nan)
 _NO_ATTITUDE = (math.nan, math.nan, math.nan, math.nan)

@@ -13,7 +13,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from autopilot.config import AnyMotion, RacetrackMotion
-from autopilot.types import Vector
+from foundation.types import Vector
 
 Array = NDArray[np.float64]
 Number = TypeVar("Number", float, Array)

@@ -13,8 +13,8 @@ import sys
 
 from autopilot.__main__ import main as vehicle_main
 from autopilot.rehearsal import RehearsalError, rehearse
-from netsim.child import Finished, Ready, emit
-from netsim.forking import serve, show_name
+from foundation.processes.child_protocol import Finished, Ready, emit
+from foundation.processes.prefork import serve, show_name
 
 NAME = "hangar"
 

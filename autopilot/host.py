@@ -22,7 +22,7 @@ from autopilot.protocol.service import GROUND_STATION, NEVER_US, Addressed
 from autopilot.protocol.status import TEXT_BYTES
 from autopilot.recording import VEHICLE_RECORD, record
 from autopilot.vehicle import Vehicle
-from netsim.record_log import RecordLog
+from foundation.records.record_log import RecordLog
 from netsim.wire.lockstep import BATCH_DELIVERED, BATCH_HANDED_OVER
 from netsim.wire.messages import RxItem, TxItem
 

@@ -1,6 +1,6 @@
-"""Parts of a vehicle's process, for `netsim.profiler`: which modules are what."""
+"""Parts of a vehicle's process, for `foundation.profiling.profiler`: which modules are what."""
 
-from netsim.profiler import LINK
+from foundation.profiling.profiler import LINK
 
 CODEC = "link codec"
 RADIO = "radio"
@@ -24,7 +24,7 @@ PARTS = {
     "netsim.transport": RADIO,
     "netsim.wire": RADIO,
     "autopilot.recording": "records",
-    "netsim.record_log": "records",
+    "foundation.records.record_log": "records",
     "autopilot.vehicle": "the step around them",
     "autopilot.host": "the step around them",
     "autopilot.__main__": LINK,

@@ -12,7 +12,6 @@ from autopilot.commander.land_detector import LandDetector, Stage
 from autopilot.control import FlightController
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.feasibility import distance_warning, fence_trouble
-from autopilot.navigation.geodesy import geodetic_to_ned, ned_to_geodetic
 from autopilot.navigation.orbit import Circle, YawBehaviour
 from autopilot.navigation.plan_store import PlanStore, PlanType
 from autopilot.navigation.setpoints import IDLE, ON_GROUND_M, Navigator, down_demand_m_s
@@ -21,7 +20,8 @@ from autopilot.protocol.command import TakeoffAltitude
 from autopilot.protocol.flight_data import FlightData, Home
 from autopilot.protocol.manual_control import ManualControlService
 from autopilot.protocol.offboard import OffboardService
-from autopilot.types import Array, Setpoint, TrajectorySetpoint
+from foundation.geometry.geodesy import geodetic_to_ned, ned_to_geodetic
+from foundation.types import Array, Setpoint, TrajectorySetpoint
 
 _NO_MOTORS = (0.0,) * 12
 """Controls beyond the motors'"""

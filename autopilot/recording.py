@@ -8,8 +8,8 @@ import numpy as np
 
 from autopilot.config import Site
 from autopilot.mavlink.codec import Message
-from autopilot.navigation.geodesy import place_ned_m
-from autopilot.types import EstimatorState, Vector
+from foundation.geometry.geodesy import place_ned_m
+from foundation.types import EstimatorState, Vector
 
 if TYPE_CHECKING:
     from autopilot.vehicle import Vehicle

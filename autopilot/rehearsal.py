@@ -14,7 +14,6 @@ from autopilot.estimation.atmosphere import pressure_pa
 from autopilot.inertial_step import InertialSteps
 from autopilot.mavlink.hil import HilActuatorControls, HilSensor, pack
 from autopilot.mavlink.modes import FlightMode
-from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.navigation.manual import ManualInput
 from autopilot.navigation.setpoints import Navigator
 from autopilot.onboard.beacon import Fix, GpsError
@@ -25,8 +24,9 @@ from autopilot.onboard.neighbourhood import Neighbourhood
 from autopilot.onboard.phases import Phase
 from autopilot.protocol.service import NEVER_US
 from autopilot.sensors import BARO_FIELDS, IMU_FIELDS, MAG_FIELDS
-from autopilot.types import Array, RateSetpoint
 from autopilot.vehicle import Vehicle
+from foundation.geometry.geodesy import ned_to_geodetic
+from foundation.types import Array, RateSetpoint
 from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult, RxItem, TxItem
 
 LIMIT_US = 40_000_000

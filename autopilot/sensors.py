@@ -17,7 +17,7 @@ from autopilot.estimation.estimator import Estimator
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.dialect import ESC_STATUS
 from autopilot.mavlink.hil import HIL_GPS, HIL_SENSOR
-from autopilot.types import GpsFix, ImuSample
+from foundation.types import GpsFix, ImuSample
 
 IMU_FIELDS = 0b11_1111
 MAG_FIELDS = 0b1_1100_0000

@@ -16,9 +16,9 @@ from autopilot.config import (
     Site,
 )
 from autopilot.navigation import plan_items
-from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.navigation.mission import Mission, MissionCommand, MissionError, MissionItem, make_mission
 from autopilot.navigation.plan_store import Plan, PlanType, Refused, WireItem, make_plan
+from foundation.geometry.geodesy import ned_to_geodetic
 
 
 class PlanError(ValueError):

@@ -11,11 +11,11 @@ import struct
 from typing import TYPE_CHECKING, NamedTuple
 
 from autopilot.commander.commander import Commander
-from autopilot.estimation.rotation import quat_to_euler
 from autopilot.mavlink.modes import FlightMode
-from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.params import ROWS, ParameterSet
 from autopilot.protocol.parameter import value_bytes
+from foundation.geometry.geodesy import ned_to_geodetic
+from foundation.geometry.rotations import quat_to_euler
 
 if TYPE_CHECKING:
     from autopilot.vehicle import Vehicle

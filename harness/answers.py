@@ -20,7 +20,7 @@ from autopilot.mavlink.hil_layout import (
     ACTUATORS_MODE,
     ACTUATORS_TIME,
 )
-from autopilot.types import Array
+from foundation.types import Array
 from netsim.wire.lockstep import BATCH_HANDED_OVER
 
 ROTORS = 4

@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from autopilot.types import Array
+from foundation.types import Array
 from harness.refusals import explain
 
 ROTORS = 4

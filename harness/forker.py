@@ -1,4 +1,4 @@
-"""The launcher's end of the line to a process that forks others: see `netsim.forking`."""
+"""The launcher's end of the line to a process that forks others: see `foundation.processes.prefork`."""
 
 import os
 import queue
@@ -9,8 +9,8 @@ from typing import NamedTuple
 import msgspec
 import psutil
 
+from foundation.processes.prefork import MOST_BYTES, Answer, Ended, Fork, Forked, NotForked
 from harness.listener import Listener
-from netsim.forking import MOST_BYTES, Answer, Ended, Fork, Forked, NotForked
 
 FORK_LIMIT_S = 30.0
 """Wall time within which a fork must be answered, by a forker that is ready."""

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from autopilot.types import Array
+from foundation.types import Array
 
 STEPS_AHEAD = 50
 """Steps whose randomness is drawn together. A stream's numbers are the same as if drawn one by one."""

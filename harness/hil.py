@@ -16,9 +16,9 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot.config import Site
 from autopilot.estimation.atmosphere import altitude_m
-from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.sensors import BARO_FIELDS, IMU_FIELDS, MAG_FIELDS
-from autopilot.types import Array
+from foundation.geometry.geodesy import ned_to_geodetic
+from foundation.types import Array
 from harness.esc import EscReadings, statuses
 from harness.hil_frames import (
     ESC_STATUS,

@@ -23,7 +23,7 @@ from autopilot.mavlink.frame import (
     checksum,
     seal,
 )
-from autopilot.types import Array
+from foundation.types import Array
 
 SIMULATOR_SYSTEM_ID = 0
 SIMULATOR_COMPONENT_ID = 1

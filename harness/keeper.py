@@ -1,8 +1,8 @@
 """Keeps a program that is not coflight's as a child of a run: ``python -m harness.keeper --config FILE``.
 
-Speaks the child protocol of `netsim.child` for it: Ready with the program's process id, an end when told to
-stop or when stdin ends. What the program prints goes to stderr, which is the child's log. However the keeper
-ends, the program ends with it.
+Speaks the child protocol of `foundation.processes.child_protocol` for it: Ready with the program's process
+id, an end when told to stop or when stdin ends. What the program prints goes to stderr, which is the child's
+log. However the keeper ends, the program ends with it.
 """
 
 import argparse
@@ -20,7 +20,7 @@ from typing import Any
 import msgspec
 from msgspec import Struct
 
-from netsim.child import Finished, Ready, Stop, commands, emit
+from foundation.processes.child_protocol import Finished, Ready, Stop, commands, emit
 
 TERM_GRACE_S = 2.0
 """Wall time that the program has between SIGTERM and SIGKILL."""

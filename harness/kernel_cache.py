@@ -1,8 +1,8 @@
 """Having the numerical kernels compiled once, before a swarm needs them.
 
-They are in the folder of their sources' state, of which `antenna.kernel_folder` knows which and why. The
-first run that finds it empty compiles before it starts vehicles, which would otherwise all compile the same
-at once, in mid-air.
+They are in the folder of their sources' state, of which `foundation.kernels.cache_folder` knows which and
+why. The first run that finds it empty compiles before it starts vehicles, which would otherwise all compile
+the same at once, in mid-air.
 """
 
 import contextlib
@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from antenna.kernel_folder import PACKAGES, VARIABLE, digest, environment, folder, own_base
+from foundation.kernels.cache_folder import PACKAGES, VARIABLE, digest, environment, folder, own_base
 
 __all__ = ["PACKAGES", "VARIABLE", "CompileError", "digest", "environment", "folder", "prepare"]
 

@@ -14,12 +14,12 @@ from autopilot.config import VehicleConfig
 from autopilot.host import Host, warnings
 from autopilot.mavlink.codec import Message
 from autopilot.recording import VEHICLE_RECORD
+from foundation.processes.child_protocol import Warned
+from foundation.records.record_log import BLOCK_ROWS
 from harness.answers import ANSWER_BYTES, Answers
 from harness.lockstep import CLOSED, Voice
-from netsim.child import Warned
 from netsim.hosted import HostedEmulator
 from netsim.radio import Deliveries, checked
-from netsim.record_log import BLOCK_ROWS
 from netsim.wire.lockstep import Advance, Advanced
 from netsim.wire.messages import TxBatch, TxItem
 

@@ -11,8 +11,8 @@ from typing import Literal
 
 from msgspec import Struct
 
+from foundation.processes.child_protocol import Stop
 from harness.faults import AnyFault
-from netsim.child import Stop
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]

@@ -34,6 +34,7 @@ import numba
 from numba.core.dispatcher import Dispatcher
 
 from autopilot.config import VehicleConfig
+from foundation.processes.child_protocol import Finished, Ready, Stop
 from harness import kernel_cache
 from harness.air import Air
 from harness.local import LocalLine, LocalRadio, LocalVehicles
@@ -54,7 +55,6 @@ from harness.scenario import Scenario
 from harness.simulation import Simulation
 from harness.supervisor import Exited, Supervisor
 from harness.swarm import Speed, Swarm
-from netsim.child import Finished, Ready, Stop
 from netsim.config import ServerConfig
 from netsim.hosted import HostedEmulator
 

@@ -1,6 +1,6 @@
-"""Parts of the physics server's process, for `netsim.profiler`: which modules are what."""
+"""Parts of the physics server's process, for `foundation.profiling.profiler`: which modules are what."""
 
-from netsim.profiler import LINK
+from foundation.profiling.profiler import LINK
 
 PARTS = {
     "harness.physics": "physics",
@@ -16,7 +16,7 @@ PARTS = {
     "harness.air": "radio",
     "netsim": "radio",
     "harness.recording": "records",
-    "netsim.record_log": "records",
+    "foundation.records.record_log": "records",
     "harness.simulation": "the step around them",
     "harness.physics_server": "the step around them",
 }

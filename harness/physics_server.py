@@ -17,6 +17,8 @@ from typing import Any
 
 import msgspec
 
+from foundation.processes.child_protocol import Finished, Ready, Stop, commands, emit
+from foundation.profiling.profiler import profiled
 from harness.air import Air, RadioSilent
 from harness.lockstep import OWN, PX4, ConnectTimeout, Lockstep
 from harness.messages import (
@@ -36,9 +38,7 @@ from harness.parts import PARTS
 from harness.patience import Patience
 from harness.run_folder import PhysicsConfig
 from harness.simulation import Simulation, run
-from netsim.child import Finished, Ready, Stop, commands, emit
 from netsim.clock_line import time_masters_end
-from netsim.profiler import profiled
 
 PROGRESS_PERIOD_S = 0.2
 MOST_LAG_S = 0.1

@@ -17,6 +17,7 @@ import msgspec
 import psutil
 from msgspec import Struct
 
+from foundation.processes.child_protocol import Finished, Influenced, Ready, Warned
 from harness import kernel_cache, placement, px4_seat
 from harness.interrupts import interrupts_deferred
 from harness.messages import AnyCommand, AnyEvent, Formed, Paused, Progress, SetPid, VehicleLost
@@ -26,7 +27,6 @@ from harness.resources import HAS_NAMED_SOCKETS, ResourceError, allow_descriptor
 from harness.run_folder import RunFolder
 from harness.scenario import Scenario
 from harness.supervisor import ChildMessage, Exited, Supervisor, SupervisorError
-from netsim.child import Finished, Influenced, Ready, Warned
 
 PHYSICS, RADIO, HANGAR = "physics", "radio", "hangar"
 START_LIMIT_S = 120.0

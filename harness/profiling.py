@@ -1,7 +1,7 @@
 """Where the time of a run went: what its processes found out about themselves, by kind of process and part.
 
-The processes sample themselves (`netsim.profiler`) and tell in their last event; a process that was killed
-tells nothing.
+The processes sample themselves (`foundation.profiling.profiler`) and tell in their last event; a process that
+was killed tells nothing.
 """
 
 from collections.abc import Iterable, Mapping
@@ -11,8 +11,8 @@ import msgspec
 from msgspec import Struct
 from rich.table import Table
 
+from foundation.profiling.profiler import KEY, Profile
 from harness.processes import PHYSICS, RADIO
-from netsim.profiler import KEY, Profile
 
 VEHICLES = "vehicles"
 KINDS = {PHYSICS: "physics server", RADIO: "802.11 emulator", VEHICLES: "vehicles"}

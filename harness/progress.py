@@ -13,6 +13,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from foundation.processes.child_protocol import Warned
 from harness.messages import (
     Collision,
     FaultChanged,
@@ -25,7 +26,6 @@ from harness.messages import (
 )
 from harness.processes import Message, Notice, uav
 from harness.supervisor import Exited
-from netsim.child import Warned
 
 LINE_PERIOD_S = 3.0
 """Wall time between two plain lines."""

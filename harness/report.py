@@ -16,6 +16,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from foundation.records.record_log import read
 from harness import aperture, figures
 from harness.analysis import figure_patterns
 from harness.aperture import Aperture
@@ -29,7 +30,6 @@ from harness.scenario import Scenario
 from harness.tables import flight_of, write_tables
 from harness.versions import DISTRIBUTIONS, versions
 from netsim.logs import FRAME_LOG, SESSION_LOG
-from netsim.record_log import read
 
 LOGS = ("events.jsonl", "flight.parquet", "radio.parquet", "ftm.parquet", "air.parquet")
 """What a seed determines, byte for byte, in this order in ``log_sha256``."""

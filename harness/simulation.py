@@ -18,6 +18,7 @@ from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPON
 from autopilot.mavlink.modes import mode_from_custom
 from autopilot.onboard.motion import STAYS_AWAY
 from autopilot.onboard.phases import Phase
+from foundation.records.record_log import RecordLog
 from harness import esc
 from harness.answers import Answers
 from harness.faults import MOST_ATTENUATION_DB, AnyFault, Faults, kind
@@ -43,7 +44,6 @@ from harness.recording import AIR_RECORD, EVENT_KINDS, TRUTH_RECORD
 from harness.run_folder import PhysicsConfig
 from harness.sensors.suite import SensorSuite
 from harness.wind import Wind, WindNow
-from netsim.record_log import RecordLog
 
 STREAM = 250
 """Sets the physics' random streams apart from those of the run's other processes."""

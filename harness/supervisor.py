@@ -1,9 +1,9 @@
 """Child processes: started, heard, watched, and stopped so that nothing is left behind.
 
-Knows nothing of swarms. A child is a command with a name; it speaks the protocol of `netsim.child`: JSON
-events on its stdout, commands on its stdin, and an end when stdin ends. All that the children say, and how
-they end, is heard by one thread and comes out of one queue. A child may be a forker (`harness.forker`), and
-others be forked by it.
+Knows nothing of swarms. A child is a command with a name; it speaks the protocol of
+`foundation.processes.child_protocol`: JSON events on its stdout, commands on its stdin, and an end when stdin
+ends. All that the children say, and how they end, is heard by one thread and comes out of one queue. A child
+may be a forker (`harness.forker`), and others be forked by it.
 
 Ctrl-C cannot fall between a process's start and its being known, nor cut a stop short.
 """
@@ -25,12 +25,12 @@ import msgspec
 import psutil
 from msgspec import Struct
 
+from foundation.processes.child_protocol import Finished, Influenced, Ready, Stop, Warned
+from foundation.processes.prefork import Fork
 from harness.forker import Forker, ForkError, process_of
 from harness.interrupts import interrupts_deferred
 from harness.listener import Listener
 from harness.messages import AnyCommand, AnyEvent
-from netsim.child import Finished, Influenced, Ready, Stop, Warned
-from netsim.forking import Fork
 
 MARK = "COFLIGHT_CHILD"
 """Environment variable of every child and whatever it starts: ``<supervisor's token>/<child's name>``."""

@@ -18,6 +18,7 @@ from antenna.ports import MAIN_LOBE_DEG
 from antenna.statistics import pointing_errors_deg
 from autopilot.formation_plan import FormationPlan
 from autopilot.recording import VEHICLE_RECORD
+from foundation.records.record_log import read
 from harness.analysis import GainSeries
 from harness.flight import Flight
 from harness.motion_start import flown_start_us, since_start_s
@@ -25,7 +26,6 @@ from harness.recording import AIR_RECORD, TRUTH_RECORD
 from harness.run_folder import RunFolder
 from harness.scenario import Scenario
 from netsim.logs import FRAME_LOG, SESSION_LOG
-from netsim.record_log import read
 
 
 def write_tables(

@@ -5,10 +5,10 @@ import os
 import sys
 from pathlib import Path
 
-from antenna import kernel_folder
+from foundation.kernels import cache_folder
 
 if "--supervised" not in sys.argv:  # else the launcher has
-    os.environ.update(kernel_folder.environment())  # read when numba is imported, which is next
+    os.environ.update(cache_folder.environment())  # read when numba is imported, which is next
 
 from netsim.server import run
 from netsim.transport import TransportError

@@ -13,13 +13,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.records.record_log import RecordLog
 from netsim.capture.writer import Capture
 from netsim.config import ServerConfig
 from netsim.emulator import Emulator
 from netsim.logs import FRAME_LOG, SESSION_LOG
 from netsim.phy.propagation import is_possible
 from netsim.phy.signals import Transmission
-from netsim.record_log import RecordLog
 from netsim.records import frame_log_rows, session_log_rows
 from netsim.wire.lockstep import LEAD_US, Advance, Advanced, unpack_rows
 from netsim.wire.messages import RxBatch, Station, TxBatch

@@ -1,6 +1,6 @@
-"""Parts of the 802.11 emulator's process, for `netsim.profiler`: which modules are what."""
+"""Parts of the 802.11 emulator's process, for `foundation.profiling.profiler`: which modules are what."""
 
-from netsim.profiler import LINK
+from foundation.profiling.profiler import LINK
 
 PARTS = {
     "netsim.phy": "physical layer",
@@ -16,7 +16,7 @@ PARTS = {
     "netsim.hosted": "batches",
     "netsim.logs": "records",
     "netsim.records": "records",
-    "netsim.record_log": "records",
+    "foundation.records.record_log": "records",
     "netsim.capture": "records",
     "netsim.clock_line": LINK,
     "netsim.transport": LINK,

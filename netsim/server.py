@@ -19,12 +19,12 @@ from typing import Any
 
 import msgspec
 
-from netsim.child import Finished, Influenced, Ready, Stop, commands, emit
+from foundation.processes.child_protocol import Finished, Influenced, Ready, Stop, commands, emit
+from foundation.profiling.profiler import profiled
 from netsim.clock_line import BATCH_LIMIT_S, ClockLine, emulators_end
 from netsim.config import ServerConfig
 from netsim.hosted import HostedEmulator
 from netsim.parts import PARTS
-from netsim.profiler import profiled
 from netsim.radio import directory_key, in_pieces, receive_key, transmit_key
 from netsim.transport import Asker, Question, Sender, Transport
 from netsim.wire.lockstep import Advance, Advanced

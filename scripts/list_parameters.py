@@ -2,9 +2,9 @@
 
 import os
 
-from antenna import kernel_folder
+from foundation.kernels import cache_folder
 
-os.environ.update(kernel_folder.environment())  # read when numba is imported, which is next
+os.environ.update(cache_folder.environment())  # read when numba is imported, which is next
 
 from autopilot.parameter_docs import markdown
 

@@ -10,7 +10,7 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from autopilot.types import Array
+from foundation.types import Array
 
 US_PER_S = 1_000_000
 ESC_TIMEOUT_US = 300_000

@@ -16,8 +16,8 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from autopilot.navigation.geodesy import geodetic_to_ned, ned_to_geodetic
-from autopilot.types import Array
+from foundation.geometry.geodesy import geodetic_to_ned, ned_to_geodetic
+from foundation.types import Array
 
 EXTENT_MAX_M = 100_000.0
 """Of a shape, from its centre or first vertex: further, a plane no longer stands for the earth."""

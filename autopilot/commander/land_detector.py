@@ -11,7 +11,7 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from autopilot.types import EstimatorState
+from foundation.types import EstimatorState
 
 GROUND_CONTACT_US = 350_000
 MAYBE_LANDED_US = 250_000

@@ -14,7 +14,7 @@ from numba import njit
 
 from autopilot.control.block import Block, new_block
 from autopilot.control.params import AllocationParams
-from autopilot.types import Array
+from foundation.types import Array
 
 
 @njit(cache=True)

@@ -11,8 +11,8 @@ from numba import njit
 
 from autopilot.control.block import Block, new_block
 from autopilot.control.params import AttitudeParams
-from autopilot.estimation.rotation import conjugate, multiply, normalise, rotate
-from autopilot.types import Array, AttitudeSetpoint
+from foundation.geometry.rotations import conjugate, multiply, normalise, rotate
+from foundation.types import Array, AttitudeSetpoint
 
 _DOWN = (0.0, 0.0, 1.0)
 

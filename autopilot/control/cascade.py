@@ -25,8 +25,8 @@ from autopilot.control.position import (
 from autopilot.control.position import THRUST as THRUST_VECTOR
 from autopilot.estimation.horizon import ACC, OMEGA, STD
 from autopilot.estimation.kernels import GYRO_BIAS, POS, VEL
-from autopilot.estimation.rotation import quat_from_euler
-from autopilot.types import Array
+from foundation.geometry.rotations import quat_from_euler
+from foundation.types import Array
 
 ABOVE_LEAST = 1.001
 """A thrust is the least one up to rounding"""

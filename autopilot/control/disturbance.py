@@ -12,8 +12,8 @@ from numba import njit
 from autopilot.control.block import Block, new_block
 from autopilot.control.hover_thrust import GRAVITY_M_S2
 from autopilot.control.params import DisturbanceParams
-from autopilot.estimation.rotation import rotate
-from autopilot.types import Array
+from foundation.geometry.rotations import rotate
+from foundation.types import Array
 
 OBSERVED, THRUST = 0, 3
 """What is remembered: (3,) the estimate, NED; collective thrust 0..1 that the motors have reached."""

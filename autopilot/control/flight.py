@@ -24,8 +24,8 @@ from autopilot.control.position import (
 )
 from autopilot.control.rates import RateController
 from autopilot.control.takeoff import Phase, TakeoffRamp, wants_climb
-from autopilot.estimation.rotation import quat_to_euler
-from autopilot.types import (
+from foundation.geometry.rotations import quat_to_euler
+from foundation.types import (
     Array,
     AttitudeSetpoint,
     EstimatorState,

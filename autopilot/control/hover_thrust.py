@@ -4,7 +4,7 @@ from numba import njit
 
 from autopilot.control.block import Block, new_block
 from autopilot.control.params import HoverThrustParams
-from autopilot.types import Array
+from foundation.types import Array
 
 GRAVITY_M_S2 = 9.80665
 """Standard gravity: PX4's constant"""

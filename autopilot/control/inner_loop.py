@@ -11,7 +11,7 @@ from autopilot.control.allocation import Allocator, allocate
 from autopilot.control.attitude import rate_setpoint
 from autopilot.control.block import Block
 from autopilot.control.rates import RateController, rate_torque
-from autopilot.types import Array, AttitudeSetpoint, RateSetpoint
+from foundation.types import Array, AttitudeSetpoint, RateSetpoint
 
 RATE_SETPOINT, TORQUE = range(2)
 """Rows of the block's ``stages``"""

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from autopilot.control.block import Block, new_block
 from autopilot.control.hover_thrust import GRAVITY_M_S2
 from autopilot.control.params import PositionParams
-from autopilot.estimation.rotation import quat_from_dcm
-from autopilot.types import Array, AttitudeSetpoint, EstimatorState, TrajectorySetpoint
+from foundation.geometry.rotations import quat_from_dcm
+from foundation.types import Array, AttitudeSetpoint, EstimatorState, TrajectorySetpoint
 
 # rows of what `control_position` decides, and the place of the thrust's length beside it
 VELOCITY, ACCELERATION, THRUST, ATTITUDE = range(4)

@@ -7,7 +7,7 @@ from numba import njit
 
 from autopilot.control.block import Block, new_block
 from autopilot.control.params import RateParams
-from autopilot.types import Array
+from foundation.types import Array
 
 _ERROR_FADE_RAD_S = math.radians(400.0)
 """Rate error at which the integrator stops: a flip is no steady torque (PX4: the same)."""

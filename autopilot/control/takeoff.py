@@ -4,7 +4,7 @@ from enum import Enum
 
 from autopilot.control.hover_thrust import GRAVITY_M_S2
 from autopilot.control.params import PositionParams
-from autopilot.types import EstimatorState, TrajectorySetpoint
+from foundation.types import EstimatorState, TrajectorySetpoint
 
 _CLIMB_HEIGHT_M = 0.3
 _CLIMB_SPEED_M_S = 0.3

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from autopilot.control.params import TrajectoryParams
-from autopilot.types import Array, TrajectorySetpoint
+from foundation.types import Array, TrajectorySetpoint
 
 _BISECTIONS = 30
 """Jerk to 2e-9 of its limit"""

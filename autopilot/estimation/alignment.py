@@ -13,8 +13,8 @@ from autopilot.estimation import kernels
 from autopilot.estimation.atmosphere import GRAVITY_M_S2
 from autopilot.estimation.health import field_disturbed
 from autopilot.estimation.params import EstimatorParams
-from autopilot.estimation.rotation import quat_from_euler, quat_to_dcm
-from autopilot.types import Array, ImuSample
+from foundation.geometry.rotations import quat_from_euler, quat_to_dcm
+from foundation.types import Array, ImuSample
 
 WINDOW_US = 1_000_000
 MIN_SAMPLES = 10

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from numba.extending import register_jitable
 
-from autopilot.types import Array
+from foundation.types import Array
 
 FloatOrArray = TypeVar("FloatOrArray", float, Array)
 

@@ -6,7 +6,7 @@ from typing import Self
 
 import numpy as np
 
-from autopilot.types import Array
+from foundation.types import Array
 
 
 @dataclass(slots=True)

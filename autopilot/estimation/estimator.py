@@ -27,8 +27,8 @@ from autopilot.estimation.fusion import (
 )
 from autopilot.estimation.horizon import NOT_FINITE, DelayedHorizon
 from autopilot.estimation.params import EstimatorParams
-from autopilot.estimation.rotation import quat_conjugate, quat_multiply
-from autopilot.types import EstimatorState, GpsFix, ImuSample
+from foundation.geometry.rotations import quat_conjugate, quat_multiply
+from foundation.types import EstimatorState, GpsFix, ImuSample
 
 DEAD_RECKONING_US = 1_000_000
 WAITING_MAX = 256

@@ -24,10 +24,10 @@ from autopilot.estimation.health import (
 )
 from autopilot.estimation.horizon import DelayedHorizon
 from autopilot.estimation.params import PX4_FILTER_PERIOD_S, EstimatorParams
-from autopilot.estimation.rotation import quat_from_rotation_vector, quat_multiply
 from autopilot.estimation.yaw_gsf import YawBank
-from autopilot.navigation.geodesy import place_ned_m
-from autopilot.types import Array, GpsFix, Triple, Vector
+from foundation.geometry.geodesy import place_ned_m
+from foundation.geometry.rotations import quat_from_rotation_vector, quat_multiply
+from foundation.types import Array, GpsFix, Triple, Vector
 
 HORIZONTAL_RESET_US = 7_000_000
 HEIGHT_RESET_US = 5_000_000

@@ -9,7 +9,7 @@ import numpy as np
 
 from autopilot.estimation import kernels
 from autopilot.estimation.params import EstimatorParams
-from autopilot.types import Array
+from foundation.types import Array
 
 NAVIGATION_FAILURE_US = 1_000_000
 NAVIGATION_RECOVERY_US = 2_000_000

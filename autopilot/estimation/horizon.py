@@ -23,7 +23,7 @@ from autopilot.estimation.kernels import (
     predict_covariance,
 )
 from autopilot.estimation.yaw_gsf import TILT, carry_level, level_start
-from autopilot.types import Array
+from foundation.types import Array
 
 SHORTEST_SAMPLE_US = 1_000
 """The ring holds the delay's worth of samples this close; faster ones shorten the horizon, nothing else."""

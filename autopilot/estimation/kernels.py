@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 
 from autopilot.estimation.atmosphere import GRAVITY_M_S2
-from autopilot.estimation.rotation import (
+from foundation.geometry.rotations import (
     Vector,
     from_rotation_vector,
     multiply,
@@ -29,7 +29,7 @@ from autopilot.estimation.rotation import (
     quat_to_dcm,
     rotate,
 )
-from autopilot.types import Array
+from foundation.types import Array
 
 STATES = 16
 ERRORS = 15

@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 
 from autopilot.estimation.atmosphere import GRAVITY_M_S2
-from autopilot.estimation.rotation import (
+from foundation.geometry.rotations import (
     from_rotation_vector,
     multiply,
     normalise,
@@ -28,7 +28,7 @@ from autopilot.estimation.rotation import (
     quat_rotate,
     rotate,
 )
-from autopilot.types import Array
+from foundation.types import Array
 
 MODELS = 5
 TILT_GAIN_1_S = 0.2

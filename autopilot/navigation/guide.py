@@ -7,9 +7,9 @@ from msgspec import Struct
 
 from autopilot.control.params import TrajectoryParams
 from autopilot.control.trajectory import stopping_distance
-from autopilot.estimation.rotation import quat_to_euler
 from autopilot.navigation.reference import LegReference
-from autopilot.types import Array, EstimatorState, TrajectorySetpoint
+from foundation.geometry.rotations import quat_to_euler
+from foundation.types import Array, EstimatorState, TrajectorySetpoint
 
 HomePosition = tuple[float, float, float]
 """NED metres from the estimator's origin."""

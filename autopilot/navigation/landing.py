@@ -6,7 +6,7 @@ from msgspec.structs import replace
 from autopilot.control.params import TrajectoryParams
 from autopilot.navigation.guide import Guide, Moment
 from autopilot.navigation.params import NavigationParams
-from autopilot.types import EstimatorState, TrajectorySetpoint
+from foundation.types import EstimatorState, TrajectorySetpoint
 
 HORIZONTAL = (True, True, False)
 VERTICAL = (False, False, True)

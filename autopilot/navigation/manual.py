@@ -13,11 +13,11 @@ from numba import njit
 
 from autopilot.control.hover_thrust import GRAVITY_M_S2
 from autopilot.control.params import PositionParams, TrajectoryParams
-from autopilot.estimation.rotation import quat_from_rotation_vector, quat_multiply, quat_to_euler
 from autopilot.navigation.guide import Moment
 from autopilot.navigation.landing import IDLE, VERTICAL, speed_by_height_m_s
 from autopilot.navigation.params import NavigationParams
-from autopilot.types import Array, AttitudeSetpoint, EstimatorState, TrajectorySetpoint
+from foundation.geometry.rotations import quat_from_rotation_vector, quat_multiply, quat_to_euler
+from foundation.types import Array, AttitudeSetpoint, EstimatorState, TrajectorySetpoint
 
 TAKEOFF_STICK = 0.3
 """Throttle beyond the middle, of half its way, that leaves the ground (PX4: fixed)"""

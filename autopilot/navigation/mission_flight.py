@@ -13,7 +13,6 @@ import numpy as np
 from msgspec.structs import replace
 
 from autopilot.control.params import PositionParams, TrajectoryParams
-from autopilot.navigation.geodesy import geodetic_to_ned
 from autopilot.navigation.guide import Guide, Moment, heading_rad, is_near
 from autopilot.navigation.landing import IDLE, Landing, TakeOff
 from autopilot.navigation.mission import (
@@ -24,7 +23,8 @@ from autopilot.navigation.mission import (
 )
 from autopilot.navigation.mission_runner import MissionRunner
 from autopilot.navigation.params import NavigationParams
-from autopilot.types import Array, EstimatorState, TrajectorySetpoint
+from foundation.geometry.geodesy import geodetic_to_ned
+from foundation.types import Array, EstimatorState, TrajectorySetpoint
 
 _STAYS = {
     MissionCommand.LOITER_UNLIMITED,

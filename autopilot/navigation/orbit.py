@@ -12,11 +12,11 @@ import numpy as np
 from msgspec import Struct
 
 from autopilot.control.params import TrajectoryParams
-from autopilot.estimation.rotation import quat_to_euler
 from autopilot.navigation.guide import Guide, Moment
 from autopilot.navigation.manual import CENTRED, ManualInput, curve
 from autopilot.navigation.params import NavigationParams
-from autopilot.types import Array, EstimatorState, TrajectorySetpoint
+from foundation.geometry.rotations import quat_to_euler
+from foundation.types import Array, EstimatorState, TrajectorySetpoint
 
 RADIUS_MIN_M, RADIUS_MAX_M = 1.0, 1_000.0
 SPEED_MAX_M_S = 10.0

@@ -14,7 +14,7 @@ from numba import njit
 
 from autopilot.control.params import TrajectoryParams
 from autopilot.control.trajectory import line_jerk
-from autopilot.types import Array, TrajectorySetpoint
+from foundation.types import Array, TrajectorySetpoint
 
 _REST_M = 1e-6
 _YAW_JERK_TIME_S = 0.25

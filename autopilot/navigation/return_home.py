@@ -12,13 +12,13 @@ from enum import Enum
 
 from msgspec.structs import replace
 
-from autopilot.navigation.geodesy import geodetic_to_ned
 from autopilot.navigation.guide import Guide, HomePosition, Moment, heading_rad, is_near
 from autopilot.navigation.landing import IDLE, UP, Landing
 from autopilot.navigation.mission import HeightFrame
 from autopilot.navigation.params import NavigationParams
 from autopilot.navigation.plan_items import RallyPoint
-from autopilot.types import TrajectorySetpoint
+from foundation.geometry.geodesy import geodetic_to_ned
+from foundation.types import TrajectorySetpoint
 
 _LEAST_CONE_RAD = math.radians(1.0)
 _WIDEST_CONE_RAD = math.radians(89.0)

@@ -22,14 +22,7 @@ from autopilot.navigation.orbit import Orbit, default_circle
 from autopilot.navigation.params import NavigationParams
 from autopilot.navigation.plan_items import RallyPoint
 from autopilot.navigation.return_home import Phase, ReturnHome
-from autopilot.types import (
-    Array,
-    AttitudeSetpoint,
-    Course,
-    EstimatorState,
-    Setpoint,
-    TrajectorySetpoint,
-)
+from foundation.types import Array, AttitudeSetpoint, Course, EstimatorState, Setpoint, TrajectorySetpoint
 
 __all__ = ["IDLE", "ON_GROUND_M", "NavigationParams", "Navigator", "down_demand_m_s"]
 

@@ -34,7 +34,7 @@ from autopilot.onboard.phases import Phase
 from autopilot.onboard.support import Support
 from autopilot.onboard.traffic import Traffic
 from autopilot.onboard.uncertainty import Others
-from autopilot.types import Vector
+from foundation.types import Vector
 from netsim.wire.messages import Delivery, FtmResult, RxItem, Sent, Survey, TxItem
 
 LONGEST_GAP_US = 200_000

@@ -16,7 +16,7 @@ from autopilot.onboard.neighbourhood import Neighbourhood
 from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.uncertainty import Others
 from autopilot.onboard.wind import WindObserver
-from autopilot.types import Vector
+from foundation.types import Vector
 
 SETPOINT_PERIOD_US = 40_000
 """How often a setpoint is given, if the application's loop comes round at its multiples."""

@@ -43,7 +43,7 @@ from autopilot.onboard.reference_geometry import ReferenceGeometry, shape_std_m
 from autopilot.onboard.tracks import EXTRAPOLATED_S, KNOWN, Tracks, odometry_at
 from autopilot.onboard.trust import Trust
 from autopilot.onboard.uncertainty import SEEN, Others, seen_from, variance_between
-from autopilot.types import Vector
+from foundation.types import Vector
 
 __all__ = ["CLOCK_TOLERANCE_US", "SILENCE_US", "CooperativeLocalisation", "LocalisationModel", "Others"]
 

@@ -11,9 +11,9 @@ from autopilot.config import Site
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.modes import FlightMode, mode_from_custom
 from autopilot.mavlink.within import LocalPosition
-from autopilot.navigation.geodesy import place_ned_m
 from autopilot.onboard.beacon import Fix
-from autopilot.types import Vector
+from foundation.geometry.geodesy import place_ned_m
+from foundation.types import Vector
 
 _ZERO: Vector = (0.0, 0.0, 0.0)
 

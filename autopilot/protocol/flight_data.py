@@ -10,7 +10,7 @@ from autopilot.commander.battery import BatteryMonitor, BatteryParams
 from autopilot.commander.commander import Commander
 from autopilot.estimation.estimator import Estimator
 from autopilot.mavlink.codec import Message
-from autopilot.types import AttitudeSetpoint, Course, EstimatorState, TrajectorySetpoint
+from foundation.types import AttitudeSetpoint, Course, EstimatorState, TrajectorySetpoint
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,7 +14,7 @@ from autopilot.mavlink.modes import FlightMode
 from autopilot.protocol.flight_data import FlightData
 from autopilot.protocol.service import Addressed, Listener, Partner
 from autopilot.protocol.setpoint_messages import SETPOINT_MESSAGES, decode
-from autopilot.types import Setpoint
+from foundation.types import Setpoint
 
 _SOURCES_MAX = 8
 """Of more, the one that has been silent longest is forgotten."""

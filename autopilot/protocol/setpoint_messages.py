@@ -11,12 +11,12 @@ from collections.abc import Sequence
 import numpy as np
 from pymavlink.dialects.v20 import common
 
-from autopilot.estimation.rotation import quat_to_euler
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.within import PositionTarget
-from autopilot.navigation.geodesy import geodetic_to_ned
 from autopilot.protocol.flight_data import FlightData
-from autopilot.types import (
+from foundation.geometry.geodesy import geodetic_to_ned
+from foundation.geometry.rotations import quat_to_euler
+from foundation.types import (
     Array,
     AttitudeSetpoint,
     EstimatorState,

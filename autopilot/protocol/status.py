@@ -7,7 +7,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.commander.commander import Commander
 from autopilot.commander.conditions import Condition
 from autopilot.mavlink.codec import Message
-from autopilot.types import Course
+from foundation.types import Course
 
 TEXT_BYTES = 50
 """That a STATUSTEXT has room for."""

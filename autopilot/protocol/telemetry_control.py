@@ -4,9 +4,9 @@ import numpy as np
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
-from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.protocol.fields import U16, Part, place, singles, whole
 from autopilot.protocol.streams import Builder
+from foundation.geometry.geodesy import ned_to_geodetic
 
 _OUTPUTS = 32
 """That ACTUATOR_OUTPUT_STATUS has room for."""

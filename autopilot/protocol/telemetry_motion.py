@@ -4,12 +4,12 @@ import math
 
 from pymavlink.dialects.v20 import common
 
-from autopilot.estimation.rotation import quat_rotate_inverse, quat_to_euler
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.within import LocalPosition
-from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.protocol.fields import I16, I32, U16, Part, place, singles, whole
 from autopilot.protocol.streams import Builder
+from foundation.geometry.geodesy import ned_to_geodetic
+from foundation.geometry.rotations import quat_rotate_inverse, quat_to_euler
 
 _CENTIDEGREES = 36_000
 

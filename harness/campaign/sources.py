@@ -11,7 +11,7 @@ from pathlib import Path
 from harness.versions import FLOWN_WITH, versions
 
 ROOT = Path(__file__).parents[2]
-_FLOWN_PACKAGES = ("antenna", "netsim", "autopilot", "harness")
+_FLOWN_PACKAGES = ("foundation", "antenna", "netsim", "autopilot", "harness")
 _AFTERWARDS = ("validation", "codesign", "campaign", "article")
 """Parts of the harness that fly nothing themselves, but for modules that make a flight's numbers"""
 _LABORATORIES = ("antenna/lab/", "netsim/lab/")

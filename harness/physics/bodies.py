@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from autopilot.types import Array
+from foundation.types import Array
 from harness.physics.rotation import Vector, in_frd, in_ned, turned
 
 BODY = np.dtype(

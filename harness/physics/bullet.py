@@ -10,7 +10,7 @@ import numpy as np
 import pybullet
 from numpy.typing import NDArray
 
-from autopilot.types import Array
+from foundation.types import Array
 from harness.physics.model import VehicleModel
 
 GROUND_HALF_WIDTH_M = 10_000.0

@@ -6,7 +6,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from autopilot.estimation import atmosphere
-from autopilot.types import Array
+from foundation.types import Array
 
 SEA_LEVEL_DENSITY_KG_M3 = 1.225
 """At which the constants of the rotors hold: Gazebo's motor model has no other."""

@@ -8,7 +8,7 @@ body vectors of tables that are written in FLU.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from autopilot.types import Array
+from foundation.types import Array
 
 
 def frd_from_flu(vectors_flu: ArrayLike) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from autopilot.types import Array
+from foundation.types import Array
 from harness.physics.rotation import in_frd, in_ned
 
 MOST_RATE = 100.0

@@ -1,6 +1,6 @@
 """Turning vectors in the kernels of the physics, number by number.
 
-The equations are those of `autopilot.estimation.rotation`, in the same order, so the results are the same to
+The equations are those of `foundation.geometry.rotations`, in the same order, so the results are the same to
 the last bit. There every vector is a new array, which is made and thrown away some thirty times per vehicle
 and step: half of what the kernels here took.
 """
@@ -9,8 +9,8 @@ import math
 
 from numba import njit
 
-from autopilot.estimation.rotation import SMALL_ANGLE_RAD
-from autopilot.types import Array
+from foundation.geometry.rotations import SMALL_ANGLE_RAD
+from foundation.types import Array
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from autopilot.types import Array
+from foundation.types import Array
 from harness.physics.environment import Surroundings
 from harness.physics.frames import frd_from_flu
 from harness.physics.model import VehicleModel

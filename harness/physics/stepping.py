@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from autopilot.types import Array
+from foundation.types import Array
 from harness.physics.bodies import integrable_torque, near_something, observe
 from harness.physics.environment import Surroundings
 from harness.physics.free_flight import coast

@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from autopilot.types import Array
+from foundation.types import Array
 
 TRUTH = np.dtype(
     [

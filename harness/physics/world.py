@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from autopilot.types import Array
+from foundation.types import Array
 from harness.physics.bodies import BODY
 from harness.physics.bullet import NO_TOUCHES, Bullet, Touches
 from harness.physics.environment import STANDARD, EnvironmentConfig

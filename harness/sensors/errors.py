@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from autopilot.types import Array
+from foundation.types import Array
 from harness.gauss_markov import STEPS_AHEAD, gauss_markov_path
 from harness.sensors.config import ErrorModel
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from autopilot.config import Site
 from autopilot.estimation import atmosphere
-from autopilot.navigation.geodesy import ned_to_geodetic
-from autopilot.types import Array
+from foundation.geometry.geodesy import ned_to_geodetic
+from foundation.types import Array
 from harness.faults import Faults
 from harness.physics.bodies import in_body_axes
 from harness.physics.truth import Truth

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from autopilot.control.allocation import Allocator, effectiveness, mixer
 from autopilot.control.params import AllocationParams
-from autopilot.types import Array
+from foundation.types import Array
 from harness.physics.model import IRIS
 
 IDLE_N = IRIS.thrust_n_s2 * IRIS.armed_speed_rad_s**2

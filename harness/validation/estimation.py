@@ -17,8 +17,8 @@ from scipy.stats import binom, chi2, norm
 from autopilot.estimation import atmosphere
 from autopilot.estimation.estimator import Estimator
 from autopilot.estimation.params import EstimatorParams
-from autopilot.navigation.geodesy import geodetic_to_ned
-from autopilot.types import Array
+from foundation.geometry.geodesy import geodetic_to_ned
+from foundation.types import Array
 from harness.validation.sensor_flights import (
     SITE,
     SLOW_STEPS,

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from autopilot.types import Array
+from foundation.types import Array
 
 DPI = 130
 OURS, OBSERVED, PX4 = "C0", "C2", "0.6"

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from msgspec import Struct
 
-from autopilot.types import Array
+from foundation.types import Array
 from harness.physics.model import IRIS
 from harness.sensors.config import GpsOverrides, SensorsConfig
 from harness.validation.solo import PLAIN, Solo, Track, solo_config

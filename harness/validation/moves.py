@@ -12,7 +12,7 @@ from msgspec import Struct
 
 from autopilot.control import ControlParams, PositionTrajectory
 from autopilot.control.params import TrajectoryParams
-from autopilot.types import Array
+from foundation.types import Array
 from harness.validation.hover import SENSORS
 from harness.validation.solo import STEP_S, Solo, solo_config
 

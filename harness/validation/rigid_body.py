@@ -10,8 +10,8 @@ import math
 import numpy as np
 from numba import njit
 
-from autopilot.estimation.rotation import quat_rotate, quat_rotate_inverse
-from autopilot.types import Array, EstimatorState
+from foundation.geometry.rotations import quat_rotate, quat_rotate_inverse
+from foundation.types import Array, EstimatorState
 
 DT_S = 0.004
 SUBSTEPS = 4

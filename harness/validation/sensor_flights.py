@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from autopilot.config import Site
 from autopilot.estimation import atmosphere
 from autopilot.estimation.estimator import Estimator
-from autopilot.navigation.geodesy import ned_to_geodetic
-from autopilot.types import Array, EstimatorState, GpsFix, ImuSample
+from foundation.geometry.geodesy import ned_to_geodetic
+from foundation.types import Array, EstimatorState, GpsFix, ImuSample
 
 STEP_US = 4_000
 STEP_S = STEP_US * 1e-6

@@ -18,8 +18,8 @@ from autopilot.mavlink.codec import Message
 from autopilot.mavlink.hil import TO_VEHICLE, HilActuatorControls, HilEncoder, HilParser
 from autopilot.mavlink.modes import FlightMode, mode_from_custom
 from autopilot.protocol.service import GROUND_STATION, Partner, reply
-from autopilot.types import Array, TrajectorySetpoint
 from autopilot.vehicle import StepOutput, Vehicle
+from foundation.types import Array, TrajectorySetpoint
 from harness import esc
 from harness.answers import is_armed
 from harness.hil import SensorEncoder

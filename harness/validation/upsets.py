@@ -11,8 +11,8 @@ import numpy as np
 from msgspec import Struct
 
 from autopilot.control import ControlParams, FlightController
-from autopilot.estimation.rotation import quat_rotate
-from autopilot.types import Array, AttitudeSetpoint, EstimatorState
+from foundation.geometry.rotations import quat_rotate
+from foundation.types import Array, AttitudeSetpoint, EstimatorState
 from harness.validation.hover import SENSORS
 from harness.validation.rigid_body import DT_S, Iris, estimate
 from harness.validation.solo import STEP_S, FlightError, Solo, solo_config

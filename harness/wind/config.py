@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from msgspec import Meta, Struct
 
-from autopilot.types import Array
+from foundation.types import Array
 
 Direction = Annotated[float, Meta(ge=-360.0, le=360.0)]
 VerticalFraction = Annotated[float, Meta(ge=-1.0, le=1.0)]

@@ -25,7 +25,7 @@ from typing import Literal
 import numpy as np
 from numba import njit
 
-from autopilot.types import Array
+from foundation.types import Array
 from harness.gauss_markov import STEPS_AHEAD
 
 Spectrum = Literal["dryden", "von_karman"]

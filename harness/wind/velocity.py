@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from autopilot.types import Array
+from foundation.types import Array
 from harness.wind.config import WindConfig, direction_ned
 from harness.wind.turbulence import FOOT_M, Turbulence, low_altitude_scales
 

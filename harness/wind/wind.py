@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from autopilot.types import Array
+from foundation.types import Array
 from harness.wind.config import WindConfig
 from harness.wind.force import GustyWind
 from harness.wind.gusts import GustProfiles

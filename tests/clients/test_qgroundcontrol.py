@@ -12,7 +12,7 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink import dialect
-from autopilot.navigation.geodesy import ned_to_geodetic
+from foundation.geometry.geodesy import ned_to_geodetic
 from harness.swarm import Swarm
 
 pytestmark = [pytest.mark.clients, pytest.mark.timeout(200)]

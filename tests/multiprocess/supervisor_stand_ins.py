@@ -16,6 +16,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from foundation.processes.child_protocol import Finished, Ready, Stop, commands, emit, end_with_parent
+from foundation.processes.prefork import serve
 from harness.messages import (
     AnyCommand,
     Formed,
@@ -27,8 +29,6 @@ from harness.messages import (
     VehicleLost,
     VehicleTruth,
 )
-from netsim.child import Finished, Ready, Stop, commands, emit, end_with_parent
-from netsim.forking import serve
 
 STEP_US = 4_000
 FORMED_US = 3_000_000

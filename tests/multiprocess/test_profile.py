@@ -3,10 +3,10 @@
 import pytest
 
 from autopilot import parts as vehicle_parts
+from foundation.profiling.profiler import REST, THREADS
 from harness import parts as physics_parts
 from harness.swarm import Swarm
 from netsim import parts as radio_parts
-from netsim.profiler import REST, THREADS
 
 pytestmark = pytest.mark.multiprocess
 SECONDS = 3.0

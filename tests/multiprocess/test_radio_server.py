@@ -14,14 +14,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from netsim.child import Stop
+from foundation.processes.child_protocol import Stop
+from foundation.records.record_log import read
 from netsim.clock_line import time_masters_end
 from netsim.config import RadioConfig
 from netsim.free_radio import FreeRadio
 from netsim.hosted import HostedEmulator
 from netsim.logs import FRAME_LOG
 from netsim.radio import MOST_ITEMS, RadioClient, RadioLost, receive_key, transmit_key
-from netsim.record_log import read
 from netsim.server import ServerConfig
 from netsim.transport import Transport, TransportError
 from netsim.wire.lockstep import Advance, pack_rows

@@ -13,11 +13,11 @@ import psutil
 import pytest
 from supervising import WALL_LIMIT_S, hear, launcher_and_children, python, wait_for
 
+from foundation.processes.child_protocol import Finished, Ready
 from harness.interrupts import interruptible, interrupts_deferred
 from harness.messages import SetPid
 from harness.resources import PortError, bind
 from harness.supervisor import MARK, Exited, Supervisor, SupervisorError, ending
-from netsim.child import Finished, Ready
 
 pytestmark = pytest.mark.multiprocess
 

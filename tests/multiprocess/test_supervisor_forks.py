@@ -11,9 +11,9 @@ import psutil
 import pytest
 from supervising import WALL_LIMIT_S, alive, hear, launcher_and_children, python, wait_for
 
+from foundation.processes.child_protocol import Finished, Ready
 from harness.messages import SetPid
 from harness.supervisor import Exited, Supervisor, SupervisorError
-from netsim.child import Finished, Ready
 
 pytestmark = pytest.mark.multiprocess
 

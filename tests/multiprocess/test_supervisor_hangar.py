@@ -7,10 +7,10 @@ import psutil
 import pytest
 from supervising import hear, python
 
+from foundation.processes.child_protocol import Ready
 from harness import kernel_cache
 from harness.processes import HANGAR, python_module
 from harness.supervisor import Exited, Supervisor
-from netsim.child import Ready
 
 pytestmark = pytest.mark.multiprocess
 

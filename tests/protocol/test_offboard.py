@@ -15,15 +15,15 @@ from autopilot.commander.params import CommanderParams
 from autopilot.control import ControlParams, FlightController
 from autopilot.estimation.estimator import Estimator
 from autopilot.estimation.params import EstimatorParams
-from autopilot.estimation.rotation import quat_from_euler
 from autopilot.mavlink import dialect
 from autopilot.mavlink.codec import Encoder, Parser
 from autopilot.mavlink.modes import FlightMode
-from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.protocol.flight_data import FlightData, Home
 from autopilot.protocol.offboard import OffboardService
 from autopilot.protocol.service import APPLICATION_PARTNER, COMPANION, GROUND_STATION, Partner
-from autopilot.types import AttitudeSetpoint, RateSetpoint, TrajectorySetpoint
+from foundation.geometry.geodesy import ned_to_geodetic
+from foundation.geometry.rotations import quat_from_euler
+from foundation.types import AttitudeSetpoint, RateSetpoint, TrajectorySetpoint
 
 NAN = math.nan
 STATION, PROGRAM = Partner(GROUND_STATION, 0), Partner(COMPANION, 1)

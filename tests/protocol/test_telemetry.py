@@ -16,7 +16,7 @@ from autopilot.protocol.manual_control import ManualControlService
 from autopilot.protocol.status import TEXT_BYTES, Chunks, status_text
 from autopilot.protocol.telemetry import Telemetry
 from autopilot.protocol.telemetry_sensors import Vibration
-from autopilot.types import TrajectorySetpoint
+from foundation.types import TrajectorySetpoint
 
 GEOFENCE, RECEIVER = common.MAV_SYS_STATUS_GEOFENCE, common.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
 MERIDIAN_RADIUS_AT_47_M = 6_378_137.0 * (1.0 - 0.00669438) / (1.0 - 0.00669438 * 0.5348783) ** 1.5

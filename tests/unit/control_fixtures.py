@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from autopilot.control import ControlParams, FlightController
-from autopilot.types import Array, AttitudeSetpoint, TrajectorySetpoint
+from foundation.types import Array, AttitudeSetpoint, TrajectorySetpoint
 from harness.validation.rigid_body import DT_S, Iris, estimate
 
 __all__ = ["DT_S", "Gusts", "Iris", "estimate", "fly", "hover_errors"]

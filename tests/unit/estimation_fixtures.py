@@ -3,7 +3,7 @@
 import numpy as np
 
 from autopilot.estimation.params import EstimatorParams
-from autopilot.types import Array
+from foundation.types import Array
 from harness.validation.estimation import MATCHED_PARAMS
 from harness.validation.sensor_flights import (
     FIELD_NED_GAUSS,

@@ -4,8 +4,8 @@ import msgspec
 import numpy as np
 
 from autopilot.config import Site
-from autopilot.estimation.rotation import quat_from_rotation_vector
-from autopilot.navigation.geodesy import geodetic_to_ned
+from foundation.geometry.geodesy import geodetic_to_ned
+from foundation.geometry.rotations import quat_from_rotation_vector
 from harness.faults import AnyFault, Faults
 from harness.physics.truth import Truth
 from harness.sensors.config import SensorsConfig

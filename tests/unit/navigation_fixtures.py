@@ -8,13 +8,13 @@ from control_fixtures import DT_S, Iris, estimate
 
 from autopilot.commander.land_detector import LandDetector, LandDetectorParams, Stage
 from autopilot.control import ControlParams, FlightController
-from autopilot.estimation.rotation import quat_from_euler
 from autopilot.mavlink.modes import FlightMode
-from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.navigation.mission import MissionCommand, MissionItem
 from autopilot.navigation.params import NavigationParams
 from autopilot.navigation.setpoints import Navigator, down_demand_m_s
-from autopilot.types import AttitudeSetpoint
+from foundation.geometry.geodesy import ned_to_geodetic
+from foundation.geometry.rotations import quat_from_euler
+from foundation.types import AttitudeSetpoint
 
 CONTROL = ControlParams()
 HOME = (0.0, 0.0, 0.0)

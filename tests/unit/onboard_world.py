@@ -11,9 +11,9 @@ import numpy as np
 from pymavlink.dialects.v20 import common
 
 from autopilot.config import Devices, OnboardConfig, Site
-from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.onboard import OnboardApp, Phase
 from autopilot.onboard.app import NOTHING
+from foundation.geometry.geodesy import ned_to_geodetic
 from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult
 
 PAIR = ((-3.0, 0.0, -8.0), (3.0, 0.0, -8.0))

@@ -7,9 +7,9 @@ from pymavlink.dialects.v20 import common
 from vehicle_world import Flight, vehicle_config
 
 from autopilot.mavlink.dialect import MissionCount
-from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.navigation.plan_store import PlanType, WireItem
 from autopilot.protocol.plan_wire import encode_item
+from foundation.geometry.geodesy import ned_to_geodetic
 
 RELATIVE = common.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
 NO_FRAME = common.MAV_FRAME_MISSION

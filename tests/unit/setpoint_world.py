@@ -4,10 +4,10 @@ import numpy as np
 from pymavlink.dialects.v20 import common
 from vehicle_world import STEP_US, Flight, vehicle_config
 
-from autopilot.estimation.rotation import quat_to_euler
 from autopilot.mavlink.modes import FlightMode
-from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.protocol.service import GROUND_STATION, Partner
+from foundation.geometry.geodesy import ned_to_geodetic
+from foundation.geometry.rotations import quat_to_euler
 
 NAN = float("nan")
 ACCEPTED = common.MAV_RESULT_ACCEPTED

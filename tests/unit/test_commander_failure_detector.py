@@ -17,7 +17,7 @@ from autopilot.commander.failure_detector import (
 )
 from autopilot.control.allocation import Allocator
 from autopilot.control.params import AllocationParams
-from autopilot.estimation.rotation import quat_from_euler, quat_to_euler
+from foundation.geometry.rotations import quat_from_euler, quat_to_euler
 
 STEP = 4_000
 ESC_PERIOD = 12 * STEP

@@ -21,7 +21,7 @@ from autopilot.commander.geofence import (
     _Polygon,
     _polygon_fault,
 )
-from autopilot.navigation.geodesy import SEMI_MAJOR_AXIS_M, geodetic_to_ned, ned_to_geodetic
+from foundation.geometry.geodesy import SEMI_MAJOR_AXIS_M, geodetic_to_ned, ned_to_geodetic
 
 SITE = Origin(47.397742, 8.545594, 488.0)
 HOME = (0.0, 0.0, 0.0)

@@ -12,7 +12,7 @@ from autopilot.config import VehicleConfig
 from autopilot.mavlink.codec import Encoder, Parser, stamp
 from autopilot.onboard.phases import Phase
 from autopilot.recording import VEHICLE_RECORD
-from netsim.record_log import read
+from foundation.records.record_log import read
 from netsim.wire.messages import Broadcast
 
 SYSTEM = 2

@@ -8,7 +8,7 @@ import pytest
 from autopilot.control.attitude import AttitudeController
 from autopilot.control.params import AttitudeParams, RateParams
 from autopilot.control.rates import RateController
-from autopilot.estimation.rotation import (
+from foundation.geometry.rotations import (
     quat_conjugate,
     quat_from_euler,
     quat_from_rotation_vector,
@@ -16,7 +16,7 @@ from autopilot.estimation.rotation import (
     quat_normalise,
     quat_rotate,
 )
-from autopilot.types import AttitudeSetpoint
+from foundation.types import AttitudeSetpoint
 
 DT_S = 0.004
 

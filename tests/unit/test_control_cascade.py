@@ -16,7 +16,7 @@ from autopilot.control.hover_thrust import HoverThrustEstimator
 from autopilot.control.inner_loop import InnerLoop
 from autopilot.control.position import PositionController
 from autopilot.control.rates import RateController
-from autopilot.types import TrajectorySetpoint
+from foundation.types import TrajectorySetpoint
 
 DT_S = 0.004
 PARAMS = ControlParams()

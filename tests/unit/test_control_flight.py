@@ -14,7 +14,7 @@ from msgspec.structs import replace
 
 from autopilot.control import ControlParams, FlightController, PositionTrajectory
 from autopilot.control.params import DisturbanceParams, PositionParams
-from autopilot.types import AttitudeSetpoint, TrajectorySetpoint
+from foundation.types import AttitudeSetpoint, TrajectorySetpoint
 
 PARAMS = ControlParams()
 WITHOUT_OBSERVER = ControlParams(disturbance=DisturbanceParams(enabled=False))

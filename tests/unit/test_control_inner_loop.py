@@ -11,7 +11,7 @@ from autopilot.control.block import new_block
 from autopilot.control.inner_loop import InnerLoop
 from autopilot.control.params import AllocationParams, AttitudeParams, RateParams
 from autopilot.control.rates import RateController
-from autopilot.types import AttitudeSetpoint, RateSetpoint
+from foundation.types import AttitudeSetpoint, RateSetpoint
 
 DT_S = 0.004
 

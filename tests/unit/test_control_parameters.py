@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from autopilot.control import FlightController
 from autopilot.control.params import PositionParams
 from autopilot.control.position import PositionController, _attitude
-from autopilot.estimation.rotation import quat_rotate
 from autopilot.params import NOT_OVER, TABLE, ParameterError, ParameterSet, Settings
-from autopilot.types import TrajectorySetpoint
+from foundation.geometry.rotations import quat_rotate
+from foundation.types import TrajectorySetpoint
 
 CONTROL = [parameter for parameter in TABLE if parameter.group == "control"]
 WIRE_MAX = 3.4e38

@@ -13,8 +13,8 @@ from autopilot.control.hover_thrust import GRAVITY_M_S2, HoverThrustEstimator
 from autopilot.control.params import DisturbanceParams, HoverThrustParams, PositionParams
 from autopilot.control.position import PositionController
 from autopilot.control.takeoff import Phase, TakeoffRamp, wants_climb
-from autopilot.estimation.rotation import quat_from_euler, quat_rotate, quat_to_euler
-from autopilot.types import TrajectorySetpoint
+from foundation.geometry.rotations import quat_from_euler, quat_rotate, quat_to_euler
+from foundation.types import TrajectorySetpoint
 
 DT_S = 0.008
 GRAVITY_NED_M_S2 = np.array((0.0, 0.0, GRAVITY_M_S2))

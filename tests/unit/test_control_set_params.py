@@ -11,7 +11,7 @@ from autopilot.control import ControlParams, FlightController, PositionTrajector
 from autopilot.control.hover_thrust import GRAVITY_M_S2, HoverThrustEstimator
 from autopilot.control.params import DisturbanceParams, HoverThrustParams, PositionParams, RateParams, Rotor
 from autopilot.control.takeoff import Phase, TakeoffRamp
-from autopilot.types import AttitudeSetpoint, TrajectorySetpoint
+from foundation.types import AttitudeSetpoint, TrajectorySetpoint
 
 PARAMS = ControlParams()
 WITHOUT_OBSERVER = ControlParams(disturbance=DisturbanceParams(enabled=False))

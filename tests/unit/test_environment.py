@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from autopilot.config import Site
-from autopilot.estimation.rotation import quat_from_rotation_vector
+from foundation.geometry.rotations import quat_from_rotation_vector
 from harness.physics.environment import EnvironmentConfig, Surroundings
 from harness.physics.model import IRIS
 from harness.physics.rotors import ground_effect, kernel_model, wrenches

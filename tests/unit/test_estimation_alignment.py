@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from autopilot.estimation.alignment import Alignment, align_at_rest
 from autopilot.estimation.atmosphere import GRAVITY_M_S2
 from autopilot.estimation.params import EstimatorParams
-from autopilot.types import ImuSample
+from foundation.types import ImuSample
 
 PARAMS = EstimatorParams()
 

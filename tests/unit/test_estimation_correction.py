@@ -8,7 +8,7 @@ from autopilot.estimation.correction import correct
 from autopilot.estimation.fusion import Fusion, Jump
 from autopilot.estimation.horizon import DelayedHorizon
 from autopilot.estimation.params import EstimatorParams
-from autopilot.estimation.rotation import quat_rotate_inverse
+from foundation.geometry.rotations import quat_rotate_inverse
 
 PARAMS = EstimatorParams()
 FIELD_NED_GAUSS = np.array(PARAMS.magnetic_field_ned_gauss)

@@ -19,7 +19,7 @@ from estimation_fixtures import (
 
 from autopilot.estimation.estimator import Estimator
 from autopilot.estimation.params import EstimatorParams
-from autopilot.types import EstimatorState, ImuSample
+from foundation.types import EstimatorState, ImuSample
 
 METRES_PER_DEGREE = 111_190.0
 QUIET_GPS = Noise(gps_bias_m=0.0, gps_pos_m=0.1)

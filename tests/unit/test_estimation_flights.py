@@ -17,7 +17,7 @@ from estimation_fixtures import (
 
 from autopilot.estimation.estimator import Estimator
 from autopilot.estimation.params import EstimatorParams
-from autopilot.navigation.geodesy import geodetic_to_ned
+from foundation.geometry.geodesy import geodetic_to_ned
 
 SETTLED = slice(2_500, None)
 """After 10 s: 5 s of rest and the onset of motion."""

@@ -20,7 +20,7 @@ from msgspec.structs import replace as with_params
 
 from autopilot.estimation.estimator import Estimator
 from autopilot.estimation.health import NavigationTest, StuckBarometer, VerticalConflict
-from autopilot.types import EstimatorState, ImuSample
+from foundation.types import EstimatorState, ImuSample
 
 GOOD_GPS = Noise(gps_bias_m=0.0, gps_pos_m=0.1)
 METRES_PER_DEGREE = 111_190.0

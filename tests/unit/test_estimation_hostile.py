@@ -20,8 +20,8 @@ from autopilot.estimation.yaw_gsf import YawBank, level_start, update_model
 from autopilot.mavlink.codec import Encoder
 from autopilot.mavlink.hil import HilSensor
 from autopilot.protocol.service import GROUND_STATION, Addressed, Partner
-from autopilot.types import ImuSample
 from autopilot.vehicle import Vehicle
+from foundation.types import ImuSample
 
 ALL_FIELDS = 0x1FFF
 I16, U16, I32 = (-(2**15), 2**15 - 1), (0, 2**16 - 1), (-(2**31), 2**31 - 1)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from autopilot.estimation import rotation as rot
+from foundation.geometry import rotations as rot
 
 RANDOM = Rotation.random(50, random_state=np.random.default_rng(1))
 QUATS = RANDOM.as_quat(scalar_first=True)

@@ -6,7 +6,7 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.config import Site
 from autopilot.mavlink.hil import HilParser, HilSensor
-from autopilot.navigation.geodesy import geodetic_to_ned
+from foundation.geometry.geodesy import geodetic_to_ned
 from harness.hil import SensorEncoder
 from harness.physics.truth import Truth
 from harness.sensors.suite import SensorFrame

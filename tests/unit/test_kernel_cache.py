@@ -11,7 +11,6 @@ import pytest
 from kernel_coverage import called_by_rehearsal, kernels, signatures
 
 import autopilot.rehearsal
-from antenna import kernel_folder
 from antenna.backend import make_backend
 from antenna.clearance import check_apart
 from antenna.config import AntennaConfig
@@ -19,6 +18,7 @@ from antenna.geometry import grid, upright
 from antenna.patterns import Pattern
 from antenna.ports import feed
 from antenna.rehearsal import rehearse
+from foundation.kernels import cache_folder
 from harness import kernel_cache
 from harness.kernel_cache import KEPT_S, KEPT_STATES, VARIABLE, CompileError, digest, forget_old
 from harness.one_process import OneProcessSwarm
@@ -82,12 +82,12 @@ def test_a_folder_that_the_user_names_holds_one_for_each_state(monkeypatch, tmp_
 def test_a_process_that_is_started_by_hand_compiles_into_the_folder_of_the_sources_state(tmp_path, start):
     """Beside the sources a kernel would stay as it was when only another module's, that it calls, changes."""
     program = (
-        f"{start}; import sys; from antenna import kernel_folder\n"
+        f"{start}; import sys; from foundation.kernels import cache_folder\n"
         "from numba.core.dispatcher import Dispatcher\n"
         "paths = {kernel._cache.cache_path for name, module in sys.modules.items()\n"
-        "         if name.partition('.')[0] in kernel_folder.PACKAGES\n"
+        "         if name.partition('.')[0] in cache_folder.PACKAGES\n"
         "         for kernel in vars(module).values() if isinstance(kernel, Dispatcher)}\n"
-        "assert paths and all(path.startswith(str(kernel_folder.folder())) for path in paths), paths\n"
+        "assert paths and all(path.startswith(str(cache_folder.folder())) for path in paths), paths\n"
     )
     environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
     done = subprocess.run(
@@ -107,11 +107,11 @@ SCRIPTS = sorted((ARTICLE.parents[1] / "scripts").glob("*.py"))
 def test_every_script_names_the_folder_of_the_kernels_before_it_imports_numba(tmp_path, script):
     program = (
         "import os, runpy, sys\n"
-        "from antenna import kernel_folder\n"
+        "from foundation.kernels import cache_folder\n"
         "class Door:\n"
         "    def find_spec(self, name, path, target=None):\n"
         "        if name == 'numba':\n"
-        "            assert os.environ.get(kernel_folder.VARIABLE) == str(kernel_folder.folder())\n"
+        "            assert os.environ.get(cache_folder.VARIABLE) == str(cache_folder.folder())\n"
         "            sys.exit()\n"  # seen is what was to be seen
         "sys.meta_path.insert(0, Door())\n"
         f"runpy.run_path({str(script)!r}, run_name='script')\n"
@@ -178,11 +178,11 @@ def test_a_folder_that_the_user_names_is_not_tidied(states, monkeypatch, tmp_pat
 
 def test_who_asks_where_the_kernels_are_marks_them_as_used(monkeypatch, tmp_path):
     folder = tmp_path / "state"
-    monkeypatch.setattr(kernel_folder, "folder", lambda: folder)
-    assert kernel_folder.environment() == {VARIABLE: str(folder)}  # not yet there
+    monkeypatch.setattr(cache_folder, "folder", lambda: folder)
+    assert cache_folder.environment() == {VARIABLE: str(folder)}  # not yet there
     folder.mkdir()
     os.utime(folder, (1.0, 1.0))
-    kernel_folder.environment()
+    cache_folder.environment()
     assert folder.stat().st_mtime > 1.0
 
 
@@ -197,7 +197,7 @@ def test_a_folder_that_cannot_be_made_is_named_before_anything_is_said_to_be_com
 
 
 def test_the_rehearsal_of_the_antenna_calls_every_kernel():
-    needed = kernels(Path(kernel_folder.__file__).parent)
+    needed = kernels(Path(cache_folder.__file__).parent)
     assert len(needed) >= 10
     assert needed - called_by_rehearsal("antenna") == set()
 

@@ -21,12 +21,12 @@ from pymavlink.dialects.v20 import common as mavlink
 from autopilot.__main__ import SimulatorUnreachable, connect_simulator
 from autopilot.config import VehiclePorts
 from autopilot.mavlink.codec import Encoder, Parser
+from foundation.processes.child_protocol import Stop
 from harness.lockstep import CLOSED, OWN, PX4, ConnectTimeout, Lockstep
 from harness.messages import RunUntil, SetAttenuation
 from harness.patience import COMPUTING_LIMIT_S, LOOK_AFTER_S, REPORT_AFTER_S, Patience
 from harness.physics_server import obey
 from harness.resources import HAS_NAMED_SOCKETS, bind_local
-from netsim.child import Stop
 
 by_name = pytest.mark.skipif(not HAS_NAMED_SOCKETS, reason="Unix sockets' names are files' here")
 

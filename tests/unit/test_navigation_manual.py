@@ -10,10 +10,10 @@ from msgspec.structs import replace
 from navigation_fixtures import CONTROL, DT_S, FlightMode, Ideal, Real
 
 from autopilot.control.hover_thrust import GRAVITY_M_S2
-from autopilot.estimation.rotation import quat_rotate, quat_to_euler
 from autopilot.navigation.landing import IDLE
 from autopilot.navigation.manual import ManualInput, curve
 from autopilot.navigation.params import ManualParams, NavigationParams
+from foundation.geometry.rotations import quat_rotate, quat_to_euler
 
 P = ManualParams()
 POSITION, LIMITS = CONTROL.position, CONTROL.trajectory

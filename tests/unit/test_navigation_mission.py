@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from navigation_fixtures import ORIGIN, at
 from pymavlink.dialects.v20 import common
 
-from autopilot.navigation.geodesy import geodetic_to_ned
 from autopilot.navigation.mission import (
     FLOWN,
     MissionCommand,
@@ -18,6 +17,7 @@ from autopilot.navigation.mission import (
     make_mission,
 )
 from autopilot.navigation.mission_runner import MissionRunner
+from foundation.geometry.geodesy import geodetic_to_ned
 
 WAYPOINT = at(10.0, 0.0, 5.0)
 JUMP, SPEED = MissionCommand.JUMP, MissionCommand.CHANGE_SPEED

@@ -15,7 +15,7 @@ from autopilot.navigation.landing import IDLE, speed_by_height_m_s
 from autopilot.navigation.params import NavigationParams
 from autopilot.navigation.reference import LegReference
 from autopilot.navigation.setpoints import down_demand_m_s
-from autopilot.types import AttitudeSetpoint, TrajectorySetpoint
+from foundation.types import AttitudeSetpoint, TrajectorySetpoint
 
 LIMITS = CONTROL.trajectory
 P = NavigationParams()

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from autopilot.control import ControlParams, FlightController
 from autopilot.control.params import DisturbanceParams
-from autopilot.estimation.rotation import quat_from_euler, quat_rotate
 from autopilot.onboard.wind import (
     ACC_MAX_M_S2,
     GAP_MAX_S,
@@ -21,7 +20,8 @@ from autopilot.onboard.wind import (
     TIME_CONSTANT_S,
     WindObserver,
 )
-from autopilot.types import TrajectorySetpoint
+from foundation.geometry.rotations import quat_from_euler, quat_rotate
+from foundation.types import TrajectorySetpoint
 
 PERIOD_US = 33_000
 LEVEL = (1.0, 0.0, 0.0, 0.0)

@@ -24,6 +24,7 @@ import pytest
 
 from autopilot.recording import VEHICLE_RECORD
 from autopilot.vehicle import Vehicle
+from foundation.records.record_log import BLOCK_ROWS
 from harness import aperture, kernel_cache, report
 from harness.air import Air
 from harness.analysis import gain_series
@@ -37,7 +38,6 @@ from harness.scenario import load
 from harness.tables import flight_of, read_flight
 from netsim.config import RadioConfig, ServerConfig
 from netsim.hosted import HostedEmulator
-from netsim.record_log import BLOCK_ROWS
 from netsim.wire.lockstep import Advance, pack_rows
 from netsim.wire.messages import MAX_PAYLOAD_BYTES, Broadcast, Delivery
 

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from foundation.processes.child_protocol import Stop
 from harness.messages import AnyCommand, Pause, Paused, Progress, Resume, RunUntil, SetSpeed
 from harness.physics_server import MOST_LAG_S, NAP_S, PROGRESS_PERIOD_S, Pacer, obey
-from netsim.child import Stop
 
 STEP_US = 4_000
 

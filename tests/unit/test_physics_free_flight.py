@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from autopilot.estimation.rotation import quat_rotate
+from foundation.geometry.rotations import quat_rotate
 from harness.physics.bodies import BODY, near_something
 from harness.physics.bullet import Bullet
 from harness.physics.free_flight import MOST_RATE, coast

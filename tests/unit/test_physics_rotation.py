@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from autopilot.estimation.rotation import (
+from foundation.geometry.rotations import (
     quat_from_rotation_vector,
     quat_multiply,
     quat_rotate,

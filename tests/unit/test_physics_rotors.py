@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from autopilot.estimation.rotation import quat_rotate, quat_rotate_inverse
+from foundation.geometry.rotations import quat_rotate, quat_rotate_inverse
 from harness.physics.environment import Surroundings
 from harness.physics.model import IRIS
 from harness.physics.rotors import kernel_model, rotor_speeds, wrenches

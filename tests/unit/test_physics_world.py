@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from autopilot.estimation.rotation import quat_from_rotation_vector, quat_multiply, quat_rotate
+from foundation.geometry.rotations import quat_from_rotation_vector, quat_multiply, quat_rotate
 from harness.physics.model import IRIS
 from harness.physics.world import GRAVITY_M_S2, World
 

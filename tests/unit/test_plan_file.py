@@ -13,7 +13,6 @@ from pymavlink.dialects.v20 import common
 from autopilot import plan_file, site_plan
 from autopilot.__main__ import lone_vehicle
 from autopilot.config import AutopilotConfig, CircleConfig, MissionItemConfig, RallyPointConfig, Site
-from autopilot.navigation.geodesy import geodetic_to_ned
 from autopilot.navigation.plan_items import (
     circle_item,
     make,
@@ -24,6 +23,7 @@ from autopilot.navigation.plan_items import (
 )
 from autopilot.navigation.plan_store import PlanType, WireItem, make_plan
 from autopilot.plan_file import HomePlace, PlanFileError, Plans, dumps, loads
+from foundation.geometry.geodesy import geodetic_to_ned
 from harness.scenario import ScenarioError
 from harness.scenario import load as load_scenario
 

@@ -10,10 +10,20 @@ import msgspec
 import pytest
 
 from autopilot import parts as vehicle_parts
+from foundation.profiling.profiler import (
+    KEY,
+    LINK,
+    REST,
+    THREADS,
+    Profile,
+    Profiler,
+    part_of,
+    profiled,
+    shares_s,
+)
 from harness import parts as physics_parts
 from harness.profiling import VEHICLES, by_kind, profile_table
 from netsim import parts as radio_parts
-from netsim.profiler import KEY, LINK, REST, THREADS, Profile, Profiler, part_of, profiled, shares_s
 
 PARTS = {"swarm": "all", "swarm.flight": "flight", "swarm.flight.codec": "codec"}
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from foundation.records.record_log import BLOCK_ROWS, RecordLog, read
 from netsim.logs import FRAME_LOG
-from netsim.record_log import BLOCK_ROWS, RecordLog, read
 from netsim.records import FrameRecord
 
 PAIR = np.dtype([("time_us", "i8"), ("pos_ned_m", "f8", 3)])

@@ -8,7 +8,7 @@ import pytest
 
 from autopilot.config import Site
 from autopilot.estimation import atmosphere
-from autopilot.navigation.geodesy import geodetic_to_ned
+from foundation.geometry.geodesy import geodetic_to_ned
 from harness.physics.truth import Truth
 from harness.sensors.config import GpsOverrides, SensorsConfig
 from harness.sensors.suite import SensorSuite

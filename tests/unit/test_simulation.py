@@ -8,12 +8,12 @@ import psutil
 import pytest
 
 from autopilot.mavlink.hil import HilActuatorControls
+from foundation.records.record_log import read
 from harness.answers import Answers
 from harness.recording import TRUTH_RECORD
 from harness.run_folder import PhysicsConfig, RunFolder
 from harness.scenario import load
 from harness.simulation import Simulation
-from netsim.record_log import read
 
 ARMED = 128
 """MAV_MODE_FLAG_SAFETY_ARMED"""

@@ -10,8 +10,8 @@ from vehicle_world import STEP_US, Flight, vehicle_config
 
 from autopilot.host import warnings
 from autopilot.mavlink.modes import FlightMode
-from autopilot.navigation.geodesy import ned_to_geodetic
 from autopilot.protocol.service import COMPANION, GROUND_STATION, Partner, reply
+from foundation.geometry.geodesy import ned_to_geodetic
 
 NAN = math.nan
 ACCEPTED, REFUSED = common.MAV_RESULT_ACCEPTED, common.MAV_RESULT_TEMPORARILY_REJECTED

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from autopilot.navigation.geodesy import geodetic_to_ned, ned_to_geodetic, place_ned_m
+from foundation.geometry.geodesy import geodetic_to_ned, ned_to_geodetic, place_ned_m
 
 ZURICH = {"origin_lat_deg": 47.397742, "origin_lon_deg": 8.545594, "origin_alt_m": 488.0}
 

@@ -8,10 +8,10 @@ from pymavlink.dialects.v20 import common
 from setpoint_world import PERIOD, STATION, Streamed
 from vehicle_world import STEP_US
 
-from autopilot.estimation.rotation import quat_from_euler, quat_to_euler
 from autopilot.mavlink import dialect
 from autopilot.mavlink.modes import FlightMode
 from autopilot.protocol.service import COMPANION, Partner
+from foundation.geometry.rotations import quat_from_euler, quat_to_euler
 
 PROGRAM = Partner(COMPANION, 4)
 POSITION, VELOCITY = 0b1101_1111_1000, 0b1101_1100_0111

@@ -11,7 +11,7 @@ from msgspec import Struct
 
 from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.traffic import Traffic
-from autopilot.types import Array
+from foundation.types import Array
 from harness.scenario import Scenario
 from netsim.emulator import Emulator
 from netsim.wire.messages import Delivery, FtmResult, RxItem, TxBatch

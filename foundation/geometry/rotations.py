@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
-from autopilot.types import Array
+from foundation.types import Array
 
 SMALL_ANGLE_RAD = 1e-6
 """Below this the series replaces sin(x)/x; its truncation error there is 1e-26."""

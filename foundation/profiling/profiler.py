@@ -5,7 +5,8 @@ is charged to the part whose module is innermost on the stack. So the parts are 
 wrapped, a run that is not profiled pays nothing, and one that is pays 3 us in 4 ms. A few thousand samples
 tell shares to a percent. What is called in compiled code or by the operating system is its caller's.
 
-Next to `netsim.child`, for it is every process's; reads clocks, so it is for the edges.
+Next to `foundation.processes.child_protocol`, for it is every process's; reads clocks, so it is for the
+edges.
 """
 
 import contextlib
@@ -27,7 +28,7 @@ REST = "other"
 THREADS = "Zenoh's threads"
 """Processor time of threads beside the main one."""
 KEY = "profile"
-"""In `netsim.child.Finished.details`: what `Profile` says."""
+"""In `foundation.processes.child_protocol.Finished.details`: what `Profile` says."""
 PERIOD_S = 0.001
 """Processor time between two samples, or a tick of the operating system's clock where that is longer."""
 _SCHEDULER = Path("/proc/self/schedstat")

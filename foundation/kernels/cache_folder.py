@@ -19,7 +19,7 @@ import sys
 from functools import cache
 from pathlib import Path
 
-PACKAGES = ("antenna", "netsim", "autopilot", "harness")
+PACKAGES = ("foundation", "antenna", "netsim", "autopilot", "harness")
 VARIABLE = "NUMBA_CACHE_DIR"
 _IMPORT = re.compile(rf"^\s*from ((?:{'|'.join(PACKAGES)})(?:\.\w+)*) import\b", re.MULTILINE)
 
@@ -37,7 +37,7 @@ def folder() -> Path:
     ``<hash>`` in `own_base`, or in the folder that the variable names. A parent of ours has set it to the
     whole already.
     """
-    name = digest(Path(__file__).parents[1])
+    name = digest(Path(__file__).parents[2])
     if VARIABLE in os.environ:
         named = Path(os.environ[VARIABLE])
         return named if named.name == name else named / name
