@@ -8,12 +8,12 @@ from msgspec import structs
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from antenna.clearance import GROUND
-from antenna.config import AntennaConfig
-from antenna.geometry import ElementsTooNear, ElementsTouch, Snapshot
-from antenna.parallel import compute_patterns
-from antenna.patterns import Pattern
-from antenna.ports import feed
+from antenna.analysis.patterns import Pattern
+from antenna.model.clearance import GROUND
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import ElementsTooNear, ElementsTouch, Snapshot
+from antenna.solvers.parallel import compute_patterns
+from antenna.solvers.ports import feed
 from harness.flight import Array, Flight
 
 ELEMENT_TO_FRD = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -130,7 +130,7 @@ def gain_series(flight: Flight, config: AntennaConfig, *, workers: int = 1) -> G
     The elements of dead vehicles are left out. An instant is ``missing`` when none lives, two elements touch,
     or the living cannot be fed: their policy has no answer, or it is for where they believe themselves to be
     and one does not know.
-    ``workers`` is as in `antenna.parallel.compute_patterns`.
+    ``workers`` is as in `antenna.solvers.parallel.compute_patterns`.
     """
     sampled = flight.sampled(config.snapshot_rate_hz)
     missing: list[MissingPattern] = []

@@ -8,14 +8,15 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any
 
-from antenna.array_deck import deck_of
-from antenna.backend import BackendUnavailable, make_backend
-from antenna.config import AntennaConfig
-from antenna.geometry import ElementsTouch
-from antenna.nec2c import Nec2cFailed
-from antenna.parallel import WorkerError
-from antenna.patterns import Pattern
-from antenna.statistics import gain_statistics
+from antenna.analysis.patterns import Pattern
+from antenna.analysis.statistics import gain_statistics
+from antenna.model.array_deck import deck_of
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import ElementsTouch
+from antenna.solvers.interface import BackendUnavailable
+from antenna.solvers.nec2c import Nec2cFailed
+from antenna.solvers.parallel import WorkerError
+from antenna.solvers.selection import make_backend
 from harness.analysis import GainSeries, NoFeed, describe_touch, gain_series, ideal_pattern
 from harness.flight import Flight
 from harness.run_folder import RunFolder
@@ -114,7 +115,7 @@ def write(folder: RunFolder, aperture: Aperture, config: AntennaConfig) -> None:
     deck = deck_of(series.snapshots[median], config, series.patterns[median], comments=[at])
     folder.deck.write_text(deck, encoding="ascii")
     if config.keep_patterns:
-        from antenna.dataset import to_dataset, write_dataset  # noqa: PLC0415  slow to import
+        from antenna.analysis.dataset import to_dataset, write_dataset  # noqa: PLC0415  slow to import
 
         dataset = to_dataset(
             series.patterns, config, accuracy=aperture.solver.accuracy, time_us=series.time_us

@@ -12,10 +12,11 @@ import msgspec
 import numpy as np
 import typer
 
-from antenna.array_deck import deck_of
-from antenna.backend import BackendUnavailable, make_backend
-from antenna.geometry import ElementsTouch
-from antenna.nec2c import Nec2cFailed
+from antenna.model.array_deck import deck_of
+from antenna.model.geometry import ElementsTouch
+from antenna.solvers.interface import BackendUnavailable
+from antenna.solvers.nec2c import Nec2cFailed
+from antenna.solvers.selection import make_backend
 from harness.analysis import NoFeed, describe_touch, living, snapshot_at
 from harness.refusals import explain
 from harness.run_folder import RunFolder

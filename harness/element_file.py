@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from antenna.deck import DeckError, read_element
+from antenna.model.deck import DeckError, read_element
 
 
 class ElementFileError(ValueError):

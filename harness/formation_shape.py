@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from antenna.geometry import grid
+from antenna.model.geometry import grid
 from autopilot.config import AnyMotion
 
 Array = NDArray[np.float64]

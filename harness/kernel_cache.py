@@ -30,7 +30,7 @@ _COMPILERS = {
     "the vehicles'": "from autopilot.rehearsal import rehearse; rehearse()",
     "the radio's": "from netsim.rehearsal import rehearse; rehearse()",
     "the physics'": "from harness.physics.rehearsal import rehearse; rehearse()",
-    "the antenna's": "from antenna.rehearsal import rehearse; rehearse()",
+    "the antenna's": "from antenna.solvers.warm_up import rehearse; rehearse()",
 }
 
 

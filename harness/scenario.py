@@ -18,7 +18,7 @@ import numpy as np
 from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
-from antenna.config import AntennaConfig
+from antenna.model.config import AntennaConfig
 from autopilot import formation_plan
 from autopilot.config import (
     REMEMBERED_S,

@@ -14,8 +14,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from antenna.ports import MAIN_LOBE_DEG
-from antenna.statistics import pointing_errors_deg
+from antenna.analysis.statistics import pointing_errors_deg
+from antenna.solvers.ports import MAIN_LOBE_DEG
 from autopilot.formation_plan import FormationPlan
 from autopilot.recording import VEHICLE_RECORD
 from foundation.records.record_log import read

@@ -14,12 +14,12 @@ from itertools import islice
 import numpy as np
 from msgspec import Struct
 
-from antenna.batch.solver import SLICE, Batch, Currents
-from antenna.clearance import check_apart
-from antenna.config import AntennaConfig
-from antenna.geometry import Array, ElementsTouch, Snapshot, grid
+from antenna.analysis.patterns import directions_deg, to_dbi
 from antenna.lab.formations import Disorder, draws
-from antenna.patterns import directions_deg, to_dbi
+from antenna.model.clearance import check_apart
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import Array, ElementsTouch, Snapshot, grid
+from antenna.solvers.batch.solver import SLICE, Batch, Currents
 
 SHORT_DIPOLE = AntennaConfig(wavelength_m=10.0)
 LONG_DIPOLE = AntennaConfig(wavelength_m=10.0, element_length_m=5.0, element_radius_m=0.001, segments=11)
@@ -85,7 +85,7 @@ def benchmark(seconds: float) -> Benchmark:
 
 def compare(config: AntennaConfig, seconds: float) -> tuple[Speed, int]:
     """Time both solvers in turns; the number of rounds is the second of what is given."""
-    from antenna.nec2 import FarField, Nec2  # noqa: PLC0415 - optional: PyNEC
+    from antenna.solvers.nec2 import FarField, Nec2  # noqa: PLC0415 - optional: PyNEC
 
     snapshots = formations(config, SNAPSHOTS)
     parts = [snapshots[first : first + SLICE] for first in range(0, SNAPSHOTS, SLICE)]

@@ -16,12 +16,12 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from antenna.backend import BackendUnavailable
-from antenna.config import AntennaConfig
-from antenna.deck import DeckError, read_element
-from antenna.geometry import ElementsTouch
 from antenna.lab.formations import Disorder, formation
-from antenna.parallel import WorkerError
+from antenna.model.config import AntennaConfig
+from antenna.model.deck import DeckError, read_element
+from antenna.model.geometry import ElementsTouch
+from antenna.solvers.interface import BackendUnavailable
+from antenna.solvers.parallel import WorkerError
 
 FINE, BAD_INPUT, INTERRUPTED = 0, 2, 130
 DECK_LIMIT_BYTES = 1_000_000

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from antenna.config import AntennaConfig
-from antenna.geometry import Array, ElementsTouch, Snapshot, grid, upright
-from antenna.ports import feed
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import Array, ElementsTouch, Snapshot, grid, upright
+from antenna.solvers.ports import feed
 
 DRAWN_TOGETHER = 256
 MOST_ELEMENTS = 200

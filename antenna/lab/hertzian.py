@@ -5,9 +5,9 @@ Below perfect ground stand the images, which take half of the power with them.
 
 import numpy as np
 
-from antenna.geometry import Array, Snapshot
-from antenna.patterns import Pattern, directions_deg, make_pattern
-from antenna.radiated import mean_intensity
+from antenna.analysis.patterns import Pattern, directions_deg, make_pattern
+from antenna.analysis.radiated_power import mean_intensity
+from antenna.model.geometry import Array, Snapshot
 
 
 def hertzian_pattern(

@@ -12,19 +12,11 @@ from msgspec import Struct
 from rich.console import Console
 from rich.progress import track
 
-from antenna.array_deck import deck_of
-from antenna.backend import Backend, make_backend
-from antenna.config import AntennaConfig
-from antenna.dataset import to_dataset, write_dataset
-from antenna.features import features, has_one_maximum
-from antenna.geometry import Array, ElementsTouch, Snapshot
-from antenna.lab.formations import Disorder, draws, ideal
-from antenna.lab.hertzian import hertzian_pattern
-from antenna.parallel import compute_patterns
-from antenna.patterns import Pattern, directions_deg
-from antenna.plots import cuts_figure, envelope_figure, gain_density_figure, patterns_figure
-from antenna.ports import MAIN_LOBE_DEG
-from antenna.statistics import (
+from antenna.analysis.dataset import to_dataset, write_dataset
+from antenna.analysis.features import features, has_one_maximum
+from antenna.analysis.patterns import Pattern, directions_deg
+from antenna.analysis.plots import cuts_figure, envelope_figure, gain_density_figure, patterns_figure
+from antenna.analysis.statistics import (
     HISTOGRAM_BYTES,
     RunningEnvelope,
     gain_statistics,
@@ -32,6 +24,15 @@ from antenna.statistics import (
     pointing_errors_deg,
     pointing_statistics,
 )
+from antenna.lab.formations import Disorder, draws, ideal
+from antenna.lab.hertzian import hertzian_pattern
+from antenna.model.array_deck import deck_of
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import Array, ElementsTouch, Snapshot
+from antenna.solvers.interface import Backend
+from antenna.solvers.parallel import compute_patterns
+from antenna.solvers.ports import MAIN_LOBE_DEG
+from antenna.solvers.selection import make_backend
 
 SHORT_LAMBDA = 0.1
 """Dipoles up to this length have the pattern of Hertzian ones, to 0.01 dB."""

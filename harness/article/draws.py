@@ -14,15 +14,15 @@ import numpy as np
 from msgspec import structs
 from scipy.spatial.transform import Rotation
 
-from antenna.backend import BackendUnavailable
-from antenna.config import AntennaConfig
-from antenna.deck import write_deck
-from antenna.geometry import Snapshot
+from antenna.analysis.patterns import Pattern, from_dbi
+from antenna.analysis.statistics import GainStatistics, gain_density, gain_statistics
 from antenna.lab.formations import Disorder, draws
-from antenna.parallel import compute_patterns
-from antenna.patterns import Pattern, from_dbi
-from antenna.ports import MAIN_LOBE_DEG
-from antenna.statistics import GainStatistics, gain_density, gain_statistics
+from antenna.model.config import AntennaConfig
+from antenna.model.deck import write_deck
+from antenna.model.geometry import Snapshot
+from antenna.solvers.interface import BackendUnavailable
+from antenna.solvers.parallel import compute_patterns
+from antenna.solvers.ports import MAIN_LOBE_DEG
 from harness.article.plan import SCENARIO, WAVELENGTH
 from harness.article.snapshots import upright_array
 from harness.flight import Array

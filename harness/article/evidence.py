@@ -3,8 +3,8 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from antenna.patterns import Pattern
-from antenna.statistics import GainStatistics
+from antenna.analysis.patterns import Pattern
+from antenna.analysis.statistics import GainStatistics
 from harness.article.comparison import (
     Estimate,
     common_seeds,

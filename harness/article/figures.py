@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from antenna.plots import patterns_figure
-from antenna.statistics import gain_density
+from antenna.analysis.plots import patterns_figure
+from antenna.analysis.statistics import gain_density
 from harness.article.draws import Drawn
 from harness.article.kept import FLOWN, FigurePatterns
 from harness.article.patterns import REGION_PHI_DEG, REGION_THETA_DEG

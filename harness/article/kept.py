@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from msgspec import Struct, structs
 
-from antenna.config import AntennaConfig
-from antenna.geometry import Snapshot
-from antenna.parallel import compute_patterns
-from antenna.patterns import Pattern
-from antenna.ports import MAIN_LOBE_DEG
-from antenna.statistics import pointing_errors_deg
+from antenna.analysis.patterns import Pattern
+from antenna.analysis.statistics import pointing_errors_deg
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import Snapshot
+from antenna.solvers.parallel import compute_patterns
+from antenna.solvers.ports import MAIN_LOBE_DEG
 from harness.analysis import FIGURE_GRID_DEG, gain_series, ideal_pattern
 from harness.article.patterns import PatternReading, mean_pattern, read_pattern
 from harness.article.plan import FIGURE_WAVELENGTH_M, FIGURE_WIND_N

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from antenna.statistics import GainStatistics, gain_density, gain_statistics
+from antenna.analysis.statistics import GainStatistics, gain_density, gain_statistics
 from harness.article.plan import FIGURE_WAVELENGTH_M, FIGURE_WIND_N, WAVELENGTH, WIND
 from harness.campaign import Table
 from harness.codesign.sensitivity import per_axis_sigma_m

@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from antenna.ports import MAIN_LOBE_DEG
-from antenna.statistics import pointing_errors_deg
+from antenna.analysis.statistics import pointing_errors_deg
+from antenna.solvers.ports import MAIN_LOBE_DEG
 from harness.article.comparison import Estimate, has_shape, jackknife, shape_m
 from harness.article.draws import BACKENDS
 from harness.article.evidence import Evidence, Missing

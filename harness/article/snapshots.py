@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from antenna.config import AntennaConfig
-from antenna.geometry import ElementsTouch, Snapshot
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import ElementsTouch, Snapshot
 from harness.analysis import NoFeed, antenna_snapshot, snapshot_at
 from harness.flight import Flight
 from harness.scenario import Scenario

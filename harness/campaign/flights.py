@@ -4,7 +4,8 @@ import re
 import tempfile
 from pathlib import Path
 
-from antenna.backend import BackendUnavailable, make_backend
+from antenna.solvers.interface import BackendUnavailable
+from antenna.solvers.selection import make_backend
 from harness import kernel_cache
 from harness.campaign.series import read_series
 from harness.campaign.store import Flown

@@ -16,7 +16,7 @@ _AFTERWARDS = ("validation", "codesign", "campaign", "article")
 """Parts of the harness that fly nothing themselves, but for modules that make a flight's numbers"""
 _LABORATORIES = ("antenna/lab/", "netsim/lab/")
 _SHOWN = {
-    "antenna/plots.py", "harness/cli.py", "harness/deck_export.py", "harness/figures.py",
+    "antenna/analysis/plots.py", "harness/cli.py", "harness/deck_export.py", "harness/figures.py",
     "harness/progress.py", "harness/pytest_plugin.py",
 }  # fmt: skip
 """Modules that draw what has been flown, or tell of it"""

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
-from antenna.statistics import gain_density
+from antenna.analysis.statistics import gain_density
 from harness.codesign.statistics import Interval
 from harness.flight import Array
 

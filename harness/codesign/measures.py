@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from antenna.config import AntennaConfig
+from antenna.model.config import AntennaConfig
 from harness.analysis import gain_series
 from harness.flight import Array, Flight
 from harness.formation_error import formation_error

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from antenna.excitation import end_fire
-from antenna.geometry import Snapshot, along, grid, upright
+from antenna.model.excitation import end_fire
+from antenna.model.geometry import Snapshot, along, grid, upright
 
 
 def vertical_snapshot(places_m, wavelength_m):

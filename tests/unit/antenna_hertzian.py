@@ -8,8 +8,8 @@ mean(exp(j x.r)) = j0(x) and mean(r_i r_j exp(j x.r)) = delta_ij j1(x)/x - x_i x
 import numpy as np
 from scipy.special import spherical_jn
 
-from antenna.geometry import Array, Snapshot
-from antenna.patterns import directions_deg, make_pattern
+from antenna.analysis.patterns import directions_deg, make_pattern
+from antenna.model.geometry import Array, Snapshot
 
 
 def gain_dbi(snapshot: Snapshot, wavelength_m: float, theta_deg: Array, phi_deg: Array) -> Array:

@@ -7,8 +7,8 @@ from antenna_hertzian import gain_dbi
 from msgspec import structs
 from scipy.spatial.transform import Rotation
 
-from antenna.config import AntennaConfig
-from antenna.geometry import ElementsTouch, grid
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import ElementsTouch, grid
 from autopilot.config import RacetrackMotion
 from autopilot.formation_plan import FormationPlan
 from harness.analysis import (

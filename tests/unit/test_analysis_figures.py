@@ -4,7 +4,7 @@ from antenna_arrays import vertical_snapshot
 from antenna_hertzian import exact_patterns
 from matplotlib.image import imread
 
-from antenna.geometry import grid
+from antenna.model.geometry import grid
 from autopilot.config import RacetrackMotion
 from autopilot.formation_plan import FormationPlan
 from harness import figures

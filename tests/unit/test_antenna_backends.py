@@ -11,11 +11,12 @@ from antenna_arrays import ideal, perturbed, vertical_snapshot
 from antenna_hertzian import gain_dbi
 from msgspec import structs
 
-from antenna import nec2c
-from antenna.backend import Accuracy, make_backend
-from antenna.config import AntennaConfig
-from antenna.geometry import ElementsTouch, Snapshot, grid
-from antenna.nec2c import Nec2cFailed
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import ElementsTouch, Snapshot, grid
+from antenna.solvers import nec2c
+from antenna.solvers.interface import Accuracy
+from antenna.solvers.nec2c import Nec2cFailed
+from antenna.solvers.selection import make_backend
 
 LAMBDA_M = 10.0
 SHORT = {}
@@ -99,7 +100,7 @@ def test_nec2c_is_nec2_on_grids_of_an_odd_number_of_steps(step_deg, ground):
     pytest.importorskip("PyNEC", reason="the optional extra coflight[nec2] is not installed")
     if shutil.which("nec2c") is None:
         pytest.skip("the program nec2c is not installed")
-    from antenna.nec2 import FarField  # noqa: PLC0415 - needs PyNEC
+    from antenna.solvers.nec2 import FarField  # noqa: PLC0415 - needs PyNEC
 
     config = AntennaConfig(wavelength_m=LAMBDA_M, grid_deg=step_deg, backend="nec2c", **ground)
     (snapshot,) = _snapshots(36, 1, 10.0 if ground else 0.0)

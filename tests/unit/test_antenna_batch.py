@@ -8,13 +8,13 @@ from antenna_arrays import ideal, perturbed
 from msgspec import structs
 from scipy.integrate import quad
 
-from antenna.backend import make_backend
-from antenna.batch.maximum import local_gain, moved
-from antenna.batch.moments import _potential
-from antenna.batch.solver import Batch
-from antenna.clearance import near_m
-from antenna.config import AntennaConfig
-from antenna.geometry import ElementsTooNear, ElementsTouch, Snapshot
+from antenna.model.clearance import near_m
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import ElementsTooNear, ElementsTouch, Snapshot
+from antenna.solvers.batch.maximum import local_gain, moved
+from antenna.solvers.batch.moments import _potential
+from antenna.solvers.batch.solver import Batch
+from antenna.solvers.selection import make_backend
 
 LAMBDA_M = 10.0
 NEEDS_NEC2C = pytest.mark.skipif(shutil.which("nec2c") is None, reason="needs the program nec2c")

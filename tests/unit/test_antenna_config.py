@@ -1,8 +1,9 @@
 import msgspec
 import pytest
 
-from antenna.backend import Accuracy, batch_accuracy
-from antenna.config import AntennaConfig
+from antenna.model.config import AntennaConfig
+from antenna.solvers.batch.accuracy import batch_accuracy
+from antenna.solvers.interface import Accuracy
 
 
 @pytest.mark.parametrize(

@@ -5,10 +5,17 @@ import xarray as xr
 from antenna_arrays import perturbed
 from antenna_hertzian import exact_patterns
 
-from antenna.config import AntennaConfig
-from antenna.dataset import NotPatterns, from_dataset, read_dataset, settings_of, to_dataset, write_dataset
-from antenna.geometry import ElementsTooNear, ElementsTouch
-from antenna.patterns import Pattern
+from antenna.analysis.dataset import (
+    NotPatterns,
+    from_dataset,
+    read_dataset,
+    settings_of,
+    to_dataset,
+    write_dataset,
+)
+from antenna.analysis.patterns import Pattern
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import ElementsTooNear, ElementsTouch
 
 CONFIG = AntennaConfig(wavelength_m=10.0, ground="perfect", excitation="optimum")
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from antenna_arrays import vertical_snapshot
 
-from antenna.deck import DeckError, Ground, read_element, write_deck
-from antenna.elements import Wire, dipole, loop
-from antenna.patterns import directions_deg
+from antenna.analysis.patterns import directions_deg
+from antenna.model.deck import DeckError, Ground, read_element, write_deck
+from antenna.model.elements import Wire, dipole, loop
 
 ONE = "GW 1 9 0 0 -0.5 0 0 0.5 0.001"
 REST = "GE 0\nEX 0 1 5 0 1 0\nEN\n"

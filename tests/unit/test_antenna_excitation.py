@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from antenna.config import AntennaConfig
-from antenna.excitation import end_fire, hansen_woodyard
-from antenna.geometry import grid
 from antenna.lab.formations import Disorder, draws
-from antenna.ports import feed
+from antenna.model.config import AntennaConfig
+from antenna.model.excitation import end_fire, hansen_woodyard
+from antenna.model.geometry import grid
+from antenna.solvers.ports import feed
 from harness.analysis import antenna_snapshot
 
 LAMBDA_M = 10.0

@@ -4,9 +4,9 @@ from antenna_arrays import vertical_snapshot
 from antenna_hertzian import exact_patterns
 from scipy.optimize import minimize_scalar
 
-from antenna.features import LEAST_STEPS, features, has_one_maximum, main_lobe
-from antenna.geometry import Snapshot, grid, upright
-from antenna.patterns import HALF_POWER_DB, Pattern, directions_deg, to_dbi
+from antenna.analysis.features import LEAST_STEPS, features, has_one_maximum, main_lobe
+from antenna.analysis.patterns import HALF_POWER_DB, Pattern, directions_deg, to_dbi
+from antenna.model.geometry import Snapshot, grid, upright
 
 LAMBDA_M = 10.0
 

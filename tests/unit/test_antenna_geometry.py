@@ -3,10 +3,10 @@ import pytest
 from antenna_arrays import vertical_snapshot
 from antenna_hertzian import gain_dbi
 
-from antenna.clearance import check_apart, segment_distance_m
-from antenna.elements import dipole
-from antenna.excitation import end_fire
-from antenna.geometry import ElementsTouch, Snapshot, along, grid
+from antenna.model.clearance import check_apart, segment_distance_m
+from antenna.model.elements import dipole
+from antenna.model.excitation import end_fire
+from antenna.model.geometry import ElementsTouch, Snapshot, along, grid
 
 
 def test_article_grid_is_four_by_two_about_the_origin():

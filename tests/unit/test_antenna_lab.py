@@ -9,15 +9,15 @@ from antenna_arrays import perturbed
 from antenna_hertzian import exact_patterns, gain_dbi
 from msgspec import structs
 
-from antenna.backend import make_backend
-from antenna.config import AntennaConfig
-from antenna.dataset import read_dataset
-from antenna.geometry import ElementsTouch, Snapshot, grid, upright
+from antenna.analysis.dataset import read_dataset
 from antenna.lab import runs
 from antenna.lab.cli import main
 from antenna.lab.formations import Disorder, draws
 from antenna.lab.hertzian import hertzian_pattern
-from antenna.ports import feed, ports
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import ElementsTouch, Snapshot, grid, upright
+from antenna.solvers.ports import feed, ports
+from antenna.solvers.selection import make_backend
 
 LAMBDA_M = 10.0
 CONFIG = AntennaConfig(wavelength_m=LAMBDA_M)

@@ -8,12 +8,13 @@ import pytest
 from antenna_arrays import ideal, perturbed, vertical_snapshot
 from antenna_hertzian import gain_dbi
 
-from antenna import parallel
-from antenna.backend import BackendUnavailable, make_backend
-from antenna.config import AntennaConfig
-from antenna.geometry import ElementsTouch, Snapshot, along, grid
-from antenna.parallel import CHUNK, compute_patterns
-from antenna.patterns import Pattern, directions_deg
+from antenna.analysis.patterns import Pattern, directions_deg
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import ElementsTouch, Snapshot, along, grid
+from antenna.solvers import parallel
+from antenna.solvers.interface import BackendUnavailable
+from antenna.solvers.parallel import CHUNK, compute_patterns
+from antenna.solvers.selection import make_backend
 
 LAMBDA_M = 10.0
 CONFIG = AntennaConfig(wavelength_m=LAMBDA_M, backend="nec2")
@@ -23,7 +24,7 @@ CONFIG = AntennaConfig(wavelength_m=LAMBDA_M, backend="nec2")
 def nec2():
     """Import the module, where PyNEC is installed."""
     pytest.importorskip("PyNEC", reason="the optional extra coflight[nec2] is not installed")
-    return importlib.import_module("antenna.nec2")
+    return importlib.import_module("antenna.solvers.nec2")
 
 
 @pytest.mark.nec2
@@ -140,7 +141,7 @@ def test_workers_give_the_same_results_in_the_same_order():
 def test_workers_end_with_a_killed_parent():
     program = """
 import sys
-from antenna.parallel import start_worker
+from antenna.solvers.parallel import start_worker
 print(start_worker().pid, flush=True)
 sys.stdin.read()
 """
@@ -162,10 +163,10 @@ def test_a_script_without_a_guard_is_run_once(tmp_path):
     script = tmp_path / "plain.py"
     script.write_text(
         "import numpy as np\n"
-        "from antenna.config import AntennaConfig\n"
-        "from antenna.excitation import end_fire\n"
-        "from antenna.geometry import grid, upright\n"
-        "from antenna.parallel import CHUNK, compute_patterns\n"
+        "from antenna.model.config import AntennaConfig\n"
+        "from antenna.model.excitation import end_fire\n"
+        "from antenna.model.geometry import grid, upright\n"
+        "from antenna.solvers.parallel import CHUNK, compute_patterns\n"
         "print('run')\n"
         "places_m = grid(2, 2, 8.5, 2.5)\n"
         "snapshots = [upright(places_m, end_fire(places_m, 10.0))] * (2 * CHUNK)\n"
@@ -196,7 +197,7 @@ def test_no_snapshots_give_no_patterns():
 
 def test_missing_pynec_is_one_clear_line(monkeypatch):
     monkeypatch.setitem(sys.modules, "PyNEC", None)
-    monkeypatch.delitem(sys.modules, "antenna.nec2", raising=False)
+    monkeypatch.delitem(sys.modules, "antenna.solvers.nec2", raising=False)
     with pytest.raises(
         BackendUnavailable, match=r"^NEC2 patterns need PyNEC: pip install 'coflight\[nec2\]'$"
     ) as caught:

@@ -3,8 +3,8 @@ import pytest
 from antenna_arrays import ideal, perturbed, vertical_snapshot
 from antenna_hertzian import exact_patterns, gain_dbi
 
-from antenna.maxima import find_maximum
-from antenna.patterns import FLOOR_DBI, directions_deg, row_weights
+from antenna.analysis.maxima import find_maximum
+from antenna.analysis.patterns import FLOOR_DBI, directions_deg, row_weights
 
 LAMBDA_M = 10.0
 

@@ -4,8 +4,7 @@ from antenna_arrays import ideal, perturbed
 from antenna_hertzian import exact_patterns
 from matplotlib.contour import QuadContourSet
 
-from antenna.geometry import Snapshot
-from antenna.plots import (
+from antenna.analysis.plots import (
     CUT_FLOOR_DBI,
     cuts_figure,
     envelope_figure,
@@ -14,7 +13,8 @@ from antenna.plots import (
     meridian_cut,
     patterns_figure,
 )
-from antenna.statistics import QUANTILES, RunningEnvelope
+from antenna.analysis.statistics import QUANTILES, RunningEnvelope
+from antenna.model.geometry import Snapshot
 
 LAMBDA_M = 10.0
 

@@ -5,10 +5,8 @@ import pytest
 from antenna_arrays import perturbed
 from antenna_hertzian import exact_patterns, gain_dbi
 
-from antenna.geometry import Snapshot, along
-from antenna.lab.hertzian import hertzian_pattern
-from antenna.patterns import FLOOR_DBI, Pattern, directions_deg
-from antenna.statistics import (
+from antenna.analysis.patterns import FLOOR_DBI, Pattern, directions_deg
+from antenna.analysis.statistics import (
     LEVEL_STEP_DB,
     QUANTILES,
     RunningEnvelope,
@@ -18,6 +16,8 @@ from antenna.statistics import (
     pointing_errors_deg,
     pointing_statistics,
 )
+from antenna.lab.hertzian import hertzian_pattern
+from antenna.model.geometry import Snapshot, along
 
 LAMBDA_M = 10.0
 

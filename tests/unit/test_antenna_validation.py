@@ -10,10 +10,10 @@ from antenna_checks import PLAN, missed
 from msgspec.structs import replace
 from typer.testing import CliRunner
 
-from antenna.backend import BackendUnavailable
-from antenna.config import AntennaConfig
-from antenna.geometry import ElementsTouch, grid
-from antenna.patterns import Pattern
+from antenna.analysis.patterns import Pattern
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import ElementsTouch, grid
+from antenna.solvers.interface import BackendUnavailable
 from harness.validation.antenna import agreement, checks, cli, ideal, limits, sensitivity, speed
 from harness.validation.antenna.checks import worst
 from harness.validation.antenna.closed_form import (

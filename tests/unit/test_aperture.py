@@ -11,8 +11,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from antenna.config import AntennaConfig
-from antenna.dataset import read_dataset, settings_of
+from antenna.analysis.dataset import read_dataset, settings_of
+from antenna.model.config import AntennaConfig
 from harness import aperture, deck_export
 from harness.deck_export import DeckRefused, deck_at
 from harness.flight import Flight

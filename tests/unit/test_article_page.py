@@ -17,8 +17,8 @@ from msgspec import structs
 from rich.console import Console
 from typer.testing import CliRunner
 
-from antenna.nec2c import Nec2cFailed
-from antenna.parallel import WorkerError, compute_patterns
+from antenna.solvers.nec2c import Nec2cFailed
+from antenna.solvers.parallel import WorkerError, compute_patterns
 from harness import analysis
 from harness.article import cli, page
 from harness.article import kept as kept_module

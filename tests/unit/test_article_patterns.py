@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from antenna.patterns import FLOOR_DBI, HALF_POWER_DB, Pattern, directions_deg, from_dbi
+from antenna.analysis.patterns import FLOOR_DBI, HALF_POWER_DB, Pattern, directions_deg, from_dbi
 from harness.article.kept import FLOWN, IN_PLACE, UPRIGHT, tilts_rad, variants
 from harness.article.patterns import (
     LEVEL_DBI,

@@ -8,7 +8,7 @@ import pytest
 from msgspec import structs
 from scipy.special import ndtri
 
-from antenna.statistics import GainStatistics
+from antenna.analysis.statistics import GainStatistics
 from harness.article import gain_findings
 from harness.article.draws import BACKENDS, SIGMAS_M, Drawn
 from harness.article.evidence import Evidence

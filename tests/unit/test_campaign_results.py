@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from antenna.backend import BackendUnavailable
+from antenna.solvers.interface import BackendUnavailable
 from harness.campaign import Campaign, CampaignError, cli, load, running, sources
 from harness.campaign import flights as flying
 from harness.campaign.definition import expand
@@ -328,7 +328,7 @@ def test_a_failure_is_a_line_that_the_same_run_would_say_again(tmp_path, monkeyp
 
 FLOWN_FILES = ("antenna/a.py", "autopilot/b.py", "harness/campaign/flights.py", "harness/report.py")
 OTHER_FILES = (
-    "antenna/lab/cli.py", "antenna/plots.py", "harness/campaign/cli.py", "harness/cli.py",
+    "antenna/lab/cli.py", "antenna/analysis/plots.py", "harness/campaign/cli.py", "harness/cli.py",
     "harness/deck_export.py", "harness/figures.py", "harness/progress.py", "harness/pytest_plugin.py",
     "harness/validation/page.py",
 )  # fmt: skip
@@ -381,7 +381,7 @@ def test_every_module_that_a_flight_loads_is_of_the_state_but_what_draws():
     flown = sources.read_sources(sources.ROOT, measured_by=_MEASURED_BY).keys()
     assert len(loaded & flown) > 100
     kept_by = {f"harness/campaign/{name}.py" for name in KEEPING}
-    assert loaded - flown == {"antenna/plots.py", "harness/figures.py", *kept_by}
+    assert loaded - flown == {"antenna/analysis/plots.py", "harness/figures.py", *kept_by}
 
 
 # ---- the time that is left

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from scipy import integrate, special
 
-from antenna.backend import BackendUnavailable, make_backend
-from antenna.excitation import end_fire
-from antenna.geometry import Snapshot, grid
+from antenna.model.excitation import end_fire
+from antenna.model.geometry import Snapshot, grid
+from antenna.solvers.interface import BackendUnavailable
+from antenna.solvers.selection import make_backend
 from autopilot.onboard.scheduled_ranging import owner
 from harness import swarm
 from harness.codesign.cases import (

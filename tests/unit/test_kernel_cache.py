@@ -11,13 +11,13 @@ import pytest
 from kernel_coverage import called_by_rehearsal, kernels, signatures
 
 import autopilot.rehearsal
-from antenna.backend import make_backend
-from antenna.clearance import check_apart
-from antenna.config import AntennaConfig
-from antenna.geometry import grid, upright
-from antenna.patterns import Pattern
-from antenna.ports import feed
-from antenna.rehearsal import rehearse
+from antenna.analysis.patterns import Pattern
+from antenna.model.clearance import check_apart
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import grid, upright
+from antenna.solvers.ports import feed
+from antenna.solvers.selection import make_backend
+from antenna.solvers.warm_up import rehearse
 from foundation.kernels import cache_folder
 from harness import kernel_cache
 from harness.kernel_cache import KEPT_S, KEPT_STATES, VARIABLE, CompileError, digest, forget_old

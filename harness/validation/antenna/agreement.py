@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from msgspec import Struct
 
-from antenna.backend import Accuracy
-from antenna.clearance import least_distance_m, placed_wires_m
-from antenna.config import AntennaConfig
-from antenna.elements import Element
-from antenna.geometry import Array, ElementsTouch, Snapshot, grid
+from antenna.analysis.patterns import Pattern
 from antenna.lab.formations import Disorder, draws
-from antenna.patterns import Pattern
+from antenna.model.clearance import least_distance_m, placed_wires_m
+from antenna.model.config import AntennaConfig
+from antenna.model.elements import Element
+from antenna.model.geometry import Array, ElementsTouch, Snapshot, grid
+from antenna.solvers.interface import Accuracy
 from harness.validation.antenna.checks import difference, said_missing, witness, worst
 from harness.validation.antenna.figures import save_agreement
 from harness.validation.antenna.plan import AntennaPlan

@@ -3,8 +3,9 @@
 import math
 from collections.abc import Iterable
 
-from antenna.backend import Backend, BackendUnavailable, make_backend
-from antenna.config import AntennaConfig
+from antenna.model.config import AntennaConfig
+from antenna.solvers.interface import Backend, BackendUnavailable
+from antenna.solvers.selection import make_backend
 from harness.validation.report import Check
 
 

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.special import spherical_jn
 
-from antenna.excitation import end_fire, hansen_woodyard, optimum
-from antenna.geometry import Array, Voltages
-from antenna.radiated import mean_intensity
+from antenna.analysis.radiated_power import mean_intensity
+from antenna.model.excitation import end_fire, hansen_woodyard, optimum
+from antenna.model.geometry import Array, Voltages
 
 LEAST_STEP_RAD = 0.05
 """Lag by which a search for the best one begins."""

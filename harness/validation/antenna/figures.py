@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from antenna.statistics import gain_density
+from antenna.analysis.statistics import gain_density
 
 DPI = 130
 DASHES = ("-", "--", ":")

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 from msgspec import Struct
 
-from antenna.config import AntennaConfig
-from antenna.features import features
-from antenna.geometry import Array, ElementsTouch, Snapshot, grid, upright
+from antenna.analysis.features import features
+from antenna.analysis.patterns import Pattern
+from antenna.analysis.plots import patterns_figure
 from antenna.lab.formations import ideal
 from antenna.lab.hertzian import hertzian_pattern
-from antenna.patterns import Pattern
-from antenna.plots import patterns_figure
-from antenna.ports import MAIN_LOBE_DEG, feed
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import Array, ElementsTouch, Snapshot, grid, upright
+from antenna.solvers.ports import MAIN_LOBE_DEG, feed
 from harness.validation.antenna.checks import deviation, difference, row, said_missing, witness, worst
 from harness.validation.antenna.closed_form import (
     directivity_dbi,

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from msgspec import Struct
 
-from antenna.config import AntennaConfig
-from antenna.geometry import ElementsTouch, Snapshot, along, upright
+from antenna.analysis.patterns import Pattern
 from antenna.lab.formations import ideal
-from antenna.patterns import Pattern
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import ElementsTouch, Snapshot, along, upright
 from harness.validation.antenna import near, power
 from harness.validation.antenna.agreement import Case, Compared, differences, formations
 from harness.validation.antenna.checks import difference, row, said_missing, witness, worst

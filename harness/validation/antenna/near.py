@@ -3,10 +3,10 @@
 import numpy as np
 from msgspec import Struct
 
-from antenna.backend import Accuracy
-from antenna.clearance import CREDIBLE
-from antenna.config import AntennaConfig
-from antenna.geometry import Snapshot
+from antenna.model.clearance import CREDIBLE
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import Snapshot
+from antenna.solvers.interface import Accuracy
 from harness.validation.antenna.agreement import (
     COLUMNS,
     LIMITS_DB,

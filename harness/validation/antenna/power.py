@@ -6,10 +6,11 @@ from itertools import product
 import numpy as np
 from msgspec import Struct
 
-from antenna.backend import Accuracy, Backend, make_backend
-from antenna.config import AntennaConfig
-from antenna.geometry import upright
-from antenna.ports import ports
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import upright
+from antenna.solvers.interface import Accuracy, Backend
+from antenna.solvers.ports import ports
+from antenna.solvers.selection import make_backend
 from harness.validation.antenna.agreement import LIMITS_DB, Case, Compared, differences, formations
 from harness.validation.antenna.checks import difference, witness, worst
 from harness.validation.antenna.plan import AntennaPlan

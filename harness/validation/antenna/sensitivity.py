@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from msgspec import Struct
 
-from antenna.backend import make_backend
-from antenna.config import AntennaConfig
-from antenna.geometry import Array, ElementsTouch
 from antenna.lab.formations import Disorder, draws, ideal
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import Array, ElementsTouch
+from antenna.solvers.selection import make_backend
 from harness.validation.antenna.checks import difference, worst
 from harness.validation.antenna.figures import save_sensitivity
 from harness.validation.antenna.ideal import places

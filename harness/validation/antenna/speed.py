@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from antenna.backend import BackendUnavailable
+from antenna.solvers.interface import BackendUnavailable
 from harness.validation.antenna.checks import said_missing
 from harness.validation.antenna.plan import AntennaPlan
 from harness.validation.report import Check, Section, Table

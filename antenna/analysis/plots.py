@@ -13,10 +13,10 @@ from matplotlib.collections import QuadMesh
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 
-from antenna.features import main_lobe
-from antenna.geometry import Array
-from antenna.patterns import HALF_POWER_DB, Pattern
-from antenna.statistics import Envelope, gain_density, gain_statistics, gain_towards_dbi
+from antenna.analysis.features import main_lobe
+from antenna.analysis.patterns import HALF_POWER_DB, Pattern
+from antenna.analysis.statistics import Envelope, gain_density, gain_statistics, gain_towards_dbi
+from antenna.model.geometry import Array
 
 GAIN_RANGE_DBI = (-30.0, 18.0)
 """Colours of a pattern: the article's."""

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from antenna.geometry import Array
+from antenna.model.geometry import Array
 
 Index = NDArray[np.int64]
 Gains = NDArray[np.floating]

@@ -1,20 +1,20 @@
 """NEC2 as backend, through PyNEC: the method of moments on thin wires.
 
 This is the only import of PyNEC, which is optional. PyNEC keeps the interpreter's lock while it computes:
-several cores take several processes, see `antenna.parallel`.
+several cores take several processes, see `antenna.solvers.parallel`.
 """
 
 from typing import Any
 
 import numpy as np
 
-from antenna.backend import BackendUnavailable
-from antenna.clearance import placed_wires_m
-from antenna.config import AntennaConfig
-from antenna.deck import SPEED_OF_LIGHT_M_S, feed
-from antenna.geometry import Array, Snapshot
-from antenna.patterns import directions_deg, from_dbi
-from antenna.witness import Witness
+from antenna.analysis.patterns import directions_deg, from_dbi
+from antenna.model.clearance import placed_wires_m
+from antenna.model.config import AntennaConfig
+from antenna.model.deck import SPEED_OF_LIGHT_M_S, feed
+from antenna.model.geometry import Array, Snapshot
+from antenna.solvers.interface import BackendUnavailable
+from antenna.solvers.nec2_common import Witness
 
 
 class Nec2Unavailable(BackendUnavailable):

@@ -8,7 +8,7 @@ mean(r_i r_j exp(j x.r)) = delta_ij j1(x)/x - x_i x_j / x^2 j2(x).
 import numpy as np
 from scipy.special import spherical_jn
 
-from antenna.geometry import Array, Complex
+from antenna.model.geometry import Array, Complex
 
 
 def mean_intensity(places_m: Array, axes: Array, currents: Complex, k_rad_m: float) -> float:

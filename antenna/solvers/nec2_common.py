@@ -5,11 +5,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Protocol
 
-from antenna.backend import Accuracy
-from antenna.clearance import GROUND, Nearest, check_apart, credible, near_m, placed_wires_m, reach_m
-from antenna.config import AntennaConfig
-from antenna.geometry import Array, ElementsTooNear, ElementsTouch, Snapshot
-from antenna.patterns import FLOOR_DBI, Pattern, decimated, directions_deg, make_pattern, times_finer
+from antenna.analysis.patterns import FLOOR_DBI, Pattern, decimated, directions_deg, make_pattern, times_finer
+from antenna.model.clearance import GROUND, Nearest, check_apart, credible, near_m, placed_wires_m, reach_m
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import Array, ElementsTooNear, ElementsTouch, Snapshot
+from antenna.solvers.interface import Accuracy
 
 SMALL_RAD = 0.3
 """Elements that reach less of the wave's phase radiate so little that NEC2's ground errs."""
@@ -55,7 +55,7 @@ class Witness(ABC):
         """Hand an array to the program."""
 
     def patterns(self, snapshots: Sequence[Snapshot]) -> list[Pattern | ElementsTouch]:
-        """See `antenna.backend.Backend`."""
+        """See `antenna.solvers.interface.Backend`."""
         results: list[Pattern | ElementsTouch] = []
         for snapshot in snapshots:
             try:

@@ -7,8 +7,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from antenna.elements import Element
-from antenna.geometry import Array, ElementsTouch, Snapshot
+from antenna.model.elements import Element
+from antenna.model.geometry import Array, ElementsTouch, Snapshot
 
 SEGMENT_MATCH = 1e-3
 """Wire ends nearer than this part of a segment are one node to NEC2 (User's Guide, structure geometry)."""

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 
-from antenna.geometry import Array, Snapshot
-from antenna.maxima import GainAt, Gains, find_maximum, grid_loss_db
+from antenna.analysis.maxima import GainAt, Gains, find_maximum, grid_loss_db
+from antenna.model.geometry import Array, Snapshot
 
 FLOOR_DBI = -999.99
 """Stands for no gain at all, as in NEC2's tables."""

@@ -13,10 +13,10 @@ from collections.abc import Sequence
 from threading import Thread
 from typing import BinaryIO
 
-from antenna.backend import make_backend
-from antenna.config import AntennaConfig
-from antenna.geometry import ElementsTouch, Snapshot
-from antenna.patterns import Pattern
+from antenna.analysis.patterns import Pattern
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import ElementsTouch, Snapshot
+from antenna.solvers.selection import make_backend
 
 
 class WorkerError(RuntimeError):
@@ -61,7 +61,7 @@ def compute_patterns(
 
 def start_worker() -> "subprocess.Popen[bytes]":
     """Start a worker, which leaves Ctrl-C to its parent and ends when that does, however it does."""
-    command = [sys.executable, "-P", "-m", "antenna.parallel"]
+    command = [sys.executable, "-P", "-m", "antenna.solvers.parallel"]
     return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
 
 

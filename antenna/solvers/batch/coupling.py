@@ -12,12 +12,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from antenna.batch.kind import Kind
-from antenna.batch.moments import ETA_OHM, turn
-from antenna.batch.near import find_near, respond_together
-from antenna.batch.response import NODES
-from antenna.clearance import measure
-from antenna.geometry import Array, Complex
+from antenna.model.clearance import measure
+from antenna.model.geometry import Array, Complex
+from antenna.solvers.batch.kind import Kind
+from antenna.solvers.batch.moments import ETA_OHM, turn
+from antenna.solvers.batch.near import find_near, respond_together
+from antenna.solvers.batch.response import NODES
 
 COUPLING_ACCURACY = 1e-4
 """Relative error aimed at for the coupling of two elements."""
@@ -106,8 +106,8 @@ def solve_arrays(
     """Solve S arrays of n elements: centres (S, n, 3), rotations (S, n, 3, 3), voltages (S, n).
 
     Writes the currents (S, n, K), the power taken from the sources (S,), and which two elements of each array
-    are nearest to each other, (S, 2) and (S,), as `antenna.clearance.measure` does. Where that is no more
-    than the clearance nothing is solved.
+    are nearest to each other, (S, 2) and (S,), as `antenna.model.clearance.measure` does. Where that is no
+    more than the clearance nothing is solved.
     """
     arrays, n = voltages.shape
     kept, levels = len(kind.feed_a), len(kind.firsts) - 1

@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
-from antenna.config import AntennaConfig
-from antenna.deck import Ground, write_deck
-from antenna.geometry import Snapshot
-from antenna.patterns import Pattern
+from antenna.analysis.patterns import Pattern
+from antenna.model.config import AntennaConfig
+from antenna.model.deck import Ground, write_deck
+from antenna.model.geometry import Snapshot
 
 
 def ground_of(config: AntennaConfig) -> Ground | None:

@@ -6,7 +6,7 @@ antenna's frame: of the ideal formation, or of where the vehicles are or believe
 
 import numpy as np
 
-from antenna.geometry import Array, Complex, Voltages
+from antenna.model.geometry import Array, Complex, Voltages
 
 ROW_APART_LAMBDA = 0.05
 """Places nearer to each other along y belong to one row."""

@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from antenna.clearance import SEGMENT_MATCH, placed_wires_m, segment_distance_m
-from antenna.elements import WIRE_LENGTH_M, WIRE_RADIUS_M, Element, Wire
-from antenna.geometry import Array, Snapshot
-from antenna.patterns import directions_deg
+from antenna.analysis.patterns import directions_deg
+from antenna.model.clearance import SEGMENT_MATCH, placed_wires_m, segment_distance_m
+from antenna.model.elements import WIRE_LENGTH_M, WIRE_RADIUS_M, Element, Wire
+from antenna.model.geometry import Array, Snapshot
 
 SPEED_OF_LIGHT_M_S = 299_792_458.0
 _PASSED_OVER = {"CM", "CE", "FR", "RP", "XQ", "PT", "PQ", "NE", "NH"}
@@ -242,8 +242,8 @@ def _check_size(placed: _Placed) -> None:
 def _check_apart(wires: list[_Placed]) -> None:
     """Raise DeckError if two wires touch or cross elsewhere than at an end of both.
 
-    The distance is that of `antenna.clearance.clearance_m`. NEC2 takes overlapping wires for apart, even
-    identical ones, and PyNEC refuses those that cross, at segments' ends too.
+    The distance is that of `antenna.model.clearance.clearance_m`. NEC2 takes overlapping wires for apart,
+    even identical ones, and PyNEC refuses those that cross, at segments' ends too.
     """
     ends_m = np.array([(wire.start_m, wire.end_m) for _, wire, _ in wires])
     middles_m, halves_m = ends_m.mean(axis=1), np.array([0.5 * wire.length_m for _, wire, _ in wires])

@@ -11,9 +11,9 @@ import math
 import numpy as np
 from numba import njit
 
-from antenna.batch.far_field import Single
-from antenna.geometry import Array, Complex
-from antenna.maxima import PEAK_CANDIDATES, grid_loss_db, peaks
+from antenna.analysis.maxima import PEAK_CANDIDATES, grid_loss_db, peaks
+from antenna.model.geometry import Array, Complex
+from antenna.solvers.batch.far_field import Single
 
 ARRIVED_RAD = 1e-5
 """A step that changes a gain by less than 1e-9 of itself, whatever the array."""

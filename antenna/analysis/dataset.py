@@ -15,9 +15,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from antenna.config import AntennaConfig
-from antenna.geometry import ElementsTooNear, ElementsTouch
-from antenna.patterns import FLOOR_DBI, Pattern
+from antenna.analysis.patterns import FLOOR_DBI, Pattern
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import ElementsTooNear, ElementsTouch
 
 FORMAT = "coflight antenna patterns 2"
 NO_ELEMENT = -1

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from antenna.deck import read_element
-from antenna.elements import THIN_WIRE_SLENDERNESS, WIRE_LENGTH_M, WIRE_RADIUS_M, Element, dipole, loop
+from antenna.model.deck import read_element
+from antenna.model.elements import THIN_WIRE_SLENDERNESS, WIRE_LENGTH_M, WIRE_RADIUS_M, Element, dipole, loop
 
 
 class AntennaConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -9,10 +9,10 @@ flows through their sources is exact.
 import numpy as np
 from numba import njit
 
-from antenna.batch.kind import Kind
-from antenna.batch.moments import turn, write_fields
-from antenna.geometry import Array, Complex
-from antenna.maxima import Index
+from antenna.analysis.maxima import Index
+from antenna.model.geometry import Array, Complex
+from antenna.solvers.batch.kind import Kind
+from antenna.solvers.batch.moments import turn, write_fields
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

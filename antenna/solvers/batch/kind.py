@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from antenna.batch.response import respond
-from antenna.clearance import clearance_m, near_m, wire_ends_m
-from antenna.elements import Element
-from antenna.geometry import Array, Complex
+from antenna.model.clearance import clearance_m, near_m, wire_ends_m
+from antenna.model.elements import Element
+from antenna.model.geometry import Array, Complex
+from antenna.solvers.batch.response import respond
 
 
 class Kind(NamedTuple):
@@ -39,7 +39,7 @@ class Kind(NamedTuple):
     radii_m: Array
     """(N,)"""
     spread: Array
-    """(3, N, N) as `antenna.batch.moments.admittance` gives it."""
+    """(3, N, N) as `antenna.solvers.batch.moments.admittance` gives it."""
     admittance_s_m: Complex
     """(N, N) the same."""
     fed: int

@@ -9,17 +9,17 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from antenna.backend import batch_accuracy
-from antenna.batch.coupling import solve_arrays
-from antenna.batch.far_field import VECTOR, Single, radiate
-from antenna.batch.kind import Kind, make_kind
-from antenna.batch.maximum import survey_arrays
-from antenna.batch.moments import ETA_OHM, turn
-from antenna.batch.response import NODES
-from antenna.clearance import credible, reach_m
-from antenna.config import AntennaConfig
-from antenna.geometry import Array, Complex, ElementsTooNear, ElementsTouch, Snapshot
-from antenna.patterns import Pattern, directions_deg, row_weights, times_finer, to_dbi
+from antenna.analysis.patterns import Pattern, directions_deg, row_weights, times_finer, to_dbi
+from antenna.model.clearance import credible, reach_m
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import Array, Complex, ElementsTooNear, ElementsTouch, Snapshot
+from antenna.solvers.batch.accuracy import batch_accuracy
+from antenna.solvers.batch.coupling import solve_arrays
+from antenna.solvers.batch.far_field import VECTOR, Single, radiate
+from antenna.solvers.batch.kind import Kind, make_kind
+from antenna.solvers.batch.maximum import survey_arrays
+from antenna.solvers.batch.moments import ETA_OHM, turn
+from antenna.solvers.batch.response import NODES
 
 FAR_FIELD_NODES = ((0.03, 1), (0.15, 2), (0.5, 4), (1.0, 6), (1.8, 8), (3.3, 12), (8.0, 20), (np.inf, 40))
 """Points of a wire for its far field, by its greatest k times half-length."""
@@ -125,7 +125,7 @@ class Currents(NamedTuple):
     moments: Complex
     """(S, N) scaled so that |sum of moment times axis times e^{jk r.p}|^2 across r is the gain."""
     nearest: NDArray[np.int64]
-    """(S, 2) as `antenna.clearance.measure` gives them."""
+    """(S, 2) as `antenna.model.clearance.measure` gives them."""
     nearest_m: Array
     """(S,)"""
 
@@ -150,7 +150,7 @@ class Batch:
         self._step_deg = float(self.directions.theta_deg[1])
 
     def patterns(self, snapshots: Sequence[Snapshot]) -> list[Pattern | ElementsTouch]:
-        """See `antenna.backend.Backend`; equal whatever the number of threads."""
+        """See `antenna.solvers.interface.Backend`; equal whatever the number of threads."""
         slices = [snapshots[first : first + SLICE] for first in range(0, len(snapshots), SLICE)]
         if self._threads <= 1 or len(slices) <= 1:
             found = [self._of_slice(part) for part in slices]

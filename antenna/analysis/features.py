@@ -9,8 +9,8 @@ from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import label, maximum_filter
 from scipy.optimize import brentq
 
-from antenna.geometry import Array
-from antenna.patterns import HALF_POWER_DB, Pattern, from_dbi
+from antenna.analysis.patterns import HALF_POWER_DB, Pattern, from_dbi
+from antenna.model.geometry import Array
 
 _BEYOND = 3
 """Rows beyond a pole by which a grid is continued on its other side."""

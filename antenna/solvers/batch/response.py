@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from antenna.batch.moments import Segments, admittance
-from antenna.elements import Element
-from antenna.geometry import Array, Complex
+from antenna.model.elements import Element
+from antenna.model.geometry import Array, Complex
+from antenna.solvers.batch.moments import Segments, admittance
 
 NODES = (1, 2, 3, 4, 6, 8, 12, 20, 40)
 """Points of a wire by which fields and currents may be represented."""
@@ -50,7 +50,7 @@ class Response:
     segments: Segments
     """N of them."""
     admittance_s_m: Complex
-    """(N, N) as `antenna.batch.moments.admittance` gives it."""
+    """(N, N) as `antenna.solvers.batch.moments.admittance` gives it."""
     spread: Array
     """(3, N, N) the same."""
 

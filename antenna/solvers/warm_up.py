@@ -5,13 +5,13 @@ What they compute is of no interest, only that they compute it.
 
 import numpy as np
 
-from antenna.backend import make_backend
-from antenna.clearance import NEAR_RAD, check_apart
-from antenna.config import AntennaConfig
-from antenna.geometry import grid, upright
-from antenna.patterns import Pattern
-from antenna.ports import feed
-from antenna.statistics import RunningEnvelope
+from antenna.analysis.patterns import Pattern
+from antenna.analysis.statistics import RunningEnvelope
+from antenna.model.clearance import NEAR_RAD, check_apart
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import grid, upright
+from antenna.solvers.ports import feed
+from antenna.solvers.selection import make_backend
 
 HEIGHT_M = 10.0
 

@@ -2,8 +2,8 @@
 
 By the batch solver, which drives the elements one after the other while the sources of the others are shorts.
 Its currents are the few that one element keeps: those of elements so near that a pattern is solved by all
-segments (`antenna.batch.near`) are projections on them, good to 0.02 dB of gain (four dipoles of half a
-wavelength, two of them a hundredth of one apart; 0.0002 dB for short dipoles).
+segments (`antenna.solvers.batch.near`) are projections on them, good to 0.02 dB of gain (four dipoles of half
+a wavelength, two of them a hundredth of one apart; 0.0002 dB for short dipoles).
 """
 
 from dataclasses import dataclass
@@ -11,12 +11,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from antenna.batch.coupling import solve_arrays
-from antenna.batch.kind import Kind, make_kind
-from antenna.batch.moments import ETA_OHM
-from antenna.config import AntennaConfig
-from antenna.excitation import end_fire, hansen_woodyard, optimum
-from antenna.geometry import Array, Complex, ElementsTouch, Snapshot, Voltages, upright
+from antenna.model.config import AntennaConfig
+from antenna.model.excitation import end_fire, hansen_woodyard, optimum
+from antenna.model.geometry import Array, Complex, ElementsTouch, Snapshot, Voltages, upright
+from antenna.solvers.batch.coupling import solve_arrays
+from antenna.solvers.batch.kind import Kind, make_kind
+from antenna.solvers.batch.moments import ETA_OHM
 
 MAIN_LOBE_DEG = (90.0, 90.0)
 """Theta and phi of +y, for which arrays are fed."""

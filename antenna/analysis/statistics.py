@@ -11,8 +11,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.stats import gaussian_kde
 
-from antenna.geometry import Array
-from antenna.patterns import FLOOR_DBI, Pattern, from_dbi, to_dbi
+from antenna.analysis.patterns import FLOOR_DBI, Pattern, from_dbi, to_dbi
+from antenna.model.geometry import Array
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 LEAST_SPREAD_DB = 1e-3

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from antenna.array_deck import ground_of
-from antenna.backend import BackendUnavailable
-from antenna.config import AntennaConfig
-from antenna.deck import write_deck
-from antenna.geometry import Array, Snapshot
-from antenna.patterns import directions_deg, to_dbi
-from antenna.witness import NoPower, Witness
+from antenna.analysis.patterns import directions_deg, to_dbi
+from antenna.model.array_deck import ground_of
+from antenna.model.config import AntennaConfig
+from antenna.model.deck import write_deck
+from antenna.model.geometry import Array, Snapshot
+from antenna.solvers.interface import BackendUnavailable
+from antenna.solvers.nec2_common import NoPower, Witness
 
 ETA_NEC_OHM = 376.73
 TIMEOUT_S = 120.0
@@ -58,7 +58,7 @@ class FarField:
         self._ground = ground_of(config)
 
     def partial_gains(self, step_deg: float) -> Array:
-        """See `antenna.witness.FarField`; raises Nec2cFailed unless there are as many as were asked for."""
+        """See `nec2_common.FarField`; raises Nec2cFailed unless there are as many gains as directions."""
         theta_deg, phi_deg = directions_deg(step_deg)
         seen = len(theta_deg) if self._ground is None else len(theta_deg) // 2 + 1
         found = self._run(self._cards(step_deg))
@@ -69,7 +69,7 @@ class FarField:
         return gains
 
     def gains_dbi(self, theta_deg: Array, phi_deg: Array) -> Array:
-        """See `antenna.witness.FarField`."""
+        """See `antenna.solvers.nec2_common.FarField`."""
         if self._ground is not None:
             theta_deg = np.minimum(theta_deg, 180.0 - theta_deg)
         asked = [

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from scipy.special import j0, j1
 
-from antenna.geometry import Array, Complex
+from antenna.model.geometry import Array, Complex
 
 ETA_OHM = 376.730313668
 """Impedance of free space."""

@@ -1,0 +1,44 @@
+"""The interface of all antenna solvers: `Backend`, the accuracy it claims, and why it may be unavailable."""
+
+from collections.abc import Sequence
+from enum import StrEnum
+from typing import Protocol
+
+from antenna.analysis.patterns import Pattern
+from antenna.model.geometry import ElementsTouch, Snapshot
+
+
+class BackendUnavailable(ImportError):
+    """What a backend needs is not installed; the text is one line for the user."""
+
+
+class Accuracy(StrEnum):
+    """How far a backend's gains may be from NEC2's on the same wires."""
+
+    REFERENCE = "NEC2 itself"
+    SMALL_ELEMENTS = "within 0.01 dB of NEC2's maximum, and 0.1 dB of its pattern above -20 dBi"
+    LARGE_ELEMENTS = "within 0.05 dB of NEC2's maximum, and 0.3 dB of its pattern above -20 dBi"
+    FAINT_ELEMENTS = (
+        "within 0.01 dB of NEC2's greatest directivity, and 0.1 dB of its pattern but for the power"
+    )
+    LONG_SEGMENTS = "not held against NEC2: segments longer than a tenth of the wavelength"
+    SHORT_SEGMENTS = "not held against NEC2: segments shorter than 8 radii of their wire"
+    WIDE_LOOP = "not held against NEC2: a loop more than a tenth of the wavelength round"
+    COARSE_LOOP = "not held against NEC2: a loop of fewer than 8 sides"
+    LARGE_DECK = "not held against NEC2: a deck of more wire than a sixth of the wavelength"
+    RING_DECK = "not held against NEC2: a deck with a ring of wires"
+    LARGEST_ELEMENTS = "not held against NEC2: elements larger than half the wavelength"
+
+
+class Backend(Protocol):
+    """A solver, set up for one kind of element, one wavelength and one grid.
+
+    It takes many snapshots at once, since some solvers are fast only then.
+    """
+
+    name: str
+    accuracy: Accuracy
+
+    def patterns(self, snapshots: Sequence[Snapshot]) -> list[Pattern | ElementsTouch]:
+        """One result for each snapshot, in order; that of elements that touch is `ElementsTouch`."""
+        ...
