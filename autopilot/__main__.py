@@ -41,7 +41,7 @@ from autopilot.protocol.service import COMPANION, GROUND_STATION, Addressed, Par
 from autopilot.site_plan import PlanError
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Warned, emit, end_with_parent
 from foundation.profiling.profiler import profiled
-from netsim.radio import RadioClient
+from netsim.transport.lockstep_radio import RadioClient
 
 RETRY_S = 0.1
 LINK_PERIOD_US = 20_000

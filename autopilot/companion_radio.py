@@ -9,9 +9,9 @@ from collections.abc import Sequence
 
 from autopilot.mavlink.codec import Encoder, Message
 from autopilot.mavlink.components import APPLICATION_COMPONENT
-from netsim.free_radio import FreeRadio
-from netsim.radio import Deliveries
-from netsim.transport import Transport
+from netsim.transport.asynchronous_radio import FreeRadio
+from netsim.transport.lockstep_radio import Deliveries
+from netsim.transport.zenoh_session import Transport
 from netsim.wire.messages import TxItem
 
 SAID_LIMIT_S = 5.0

@@ -35,7 +35,7 @@ MOST_WAITING = 256
 
 
 class Radio(Protocol):
-    """A vehicle's way to the channel: see `netsim.radio.RadioClient`."""
+    """A vehicle's way to the channel: see `netsim.transport.lockstep_radio.RadioClient`."""
 
     def send(self, now_us: int, items: Sequence[TxItem]) -> None:
         """Hand over transmissions."""

@@ -17,7 +17,7 @@ class RadioSilent(ConnectionError):
 
 
 class EmulatorLine(Protocol):
-    """The way to the emulator: see `netsim.clock_line.ClockLine`."""
+    """The way to the emulator: see `netsim.transport.interval_stream.ClockLine`."""
 
     def send(self, message: Advance) -> None:
         """Ask for an interval."""

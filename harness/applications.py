@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from autopilot.companion_radio import said_key
 from autopilot.mavlink.codec import Parser
 from harness.lockstep import Lockstep
-from netsim.transport import Question, Transport
+from netsim.transport.zenoh_session import Question, Transport
 
 
 @contextlib.contextmanager

@@ -28,7 +28,7 @@ _COMPLETE = "complete"
 _FOLDER = re.compile(r"[0-9a-f]{16}")
 _COMPILERS = {
     "the vehicles'": "from autopilot.rehearsal import rehearse; rehearse()",
-    "the radio's": "from netsim.rehearsal import rehearse; rehearse()",
+    "the radio's": "from netsim.emulator.warm_up import rehearse; rehearse()",
     "the physics'": "from harness.physics.rehearsal import rehearse; rehearse()",
     "the antenna's": "from antenna.solvers.warm_up import rehearse; rehearse()",
 }

@@ -18,8 +18,8 @@ from foundation.processes.child_protocol import Warned
 from foundation.records.record_log import BLOCK_ROWS
 from harness.answers import ANSWER_BYTES, Answers
 from harness.lockstep import CLOSED, Voice
-from netsim.hosted import HostedEmulator
-from netsim.radio import Deliveries, checked
+from netsim.emulator.service import HostedEmulator
+from netsim.transport.lockstep_radio import Deliveries, checked
 from netsim.wire.lockstep import Advance, Advanced
 from netsim.wire.messages import TxBatch, TxItem
 
@@ -28,7 +28,7 @@ NOBODY_LISTENS = (False, False)
 
 
 class LocalRadio:
-    """A vehicle's radio: hands over transmissions and takes what arrived, as `netsim.radio.RadioClient`."""
+    """A vehicle's radio in this process, with the methods of `lockstep_radio.RadioClient`."""
 
     def __init__(self, emulator: HostedEmulator, station: int) -> None:
         self._emulator = emulator
@@ -46,7 +46,7 @@ class LocalRadio:
 
 
 class LocalLine:
-    """The time master's way to the emulator, in place of `netsim.clock_line.ClockLine`: done when asked."""
+    """The emulator as the time master uses it: replaces `netsim.transport.interval_stream.ClockLine`."""
 
     def __init__(self, emulator: HostedEmulator, radios: Sequence[LocalRadio]) -> None:
         self._emulator = emulator

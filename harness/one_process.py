@@ -55,8 +55,8 @@ from harness.scenario import Scenario
 from harness.simulation import Simulation
 from harness.supervisor import Exited, Supervisor
 from harness.swarm import Speed, Swarm
-from netsim.config import ServerConfig
-from netsim.hosted import HostedEmulator
+from netsim.emulator.service import HostedEmulator
+from netsim.model.config import ServerConfig
 
 NAME = "one process"
 """What it is called in manifest and logs."""

@@ -38,7 +38,7 @@ from harness.parts import PARTS
 from harness.patience import Patience
 from harness.run_folder import PhysicsConfig
 from harness.simulation import Simulation, run
-from netsim.clock_line import time_masters_end
+from netsim.transport.interval_stream import time_masters_end
 
 PROGRESS_PERIOD_S = 0.2
 MOST_LAG_S = 0.1

@@ -6,7 +6,7 @@ given a processor. While somebody else works too, all may go where they like: on
 is held where others work would hold up the whole swarm.
 
 The emulator, told by the one processor it may use that it shares it with vehicles, gives way to them between
-its events (`netsim.server`).
+its events (`netsim.transport.server`).
 """
 
 import contextlib

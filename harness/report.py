@@ -29,7 +29,7 @@ from harness.run_folder import RunFolder
 from harness.scenario import Scenario
 from harness.tables import flight_of, write_tables
 from harness.versions import DISTRIBUTIONS, versions
-from netsim.logs import FRAME_LOG, SESSION_LOG
+from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
 
 LOGS = ("events.jsonl", "flight.parquet", "radio.parquet", "ftm.parquet", "air.parquet")
 """What a seed determines, byte for byte, in this order in ``log_sha256``."""

@@ -15,7 +15,7 @@ import msgspec
 from msgspec import Struct
 
 from harness.scenario import Scenario
-from netsim.config import ServerConfig
+from netsim.model.config import ServerConfig
 
 
 class PhysicsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -43,9 +43,9 @@ from harness.physics.environment import EnvironmentConfig
 from harness.refusals import explain
 from harness.sensors.config import SensorsConfig
 from harness.wind import WindConfig
-from netsim import settings as radio_settings
-from netsim.config import RadioConfig
+from netsim.emulator import settings_checks as radio_settings
 from netsim.ftm.stamps import distance_m, round_trip_std_ps
+from netsim.model.config import RadioConfig
 
 _UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 ARRAYS_OF_TABLES = ("faults", "wind.gusts")

@@ -25,7 +25,7 @@ from harness.motion_start import flown_start_us, since_start_s
 from harness.recording import AIR_RECORD, TRUTH_RECORD
 from harness.run_folder import RunFolder
 from harness.scenario import Scenario
-from netsim.logs import FRAME_LOG, SESSION_LOG
+from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
 
 
 def write_tables(

@@ -10,8 +10,8 @@ from foundation.kernels import cache_folder
 if "--supervised" not in sys.argv:  # else the launcher has
     os.environ.update(cache_folder.environment())  # read when numba is imported, which is next
 
-from netsim.server import run
-from netsim.transport import TransportError
+from netsim.transport.server import run
+from netsim.transport.zenoh_session import TransportError
 
 
 def main() -> int:

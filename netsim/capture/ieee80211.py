@@ -11,7 +11,7 @@ from struct import Struct as Layout
 from typing import Protocol, runtime_checkable
 from zlib import crc32
 
-from netsim.frames import DATA_OVERHEAD_BYTES, GROUP, UDP_OVERHEAD_BYTES, Frame, FrameKind
+from netsim.phy.frames import DATA_OVERHEAD_BYTES, GROUP, UDP_OVERHEAD_BYTES, Frame, FrameKind
 
 GROUP_ADDRESS = bytes.fromhex("ffffffffffff")
 NETWORK_ADDRESS = bytes.fromhex("020000010000")

@@ -11,8 +11,8 @@ from netsim.capture.pcapng import (
     section_header,
 )
 from netsim.capture.radiotap import Radiotap
-from netsim.config import RadioConfig
-from netsim.frames import Frame, FrameKind
+from netsim.model.config import RadioConfig
+from netsim.phy.frames import Frame, FrameKind
 from netsim.phy.signals import Transmission
 
 HOLD_NS = 7_000_000

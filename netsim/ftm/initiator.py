@@ -10,9 +10,9 @@ from netsim.ftm.elements import Measurement, Parameters, Request, Status
 from netsim.ftm.negotiation import TIME_UNIT_NS, Schedule, wish
 from netsim.ftm.port import ObservedRequest, Port
 from netsim.ftm.stamps import measured_m
-from netsim.kernel import Event
 from netsim.mac.access import SIFS_NS
 from netsim.mac.jobs import Job, Outcome, Reception
+from netsim.model.event_queue import Event
 
 GRACE_NS = TIME_UNIT_NS + 1_000_000
 """From a session's last moment by its schedule to its end here: the schedule may be early by a time unit, and

@@ -6,7 +6,6 @@ keep in step: simulated time in microseconds.
 
 from msgspec import Struct
 
-from netsim.config import BandwidthMhz, FtmConfig
 from netsim.ftm.elements import (
     BURST_DURATION_CODES,
     BURST_PERIOD_UNIT_MS,
@@ -17,6 +16,7 @@ from netsim.ftm.elements import (
     Parameters,
     Status,
 )
+from netsim.model.config import BandwidthMhz, FtmConfig
 
 TIME_UNIT_NS = 1_024_000
 LEAST_WAIT_NS = 10_000_000

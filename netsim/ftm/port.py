@@ -11,15 +11,15 @@ from typing import Protocol
 
 import numpy as np
 
-from netsim.config import BandwidthMhz, FtmConfig, RadioConfig
-from netsim.frames import DATA_OVERHEAD_BYTES, FrameKind
 from netsim.ftm.elements import Measurement, Request, format_and_bandwidth
 from netsim.ftm.stamps import Clock, arrival_std_ps, frequency_ratio_std, round_trip_std_ps
-from netsim.kernel import EventQueue
 from netsim.mac.jobs import Job, Outcome, Reception, Sender
+from netsim.model.config import BandwidthMhz, FtmConfig, RadioConfig
+from netsim.model.event_queue import EventQueue
+from netsim.model.random_streams import Normals
+from netsim.phy.frames import DATA_OVERHEAD_BYTES, FrameKind
 from netsim.phy.modes import PhyMode, phy_mode
 from netsim.phy.propagation import SPEED_OF_LIGHT_M_S, Trajectories, thermal_noise_mw
-from netsim.streams import Normals
 
 PS_PER_M = 1e12 / SPEED_OF_LIGHT_M_S
 

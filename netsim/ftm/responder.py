@@ -7,8 +7,8 @@ import msgspec
 from netsim.ftm.elements import Measurement, Parameters, Request, Status, error_exponent
 from netsim.ftm.negotiation import Schedule, can_measure, grant, refusal
 from netsim.ftm.port import ObservedRequest, Port
-from netsim.kernel import Event
 from netsim.mac.jobs import Job, Outcome
+from netsim.model.event_queue import Event
 
 HIGHEST_TOKEN = 255
 DEPARTURE_ERROR_EXPONENT = error_exponent(1.0)

@@ -21,7 +21,7 @@ How a request ends, once, with a result over all bursts:
 - ``timeout``: anything else without a round trip by the request's time-out, which a grant moves by the time
   to the beginning of the last burst, or by the end of the session.
 - ``lost``: at least one round trip, and the initiator's host has lost what the radio said of it
-  (``drop_fraction``, `netsim.emulator`).
+  (``drop_fraction``, `netsim.emulator.emulator`).
 
 Left out: location reports. A responder obeys a request to stop; no initiator here sends one.
 """
@@ -30,13 +30,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from netsim.config import RadioConfig
 from netsim.ftm.elements import Measurement, Request
 from netsim.ftm.initiator import Initiator, Ranging, lost
 from netsim.ftm.port import Environment, Port
 from netsim.ftm.responder import Responder
 from netsim.ftm.stamps import Clock
 from netsim.mac.jobs import Reception, Sender
+from netsim.model.config import RadioConfig
 
 __all__ = ["Environment", "FtmRadio", "Ranging", "lost"]
 

@@ -10,7 +10,7 @@ from math import pi, sqrt
 
 import numpy as np
 
-from netsim.config import BandwidthMhz, FtmConfig
+from netsim.model.config import BandwidthMhz, FtmConfig
 from netsim.phy.propagation import SPEED_OF_LIGHT_M_S
 
 FIELD_PS = 2**48

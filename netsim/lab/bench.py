@@ -6,8 +6,8 @@ from math import cos, pi, sin
 import msgspec
 import numpy as np
 
-from netsim.config import RadioConfig
-from netsim.emulator import Emulator
+from netsim.emulator.emulator import Emulator
+from netsim.model.config import RadioConfig
 from netsim.phy.propagation import Vector
 from netsim.wire.messages import RxItem, TxBatch, TxItem
 

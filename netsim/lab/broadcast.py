@@ -7,8 +7,8 @@ sent after uniform jitter.
 import numpy as np
 from msgspec import Struct
 
-from netsim.config import Mode, RadioConfig
 from netsim.lab.bench import CLOSE_M, Bench, ring_ned_m
+from netsim.model.config import Mode, RadioConfig
 from netsim.wire.messages import Broadcast, Delivery
 
 DRAIN_US = 1_000_000

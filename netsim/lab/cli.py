@@ -15,12 +15,12 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from netsim.config import BandwidthMhz, Mode, RadioConfig, ServerConfig
-from netsim.frames import MAX_MSDU_BYTES, UDP_OVERHEAD_BYTES
 from netsim.lab.broadcast import broadcast as run_broadcast
 from netsim.lab.ranging import MeshResult, range_mesh, range_pair
 from netsim.lab.saturation import UNLIMITED, saturate
+from netsim.model.config import BandwidthMhz, Mode, RadioConfig, ServerConfig
 from netsim.phy.errors import packet_error_rate
+from netsim.phy.frames import MAX_MSDU_BYTES, UDP_OVERHEAD_BYTES
 from netsim.phy.modes import phy_mode
 
 FINE, BAD_INPUT, INTERRUPTED = 0, 2, 130

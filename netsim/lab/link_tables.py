@@ -11,8 +11,8 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from netsim.config import Mode
 from netsim.lab.link_level import Link
+from netsim.model.config import Mode
 from netsim.phy.modes import PhyMode, phy_mode
 
 Row = tuple[float, int, int, int]
@@ -40,7 +40,7 @@ Made by ``python scripts/link_tables.py --seed {seed}`` from `netsim.lab.link_le
 after {frames} frames.
 """
 
-from netsim.config import Mode
+from netsim.model.config import Mode
 
 VHT_COUNTS: dict[Mode, tuple[tuple[float, int, int, int], ...]] = {{
     # signal-to-noise ratio in dB, bytes of a frame, frames sent, frames lost

@@ -3,11 +3,11 @@
 import numpy as np
 from msgspec import Struct
 
-from netsim.config import BandwidthMhz, FtmConfig, Mode, RadioConfig
-from netsim.frames import FrameKind
+from netsim.emulator.records import FrameRecord
 from netsim.lab.bench import HEIGHT_M, Bench, ring_ned_m
 from netsim.mac.access import EDCA, SIFS_NS, SLOT_NS
-from netsim.records import FrameRecord
+from netsim.model.config import BandwidthMhz, FtmConfig, Mode, RadioConfig
+from netsim.phy.frames import FrameKind
 from netsim.wire.messages import FtmRequest, FtmResult
 
 STEP_US = 1_000

@@ -3,14 +3,14 @@
 G. Bianchi, "Performance analysis of the IEEE 802.11 distributed coordination function", IEEE JSAC, 2000.
 Stations send datagrams to one more station, the sink, by DCF at 6 Mbit/s control, all in range, none stronger
 than another, no channel errors. Frames are repeated without limit, as in the model; the emulator's own limit
-is `netsim.config.RadioConfig.retry_limit`.
+is `netsim.model.config.RadioConfig.retry_limit`.
 """
 
 from msgspec import Struct
 
-from netsim.config import Mode, RadioConfig
-from netsim.frames import FrameKind
 from netsim.lab.bench import CLOSE_M, Bench, ring_ned_m
+from netsim.model.config import Mode, RadioConfig
+from netsim.phy.frames import FrameKind
 from netsim.wire.messages import Sent, Unicast
 
 STEP_US = 5_000

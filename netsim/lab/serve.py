@@ -7,9 +7,9 @@ import time
 
 import msgspec
 
-from netsim.config import GuestConfig, RadioConfig, ServerConfig
 from netsim.lab.bench import ring_ned_m
-from netsim.server import Server
+from netsim.model.config import GuestConfig, RadioConfig, ServerConfig
+from netsim.transport.server import Server
 from netsim.wire.lockstep import Advance
 
 STEP_US = 4_000

@@ -5,7 +5,7 @@ Source: IEEE 802.11-2016, 10.3.4 (DCF) and 10.22.2 (EDCA); 5 GHz OFDM timing of 
 
 from msgspec import Struct
 
-from netsim.frames import ACK_BYTES
+from netsim.phy.frames import ACK_BYTES
 from netsim.phy.modes import phy_mode
 
 SLOT_NS = 9_000

@@ -1,16 +1,16 @@
 """How long frames and exchanges of them take.
 
-The functions are compiled and work on `netsim.tables.Air`.
+The functions are compiled and work on `netsim.model.tables.Air`.
 """
 
 from numba import njit
 
-from netsim import columns as c
-from netsim import tables as t
-from netsim.frames import ACK_BYTES, CTS_BYTES, GROUP, RTS_BYTES
 from netsim.mac.access import SIFS_NS
+from netsim.model import columns as c
+from netsim.model import tables as t
+from netsim.model.tables import Air
+from netsim.phy.frames import ACK_BYTES, CTS_BYTES, GROUP, RTS_BYTES
 from netsim.phy.modes import SERVICE_AND_TAIL_BITS, SYMBOL_NS, VHT_DELIMITER_BYTES
-from netsim.tables import Air
 
 
 @njit(cache=True)

@@ -12,18 +12,18 @@ counts its last backoff down.
 A frame whose lifetime is over leaves its queue at once, from any place in it and however long the medium
 stays busy; only an exchange that has begun goes on to its end.
 
-The functions are compiled and work on `netsim.tables.Air`. What is said at access, and what follows from it,
-is `netsim.mac.station`'s.
+The functions are compiled and work on `netsim.model.tables.Air`. What is said at access, and what follows
+from it, is `netsim.mac.station`'s.
 """
 
 from numba import njit
 
-from netsim import columns as c
-from netsim import tables as t
-from netsim.events import schedule
-from netsim.kernel import NEVER_NS
 from netsim.mac.access import CCA_NS, EIFS_EXTRA_NS, SLOT_NS
-from netsim.tables import Air, call, draw_backoff
+from netsim.model import columns as c
+from netsim.model import tables as t
+from netsim.model.event_queue import NEVER_NS
+from netsim.model.events import schedule
+from netsim.model.tables import Air, call, draw_backoff
 
 # --- queues
 
@@ -271,7 +271,7 @@ def _plan(air: Air, q: int, base_ns: int) -> None:
 
 @njit(cache=True)
 def win(air: Air, q: int) -> int:
-    """Have a queue get the access that it planned; returns the queue that does, or `netsim.columns.NOTHING`.
+    """Have a queue get the access that it planned; returns the queue that does, or `columns.NOTHING`.
 
     It may be another of the same station, before which it has to stand back.
     """

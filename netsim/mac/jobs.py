@@ -6,8 +6,8 @@ from typing import Protocol
 
 from msgspec import Struct
 
-from netsim.frames import FrameKind
 from netsim.mac.rates import RateControl
+from netsim.phy.frames import FrameKind
 from netsim.phy.modes import PhyMode
 
 

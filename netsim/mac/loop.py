@@ -7,21 +7,21 @@ in which it happens: what the layers above make of it then comes behind all that
 import numpy as np
 from numba import njit
 
-from netsim import columns as c
-from netsim import tables as t
-from netsim.borrowed import borrowed
-from netsim.events import drop_next, is_off
-from netsim.frames import GROUP
 from netsim.mac import station as mac
+from netsim.mac.borrowed import borrowed
 from netsim.mac.channel import contend, is_full, on_deadline
+from netsim.model import columns as c
+from netsim.model import tables as t
+from netsim.model.events import drop_next, is_off
+from netsim.model.tables import Air, Integers, end_signal
 from netsim.phy import medium, sensing
+from netsim.phy.frames import GROUP
 from netsim.phy.path_loss import Doubles
-from netsim.tables import Air, Integers, end_signal
 
 # Why `run` comes back.
 REACHED, TELLS, WANTS_BUDGET, WANTS_MODE, WANTS_ROOM = range(5)
-"""It is through; has calls to be told; lacks the link budget of the station `netsim.columns.WANTED`, which
-sends now; the mode of the next frame of the queue `netsim.columns.DUE`; draws or free rows."""
+"""It is through; has calls to be told; lacks the link budget of the station `columns.WANTED`, which
+sends now; the mode of the next frame of the queue `columns.DUE`; draws or free rows."""
 
 # What becomes of a job in `enqueue`.
 TAKEN, REFUSED, LACKS_ROOM = range(3)

@@ -10,24 +10,24 @@ from typing import Protocol
 
 import numpy as np
 
-from netsim import columns as c
-from netsim import tables as t
-from netsim.config import RadioConfig
-from netsim.events import schedule
-from netsim.frames import Frame
-from netsim.kernel import NEVER_NS, EventQueue
 from netsim.mac import loop
 from netsim.mac.access import AccessParameters
-from netsim.mac.beginning import silent_air
-from netsim.mac.bursts import Bursts
+from netsim.mac.initial_state import silent_air
+from netsim.mac.interference import Bursts
 from netsim.mac.jobs import GroupReception, Job, OnGroupFrame, Outcome, Reception, Upper
-from netsim.mac.observed import KINDS, transmission_of
+from netsim.mac.observations import KINDS, transmission_of
+from netsim.model import columns as c
+from netsim.model import tables as t
+from netsim.model.config import RadioConfig
+from netsim.model.event_queue import NEVER_NS, EventQueue
+from netsim.model.events import schedule
+from netsim.model.random_streams import Model, Streams, Uniforms
+from netsim.model.tables import Air, Integers
 from netsim.phy.fading import RicianFading
+from netsim.phy.frames import Frame
 from netsim.phy.path_loss import Doubles
 from netsim.phy.propagation import LinkRow
 from netsim.phy.signals import Transmission
-from netsim.streams import Model, Streams, Uniforms
-from netsim.tables import Air, Integers
 
 KIND_ROWS = {kind: row for row, kind in enumerate(KINDS)}
 OUTCOMES = list(Outcome)
@@ -51,7 +51,7 @@ class LinkBudgets(Protocol):
 
 
 class Radios:
-    """Stations that contend for one medium; see `netsim.channels.Channel`.
+    """Stations that contend for one medium; see `netsim.emulator.channels.Channel`.
 
     ``on_ended`` is told of every frame that has ended everywhere.
     """
@@ -201,7 +201,7 @@ class Radios:
         return self._tables.counts.copy()
 
     def take_frames(self) -> Integers:
-        """Give the frames that have ended since the last call: see `netsim.records`."""
+        """Give the frames that have ended since the last call: see `netsim.emulator.records`."""
         self._put_records_aside()
         taken, self._taken = self._taken, []
         return taken[0] if len(taken) == 1 else np.concatenate(taken)
@@ -214,18 +214,18 @@ class Radios:
     # --- the air's events
 
     def next_ns(self) -> int:
-        """See `netsim.kernel.Machine`."""
+        """See `netsim.model.event_queue.Machine`."""
         return int(loop.next_ns(self._air, NEVER_NS))
 
     def begin(self) -> None:
-        """See `netsim.kernel.Machine`."""
+        """See `netsim.model.event_queue.Machine`."""
         version = self._links.version
         if version != self._links_version:
             self._links_version = version
             self._tables.budgets[:, c.BUDGET_UNTIL] = -1
 
     def run(self, until_ns: int, until_order: int) -> bool:
-        """See `netsim.kernel.Machine`."""
+        """See `netsim.model.event_queue.Machine`."""
         queue, head = self._queue, self._head
         head[c.NOW], head[c.SCHEDULED] = queue.now_ns, queue.scheduled
         while (why := loop.run(self._air, self._fading_block, until_ns, until_order)) != loop.REACHED:

@@ -11,10 +11,10 @@ from typing import Annotated, NamedTuple, Protocol, get_args
 
 from msgspec import Meta, Struct
 
-from netsim.config import BandwidthMhz, Mode, RadioConfig, StationConfig
-from netsim.frames import ACK_BYTES
+from netsim.model.config import BandwidthMhz, Mode, RadioConfig, StationConfig
+from netsim.model.random_streams import Model, Streams, Uniforms
+from netsim.phy.frames import ACK_BYTES
 from netsim.phy.modes import PhyMode, phy_mode, response_mode
-from netsim.streams import Model, Streams, Uniforms
 
 OVERHEAD_NS = 34_000 + 67_500 + 16_000
 """Share of an exchange that no mode shortens: DIFS, the mean of the smallest backoff, SIFS."""

@@ -14,22 +14,22 @@ At the retry limit the window falls back to its smallest (10.3.3). A frame that 
 
 Left out: fragmentation, power save, aggregation, block acknowledgement, CF-End.
 
-The functions are compiled and work on `netsim.tables.Air`.
+The functions are compiled and work on `netsim.model.tables.Air`.
 """
 
 from numba import njit
 
-from netsim import columns as c
-from netsim import tables as t
-from netsim.events import schedule
-from netsim.frames import ACK_BYTES, CTS_BYTES, GROUP, RTS_BYTES
 from netsim.mac.access import CCA_NS, SIFS_NS, SLOT_NS
 from netsim.mac.airtime import answer_ns, cts_ns, data_ns, duration_ns, exchange_ns
 from netsim.mac.channel import drop_expired, fail, freeze, give_up, resume, succeeded, unwatch, win
+from netsim.model import columns as c
+from netsim.model import tables as t
+from netsim.model.events import schedule
+from netsim.model.tables import Air, call, take_signal
 from netsim.phy import medium
+from netsim.phy.frames import ACK_BYTES, CTS_BYTES, GROUP, RTS_BYTES
 from netsim.phy.modes import NON_HT_PREAMBLE_NS
 from netsim.phy.path_loss import Doubles
-from netsim.tables import Air, call, take_signal
 
 RESPONSE_TIMEOUT_NS = SIFS_NS + SLOT_NS + NON_HT_PREAMBLE_NS
 """From the end of a frame to the moment at which its CTS or ACK must have begun (10.3.2.9)."""
@@ -45,7 +45,7 @@ IDLE, AWAITING_CTS, SENDING, AWAITING_ACK = range(4)
 
 @njit(cache=True)
 def sender(air: Air, what: int, about: int) -> int:
-    """Give the station that sends at an event now; `netsim.columns.NOTHING` if it cannot any more.
+    """Give the station that sends at an event now; `netsim.model.columns.NOTHING` if it cannot any more.
 
     The event is the frame itself of an exchange, or one that is nobody's job. Since it was planned a station
     may have given up the one, and fallen silent or begun to send another instead of the other.

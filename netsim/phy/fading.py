@@ -23,8 +23,8 @@ from math import cos, pi, sin, sqrt
 import numpy as np
 from numba import njit
 
+from netsim.model.random_streams import Model, Streams
 from netsim.phy.path_loss import SPEED_OF_LIGHT_M_S, Doubles
-from netsim.streams import Model, Streams
 
 SECTORS = 8
 """Angles of a link, as many as Zheng and Xiao find sufficient; it has twice as many waves."""

@@ -6,7 +6,7 @@ nothing and answers nobody.
 
 import numpy as np
 
-from netsim.config import InterfererConfig
+from netsim.model.config import InterfererConfig
 
 LONGEST_NS = 1e18
 

@@ -14,23 +14,23 @@ Left out: adjacent channels; secondary channels, as every frame occupies the who
 than SIFS (4.8 km), beyond which 802.11's own timing fails and nobody hears anybody; and giving up a frame
 whose signal field failed: its receiver stays with it until it ends in errors.
 
-The functions are compiled and work on `netsim.tables.Air`. Whose MAC has to hear of something is for the
-caller to see: in ``told``, or in ``fates`` and ``upsets``.
+The functions are compiled and work on `netsim.model.tables.Air`. Whose MAC has to hear of something is for
+the caller to see: in ``told``, or in ``fates`` and ``upsets``.
 """
 
 from math import inf
 
 from numba import njit
 
-from netsim import columns as c
-from netsim import tables as t
-from netsim.events import schedule
-from netsim.frames import GROUP
+from netsim.model import columns as c
+from netsim.model import tables as t
+from netsim.model.events import schedule
+from netsim.model.tables import Air, Integers, draw_reception, end_signal, let_go
 from netsim.phy.fading import fade
+from netsim.phy.frames import GROUP
 from netsim.phy.path_loss import Doubles
 from netsim.phy.sensing import begin_sending, end_sending, energy_until_ns, occupy
 from netsim.phy.survival import alone, among_others, clean_mw
-from netsim.tables import Air, Integers, draw_reception, end_signal, let_go
 
 PREAMBLE_DETECTION_NS = 4_000
 PREAMBLE_SINR = 10.0**0.4
@@ -39,7 +39,7 @@ CAPTURE_RATIO = 10.0**0.5
 """A later frame takes over a receiver that is in an earlier frame's preamble if it is 5 dB stronger."""
 CAPTURE_WINDOW_NS = 16_000
 FRAMES, BURSTS = 0, 1
-"""Rows of `netsim.tables.on_air`."""
+"""Rows of `netsim.model.tables.on_air`."""
 
 
 @njit(cache=True)
@@ -335,7 +335,7 @@ def drop_reservation(air: Air, r: int, end_here_ns: int, until_ns: int) -> bool:
 
 @njit(cache=True)
 def loudest(air: Air, station: int, oldest_ns: int, turn: int) -> int:
-    """Who is heard loudest by a station since ``oldest_ns``; `netsim.columns.NOTHING` if nobody is.
+    """Who is heard loudest by a station since ``oldest_ns``; `netsim.model.columns.NOTHING` if nobody is.
 
     ``turn`` counts through all of them, in order of falling power and then of their numbers, again and again.
     """

@@ -7,7 +7,7 @@ from functools import cache
 
 from msgspec import Struct
 
-from netsim.config import BandwidthMhz, Mode
+from netsim.model.config import BandwidthMhz, Mode
 
 SYMBOL_NS = 4_000
 NON_HT_PREAMBLE_NS = 20_000

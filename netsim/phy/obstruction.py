@@ -11,8 +11,8 @@ from bisect import bisect_right
 
 import numpy as np
 
-from netsim.kernel import NEVER_NS
-from netsim.streams import Model, Streams
+from netsim.model.event_queue import NEVER_NS
+from netsim.model.random_streams import Model, Streams
 
 LONGEST_NS = 1e18
 """Mean time beyond which it makes no difference, 30 years."""

@@ -5,7 +5,8 @@ Gains are against isotropic antennas in free space over the reference distance o
 
 import numpy as np
 
-from netsim.config import RadioConfig
+from netsim.model.config import RadioConfig
+from netsim.model.random_streams import Streams
 from netsim.phy.antenna import direct_coupling, reflected_coupling, unpolarised_source_coupling
 from netsim.phy.path_loss import (
     REFERENCE_DISTANCE_M,
@@ -18,7 +19,6 @@ from netsim.phy.path_loss import (
     two_ray_gain,
 )
 from netsim.phy.shadowing import Shadowing
-from netsim.streams import Streams
 
 ALL = slice(None)
 """Every station as a source."""

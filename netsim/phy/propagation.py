@@ -12,15 +12,15 @@ from msgspec import Struct
 from numba import njit
 from numpy.typing import ArrayLike
 
-from netsim.config import RadioConfig
-from netsim.kernel import NEVER_NS
+from netsim.model.config import RadioConfig
+from netsim.model.event_queue import NEVER_NS
+from netsim.model.random_streams import Streams
+from netsim.model.tables import Integers
 from netsim.phy.antenna import body_z_ned
 from netsim.phy.fading import RicianFading
 from netsim.phy.obstruction import Obstruction
 from netsim.phy.path_gain import ALL, PathGain
 from netsim.phy.path_loss import REFERENCE_DISTANCE_M, SPEED_OF_LIGHT_M_S, Doubles, Vector, friis_loss_db
-from netsim.streams import Streams
-from netsim.tables import Integers
 
 __all__ = [
     "SPEED_OF_LIGHT_M_S",

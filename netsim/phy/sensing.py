@@ -11,9 +11,9 @@ whole channel, which is more alert than the standard asks of wide channels.
 import numpy as np
 from numba import njit
 
-from netsim import columns as c
-from netsim import tables as t
-from netsim.tables import Air, Integers
+from netsim.model import columns as c
+from netsim.model import tables as t
+from netsim.model.tables import Air, Integers
 
 
 @njit(cache=True)

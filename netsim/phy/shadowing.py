@@ -16,8 +16,8 @@ from math import pi
 
 import numpy as np
 
+from netsim.model.random_streams import Model, Streams
 from netsim.phy.path_loss import Doubles
-from netsim.streams import Model, Streams
 
 WAVES = 64
 _Waves = tuple[Doubles, Doubles, Doubles, Doubles]

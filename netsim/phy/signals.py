@@ -1,6 +1,6 @@
 """A frame on the air as whoever watches the whole channel sees it."""
 
-from netsim.frames import Frame
+from netsim.phy.frames import Frame
 from netsim.phy.path_loss import Doubles
 from netsim.phy.propagation import LinkRow
 

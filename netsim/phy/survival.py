@@ -1,6 +1,6 @@
 """Whether a frame survives noise and interference: chunks of constant ratio, whose hazards add.
 
-Compiled, over `netsim.tables.Air`; the signal fields go at the lowest rate, which is mode 0.
+Compiled, over `netsim.model.tables.Air`; the signal fields go at the lowest rate, which is mode 0.
 """
 
 from math import exp
@@ -8,11 +8,11 @@ from math import exp
 import numpy as np
 from numba import njit
 
-from netsim import columns as c
-from netsim import tables as t
+from netsim.model import columns as c
+from netsim.model import tables as t
+from netsim.model.tables import Air
 from netsim.phy.errors import hazard_per_bit
 from netsim.phy.modes import NON_HT_PREAMBLE_NS
-from netsim.tables import Air
 
 SIGNAL_MODE = 0
 """The row of modes that L-SIG goes in, 6 Mbit/s."""

@@ -5,7 +5,7 @@ Made by ``python scripts/link_tables.py --seed 1`` from `netsim.lab.link_level`:
 after 20000 frames.
 """
 
-from netsim.config import Mode
+from netsim.model.config import Mode
 
 VHT_COUNTS: dict[Mode, tuple[tuple[float, int, int, int], ...]] = {
     # signal-to-noise ratio in dB, bytes of a frame, frames sent, frames lost

@@ -1,8 +1,8 @@
 """What the time master tells the emulator and the vehicles so that they keep step.
 
-The emulator hears of an interval by messages over a line of its own (`netsim.clock_line`), whose two ends are
-of one run and so of one version. The vehicles' batches go another way than the step's messages, and two bits
-of the simulator's link tell who waits for one that it comes.
+The emulator hears of an interval by messages over a line of its own (`netsim.transport.interval_stream`),
+whose two ends are of one run and so of one version. The vehicles' batches go another way than the step's
+messages, and two bits of the simulator's link tell who waits for one that it comes.
 """
 
 from typing import Annotated
@@ -65,7 +65,7 @@ class Advanced(Struct, frozen=True, kw_only=True, array_like=True):
     delivered: tuple[Station, ...] = ()
     """Vehicles that get a batch for the interval's ``release_us``, and have to be told."""
     missing: tuple[Station, ...] = ()
-    """Senders whose batches have not come within `netsim.clock_line.BATCH_LIMIT_S`."""
+    """Senders whose batches have not come within `netsim.transport.interval_stream.BATCH_LIMIT_S`."""
 
 
 def pack_rows(matrix: NDArray[np.float64]) -> Rows:

@@ -6,7 +6,7 @@ from autopilot import parts as vehicle_parts
 from foundation.profiling.profiler import REST, THREADS
 from harness import parts as physics_parts
 from harness.swarm import Swarm
-from netsim import parts as radio_parts
+from netsim.transport import profile_groups as radio_parts
 
 pytestmark = pytest.mark.multiprocess
 SECONDS = 3.0

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from netsim.capture.writer import Capture
-from netsim.config import RadioConfig
-from netsim.emulator import Emulator
+from netsim.emulator.emulator import Emulator
 from netsim.ftm.elements import Request, Status
+from netsim.model.config import RadioConfig
 from netsim.wire.messages import Broadcast, FtmRequest, TxBatch
 
 pytestmark = [

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from netsim.guest import Guest
-from netsim.radio import RadioLost
-from netsim.transport import Transport, TransportError
+from netsim.transport.guest import Guest
+from netsim.transport.lockstep_radio import RadioLost
+from netsim.transport.zenoh_session import Transport, TransportError
 from netsim.wire.messages import Delivery, FtmResult, Sent
 
 pytestmark = pytest.mark.multiprocess
@@ -147,7 +147,7 @@ def test_an_emulator_that_has_ended_is_noticed_by_who_only_listens():
 
 LISTENER = """
 import signal, sys
-from netsim.guest import Guest
+from netsim.transport.guest import Guest
 radio = Guest(sys.argv[1], name=sys.argv[2])
 print("here", flush=True)
 signal.pause()

@@ -16,14 +16,14 @@ import pytest
 
 from foundation.processes.child_protocol import Stop
 from foundation.records.record_log import read
-from netsim.clock_line import time_masters_end
-from netsim.config import RadioConfig
-from netsim.free_radio import FreeRadio
-from netsim.hosted import HostedEmulator
-from netsim.logs import FRAME_LOG
-from netsim.radio import MOST_ITEMS, RadioClient, RadioLost, receive_key, transmit_key
-from netsim.server import ServerConfig
-from netsim.transport import Transport, TransportError
+from netsim.emulator.log_layout import FRAME_LOG
+from netsim.emulator.service import HostedEmulator
+from netsim.model.config import RadioConfig
+from netsim.transport.asynchronous_radio import FreeRadio
+from netsim.transport.interval_stream import time_masters_end
+from netsim.transport.lockstep_radio import MOST_ITEMS, RadioClient, RadioLost, receive_key, transmit_key
+from netsim.transport.server import ServerConfig
+from netsim.transport.zenoh_session import Transport, TransportError
 from netsim.wire.lockstep import Advance, pack_rows
 from netsim.wire.messages import (
     Ack,
@@ -116,7 +116,7 @@ class Radio:
 
 SENDER = """
 import sys
-from netsim.radio import RadioClient
+from netsim.transport.lockstep_radio import RadioClient
 from netsim.wire.messages import Broadcast
 client = RadioClient(endpoint=sys.argv[1], run_id=sys.argv[2], station=int(sys.argv[3]))
 print("here", flush=True)
@@ -354,7 +354,7 @@ def test_what_no_station_can_send_is_said_by_who_would_send_it(radio):
 
 
 def test_a_delivery_that_does_not_come_is_a_lost_radio(radio, monkeypatch):
-    monkeypatch.setattr("netsim.radio.ANSWER_LIMIT_S", 0.2)
+    monkeypatch.setattr("netsim.transport.lockstep_radio.ANSWER_LIMIT_S", 0.2)
     with (
         contextlib.closing(radio.client(0)) as client,
         pytest.raises(RadioLost, match=r"station 0: the 802\.11 emulator does not deliver"),

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from netsim.transport import LONGEST_DIRECT_BYTES, Question, Transport
+from netsim.transport.zenoh_session import LONGEST_DIRECT_BYTES, Question, Transport
 
 pytestmark = pytest.mark.multiprocess
 
@@ -86,7 +86,7 @@ def test_who_waits_for_what_does_not_come_waits_that_long():
 
 SENDER = """
 import os, signal, sys
-from netsim.transport import Transport
+from netsim.transport.zenoh_session import Transport
 sender = Transport.connect(sys.argv[1], direct=True)
 letters = sender.sender("test/letters")
 sender.asker("test/nobody", timeout_s=5.0).ask(b"").answer()

@@ -5,17 +5,17 @@ from itertools import chain
 
 import numpy as np
 
-from netsim.config import Mode, RadioConfig
-from netsim.frames import GROUP, FrameKind
-from netsim.kernel import EventQueue
 from netsim.mac.access import DCF, AccessParameters
 from netsim.mac.jobs import GroupReception, Job, Outcome, Reception
 from netsim.mac.radios import Radios
 from netsim.mac.rates import RateControl
+from netsim.model.config import Mode, RadioConfig
+from netsim.model.event_queue import EventQueue
+from netsim.model.random_streams import Streams, Uniforms
+from netsim.phy.frames import GROUP, FrameKind
 from netsim.phy.modes import phy_mode
 from netsim.phy.propagation import LinkRow
 from netsim.phy.signals import Transmission
-from netsim.streams import Streams, Uniforms
 
 UNHEARD_DBM = -200.0
 A, B, C, D = range(4)

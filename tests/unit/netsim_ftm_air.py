@@ -5,20 +5,20 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 from netsim_air import UNHEARD_DBM, GivenBackoffs, GivenLinks
 
-from netsim.config import FtmConfig, RadioConfig
-from netsim.frames import DATA_OVERHEAD_BYTES, FrameKind
 from netsim.ftm.elements import Measurement, Request
 from netsim.ftm.initiator import Ranging
 from netsim.ftm.session import FtmRadio
 from netsim.ftm.stamps import Clock
-from netsim.kernel import EventQueue
 from netsim.mac.access import EDCA
 from netsim.mac.jobs import Job, Reception
 from netsim.mac.radios import Radios
+from netsim.model.config import FtmConfig, RadioConfig
+from netsim.model.event_queue import EventQueue
+from netsim.model.random_streams import Model, Streams
+from netsim.phy.frames import DATA_OVERHEAD_BYTES, FrameKind
 from netsim.phy.modes import phy_mode
 from netsim.phy.propagation import LinkRow, Trajectories
 from netsim.phy.signals import Transmission
-from netsim.streams import Model, Streams
 
 A, B, C = range(3)
 Interval = tuple[int, int]

@@ -4,7 +4,7 @@ import struct
 
 import numpy as np
 
-from netsim.frames import GROUP, Frame, FrameKind
+from netsim.phy.frames import GROUP, Frame, FrameKind
 from netsim.phy.modes import phy_mode
 from netsim.phy.propagation import LinkRow
 from netsim.phy.signals import Transmission

@@ -4,8 +4,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from netsim.config import RadioConfig
-from netsim.emulator import Emulator
+from netsim.emulator.emulator import Emulator
+from netsim.model.config import RadioConfig
 from netsim.phy.path_loss import Doubles
 from netsim.phy.signals import Transmission
 from netsim.wire.messages import Broadcast, FtmRequest, RxItem, Survey, TxBatch, TxItem, Unicast

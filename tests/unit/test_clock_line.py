@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from netsim.clock_line import ClockLine, emulators_end, time_masters_end
+from netsim.transport.interval_stream import ClockLine, emulators_end, time_masters_end
 from netsim.wire.lockstep import Advance, Advanced, pack_rows
 
 STATIONS = 3_000

@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 from netsim.__main__ import main as serve_run
-from netsim.config import FtmConfig, RadioConfig
 from netsim.lab.bench import HEIGHT_M, Bench
 from netsim.lab.broadcast import broadcast
 from netsim.lab.cli import main
 from netsim.lab.ranging import range_mesh, range_pair
 from netsim.lab.saturation import saturate
+from netsim.model.config import FtmConfig, RadioConfig
 from netsim.wire.messages import FtmRequest, FtmResult
 
 REFERENCE = Path(__file__).parents[1] / "reference"

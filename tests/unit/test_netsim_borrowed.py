@@ -5,7 +5,7 @@ import sys
 import numpy as np
 from numba import njit
 
-from netsim.borrowed import borrowed
+from netsim.mac.borrowed import borrowed
 
 
 @njit

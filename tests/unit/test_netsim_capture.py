@@ -18,9 +18,9 @@ from netsim_swarm import Swarm
 
 from netsim.capture.ieee80211 import mpdu
 from netsim.capture.writer import CHUNK_BYTES, HOLD_NS, WRITE_PERIOD_NS, Capture
-from netsim.config import RadioConfig, StationConfig
-from netsim.frames import Frame, FrameKind
 from netsim.mac.access import EDCA
+from netsim.model.config import RadioConfig, StationConfig
+from netsim.phy.frames import Frame, FrameKind
 from netsim.phy.modes import phy_mode
 
 CONFIG = RadioConfig(bandwidth_mhz=20)

@@ -10,7 +10,7 @@ from netsim_pcapng import OFDM24, datagram, radiotap
 
 from netsim.capture.ieee80211 import NETWORK_ADDRESS, UDP_PORT, address, mpdu
 from netsim.capture.radiotap import Radiotap
-from netsim.frames import ACK_BYTES, CTS_BYTES, GROUP, RTS_BYTES, Frame, FrameKind
+from netsim.phy.frames import ACK_BYTES, CTS_BYTES, GROUP, RTS_BYTES, Frame, FrameKind
 from netsim.phy.modes import phy_mode
 
 NON_HT = [f"ofdm{rate}" for rate in (6, 9, 12, 18, 24, 36, 48, 54)]

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from netsim_swarm import STEP_US, Swarm
 
-from netsim.config import FtmConfig
-from netsim.emulator import NOTHING_PENDING_US
+from netsim.emulator.emulator import NOTHING_PENDING_US
+from netsim.model.config import FtmConfig
 from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult, TxBatch
 
 FORMATION = [(2.5 * (i // 4), 8.5 * (i % 4), -20.0) for i in range(8)]

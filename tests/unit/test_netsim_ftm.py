@@ -11,7 +11,6 @@ import pytest
 from netsim_ftm_air import FtmAir
 from netsim_swarm import Swarm
 
-from netsim.config import FtmConfig
 from netsim.ftm.stamps import (
     FIELD_PS,
     Clock,
@@ -21,6 +20,7 @@ from netsim.ftm.stamps import (
     measured_m,
     round_trip_std_ps,
 )
+from netsim.model.config import FtmConfig
 from netsim.wire.messages import FtmResult
 
 BOTH_WAYS = ((1, 0), (0, 1))

@@ -3,7 +3,6 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from netsim.config import FtmConfig
 from netsim.ftm.elements import Parameters, Request, Status, decode
 from netsim.ftm.negotiation import (
     LEAST_WAIT_NS,
@@ -16,6 +15,7 @@ from netsim.ftm.negotiation import (
     refusal,
     wish,
 )
+from netsim.model.config import FtmConfig
 
 DURATIONS_US = [250 << k for k in range(10)]
 CONFIGS = st.builds(

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from netsim_ftm_air import A, B, C, FtmAir
 
-from netsim.config import FtmConfig
 from netsim.ftm.elements import Measurement, Parameters, Request, Status
+from netsim.model.config import FtmConfig
 
 SLOT_US, SIFS_US, AIFS_US = 9, 16, 34
 REQUEST_US, TRIGGER_US, FIRST_US, FRAME_US, ACK_US = 36, 32, 44, 40, 28

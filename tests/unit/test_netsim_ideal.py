@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from netsim_swarm import STEP_US, Swarm
 
-from netsim.config import FtmConfig, InterfererConfig, StationConfig
-from netsim.emulator import NOTHING_PENDING_US
+from netsim.emulator.emulator import NOTHING_PENDING_US
+from netsim.model.config import FtmConfig, InterfererConfig, StationConfig
 from netsim.phy.modes import phy_mode
 from netsim.wire.messages import Delivery, FtmResult, Sent
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from netsim.kernel import NEVER_NS, EventQueue
-from netsim.streams import Model, Normals, Streams, Uniforms
+from netsim.model.event_queue import NEVER_NS, EventQueue
+from netsim.model.random_streams import Model, Normals, Streams, Uniforms
 
 
 def test_calls_run_in_order_of_time_and_then_of_scheduling():

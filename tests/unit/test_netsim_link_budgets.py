@@ -10,7 +10,7 @@ from netsim_air import A, Air, B, C
 
 from netsim.mac.access import EDCA
 from netsim.mac.rates import AdaptiveRate, channel_modes
-from netsim.streams import Uniforms
+from netsim.model.random_streams import Uniforms
 
 
 def asked_and_sent(air, until_us):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from netsim_swarm import Swarm
 
-from netsim.config import FtmConfig
+from netsim.model.config import FtmConfig
 from netsim.wire.messages import Delivery, FtmResult, Sent
 
 FORMATION = [(2.5 * (i // 4), 8.5 * (i % 4), -20.0) for i in range(8)]

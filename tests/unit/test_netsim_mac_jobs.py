@@ -7,9 +7,9 @@ second.
 import pytest
 from netsim_air import UNHEARD_DBM, A, Air, B, C
 
-from netsim.kernel import NEVER_NS
 from netsim.mac.access import EDCA
 from netsim.mac.jobs import Outcome
+from netsim.model.event_queue import NEVER_NS
 
 TIMEOUT_US = 16 + 9 + 20
 """SIFS, slot and preamble, after which an answer that has not begun is missing."""

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from netsim_air import UNHEARD_DBM, A, Air, B
 
-from netsim.frames import ACK_BYTES, FrameKind
 from netsim.mac.jobs import Job, Outcome
 from netsim.mac.rates import OVERHEAD_NS, AdaptiveRate, RateParameters, channel_modes
+from netsim.model.random_streams import Uniforms
+from netsim.phy.frames import ACK_BYTES, FrameKind
 from netsim.phy.modes import phy_mode, response_mode
 from netsim.phy.propagation import thermal_noise_mw
-from netsim.streams import Uniforms
 
 MODES = channel_modes(20, vht=False)
 VHT_MODES = channel_modes(80, vht=True)

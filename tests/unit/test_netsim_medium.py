@@ -5,18 +5,27 @@ import pytest
 from netsim_air import Air
 from netsim_swarm import Swarm
 
-from netsim.columns import BROKEN, BUSY_FROM, BUSY_UNTIL, FREE_SIGNAL, IDLE_BEFORE, LOCK, NEXT_SIGNAL, NOTHING
-from netsim.config import InterfererConfig, RadioConfig
-from netsim.frames import GROUP, Frame, FrameKind
-from netsim.kernel import NEVER_NS, EventQueue
 from netsim.mac.access import DCF, EDCA
 from netsim.mac.jobs import Job, Outcome
 from netsim.mac.radios import Radios
+from netsim.model.columns import (
+    BROKEN,
+    BUSY_FROM,
+    BUSY_UNTIL,
+    FREE_SIGNAL,
+    IDLE_BEFORE,
+    LOCK,
+    NEXT_SIGNAL,
+    NOTHING,
+)
+from netsim.model.config import InterfererConfig, RadioConfig
+from netsim.model.event_queue import NEVER_NS, EventQueue
+from netsim.model.random_streams import Model, Streams
+from netsim.model.tables import stations, tables_of
+from netsim.phy.frames import GROUP, Frame, FrameKind
 from netsim.phy.interferers import Interferer
 from netsim.phy.modes import phy_mode
 from netsim.phy.propagation import LinkRow, Links, Trajectories
-from netsim.streams import Model, Streams
-from netsim.tables import stations, tables_of
 
 A, B, C = range(3)
 UNHEARD_DBM = -200.0

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from netsim.config import InterfererConfig, RadioConfig, StationConfig
+from netsim.model.config import InterfererConfig, RadioConfig, StationConfig
+from netsim.model.random_streams import Streams
 from netsim.phy.antenna import UNPOLARISED
 from netsim.phy.path_loss import (
     LEAST_HEIGHT_M,
@@ -18,7 +19,6 @@ from netsim.phy.path_loss import (
     two_ray_gain,
 )
 from netsim.phy.propagation import FARTHEST_PLACE_M, FASTEST_M_S, Links, Trajectories, is_possible
-from netsim.streams import Streams
 
 MHZ = 5180.0
 WAVE_NUMBER = 2.0 * pi * MHZ * 1e6 / SPEED_OF_LIGHT_M_S

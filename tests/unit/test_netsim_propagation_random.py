@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.special import j0
 
-from netsim.config import RadioConfig
-from netsim.kernel import NEVER_NS
+from netsim.model.config import RadioConfig
+from netsim.model.event_queue import NEVER_NS
+from netsim.model.random_streams import Streams
 from netsim.phy.fading import SECTORS, RicianFading, _turn
 from netsim.phy.obstruction import KEPT_NS, Obstruction
 from netsim.phy.path_loss import SPEED_OF_LIGHT_M_S
 from netsim.phy.propagation import ROW_LIFETIME_NS, Links, Trajectories, _power_law
 from netsim.phy.shadowing import Shadowing
-from netsim.streams import Streams
 
 SECOND_NS = 1_000_000_000
 REST = (0.0, 0.0, 0.0)

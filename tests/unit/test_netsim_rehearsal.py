@@ -7,8 +7,8 @@ from kernel_coverage import called_by_rehearsal, kernels, signatures
 from netsim_swarm import Swarm
 
 import netsim
-from netsim.config import InterfererConfig
-from netsim.rehearsal import rehearse
+from netsim.emulator.warm_up import rehearse
+from netsim.model.config import InterfererConfig
 
 LAB = "lab"
 """The link simulation's, which no run uses."""

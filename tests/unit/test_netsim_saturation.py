@@ -9,8 +9,8 @@ as large as it has become.
 import pytest
 from netsim_air import Air
 
-from netsim.frames import FrameKind
 from netsim.mac.jobs import Job, Outcome
+from netsim.phy.frames import FrameKind
 from netsim.phy.modes import phy_mode
 
 PAYLOAD_BYTES = 1500

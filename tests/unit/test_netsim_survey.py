@@ -5,7 +5,7 @@ import pytest
 from netsim_air import UNHEARD_DBM, A, Air, B, C
 from netsim_swarm import STEP_US, Swarm
 
-from netsim.config import GuestConfig, InterfererConfig
+from netsim.model.config import GuestConfig, InterfererConfig
 from netsim.wire.messages import Broadcast, FtmRequest, Survey, TxBatch, Unicast
 
 SENSED_MW = 10.0**-8.2

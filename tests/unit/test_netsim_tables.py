@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from netsim_air import Air
 
-from netsim import columns as c
-from netsim import tables as t
-from netsim.events import drop_next, schedule
-from netsim.kernel import EventQueue
 from netsim.mac.access import EDCA
 from netsim.mac.jobs import Outcome
+from netsim.model import columns as c
+from netsim.model import tables as t
+from netsim.model.event_queue import EventQueue
+from netsim.model.events import drop_next, schedule
 
 STATIONS, CATEGORIES = 5, 3
 

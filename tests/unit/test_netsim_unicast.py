@@ -3,7 +3,7 @@
 import pytest
 from netsim_swarm import Swarm
 
-from netsim.config import StationConfig
+from netsim.model.config import StationConfig
 from netsim.wire.messages import Broadcast, Delivery, FtmResult, Sent, Unicast
 
 HERE, NEAR = (0.0, 0.0, -10.0), (10.0, 0.0, -10.0)

@@ -36,8 +36,8 @@ from harness.processes import SwarmError
 from harness.run_folder import RunFolder
 from harness.scenario import load
 from harness.tables import flight_of, read_flight
-from netsim.config import RadioConfig, ServerConfig
-from netsim.hosted import HostedEmulator
+from netsim.emulator.service import HostedEmulator
+from netsim.model.config import RadioConfig, ServerConfig
 from netsim.wire.lockstep import Advance, pack_rows
 from netsim.wire.messages import MAX_PAYLOAD_BYTES, Broadcast, Delivery
 

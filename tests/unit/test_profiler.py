@@ -23,7 +23,7 @@ from foundation.profiling.profiler import (
 )
 from harness import parts as physics_parts
 from harness.profiling import VEHICLES, by_kind, profile_table
-from netsim import parts as radio_parts
+from netsim.transport import profile_groups as radio_parts
 
 PARTS = {"swarm": "all", "swarm.flight": "flight", "swarm.flight.codec": "codec"}
 

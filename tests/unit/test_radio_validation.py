@@ -33,11 +33,11 @@ from harness.validation.radio.peers import (
 )
 from harness.validation.radio.plan import QUICK_RADIO, RadioPlan
 from harness.validation.radio.statistics import crossing_db, mean_of
-from netsim.frames import DATA_OVERHEAD_BYTES, UDP_OVERHEAD_BYTES
-from netsim.kernel import EventQueue
 from netsim.lab.broadcast import BroadcastResult
 from netsim.lab.ranging import FtmResultSummary, MeshResult
 from netsim.lab.saturation import SaturationResult
+from netsim.model.event_queue import EventQueue
+from netsim.phy.frames import DATA_OVERHEAD_BYTES, UDP_OVERHEAD_BYTES
 from netsim.phy.modes import phy_mode, response_mode
 from netsim.wire.messages import Broadcast, FtmRequest
 

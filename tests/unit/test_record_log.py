@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from foundation.records.record_log import BLOCK_ROWS, RecordLog, read
-from netsim.logs import FRAME_LOG
-from netsim.records import FrameRecord
+from netsim.emulator.log_layout import FRAME_LOG
+from netsim.emulator.records import FrameRecord
 
 PAIR = np.dtype([("time_us", "i8"), ("pos_ned_m", "f8", 3)])
 

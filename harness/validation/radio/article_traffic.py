@@ -13,7 +13,7 @@ from autopilot.onboard.own_state import OwnState
 from autopilot.onboard.traffic import Traffic
 from foundation.types import Array
 from harness.scenario import Scenario
-from netsim.emulator import Emulator
+from netsim.emulator.emulator import Emulator
 from netsim.wire.messages import Delivery, FtmResult, RxItem, TxBatch
 
 SWAY_M = 0.2

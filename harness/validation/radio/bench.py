@@ -18,8 +18,8 @@ from msgspec import Struct
 from harness.scenario import Scenario
 from harness.validation.radio.article_traffic import Step, advance, emulator_of, record
 from harness.validation.radio.saturation_section import MODES
-from netsim.kernel import EventQueue
 from netsim.lab.saturation import WARM_UP_US, saturate
+from netsim.model.event_queue import EventQueue
 from netsim.wire.lockstep import pack_rows, unpack_rows
 from netsim.wire.messages import RxBatch, TxBatch, decode, encode
 

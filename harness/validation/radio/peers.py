@@ -6,7 +6,7 @@ from pathlib import Path
 
 from msgspec import Struct
 
-from netsim.config import BandwidthMhz, Mode
+from netsim.model.config import BandwidthMhz, Mode
 
 REFERENCE = Path(__file__).parents[3] / "tests" / "reference"
 NS3_PAYLOAD_OVERHEAD_BYTES = 8 + 20 + 8

@@ -11,8 +11,8 @@ from harness.validation.radio.plan import RadioPlan
 from harness.validation.radio.statistics import mean_of
 from harness.validation.report import Check, Section, Table
 from harness.validation.runner import Job, Results
-from netsim.config import BandwidthMhz, Mode
 from netsim.lab.ranging import FtmResultSummary, range_pair
+from netsim.model.config import BandwidthMhz, Mode
 
 BIAS_M = 0.7
 BIAS_LIMIT_M = 0.01

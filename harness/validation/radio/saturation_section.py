@@ -17,8 +17,8 @@ from harness.validation.radio.plan import RadioPlan
 from harness.validation.radio.statistics import Mean, mean_of
 from harness.validation.report import Check, Section, Table
 from harness.validation.runner import Job, Results
-from netsim.config import Mode
 from netsim.lab.saturation import SaturationResult, saturate
+from netsim.model.config import Mode
 
 TOLERANCE = 0.03
 MODES: dict[int, Mode] = {6: "ofdm6", 24: "ofdm24", 54: "ofdm54"}

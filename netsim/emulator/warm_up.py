@@ -6,8 +6,8 @@ they compute is of no interest, only that they compute it.
 
 import numpy as np
 
-from netsim.config import InterfererConfig, RadioConfig
-from netsim.emulator import Emulator
+from netsim.emulator.emulator import Emulator
+from netsim.model.config import InterfererConfig, RadioConfig
 from netsim.phy.signals import Transmission
 from netsim.wire.messages import Broadcast, FtmRequest, TxBatch, TxItem, Unicast
 

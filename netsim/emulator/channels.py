@@ -3,16 +3,16 @@
 from collections.abc import Callable
 from typing import Protocol
 
-from netsim.config import RadioConfig
-from netsim.ideal import IdealChannel
-from netsim.kernel import EventQueue
+from netsim.emulator.ideal_channel import IdealChannel
 from netsim.mac.access import DCF, EDCA
 from netsim.mac.jobs import OnGroupFrame, Sender, Upper
 from netsim.mac.radios import Radios
+from netsim.model.config import RadioConfig
+from netsim.model.event_queue import EventQueue
+from netsim.model.random_streams import Streams
+from netsim.model.tables import Integers
 from netsim.phy.propagation import Links
 from netsim.phy.signals import Transmission
-from netsim.streams import Streams
-from netsim.tables import Integers
 
 
 class Channel(Protocol):
@@ -28,13 +28,13 @@ class Channel(Protocol):
         """Time since the start for which each station sensed the medium busy or was itself sending."""
 
     def frames_sent(self) -> list[int]:
-        """Frames that have ended, in the order of `netsim.frames.FrameKind`."""
+        """Frames that have ended, in the order of `netsim.phy.frames.FrameKind`."""
 
     def broadcasts(self) -> Integers:
         """Datagrams to all, (stations, 3): how many each has received, lost to collisions, and to noise."""
 
     def take_frames(self) -> Integers:
-        """Frames that ended since the last call, in order of their end: see `netsim.records.FrameBook`."""
+        """Frames that ended since the last call, in order of their end: see `records.FrameBook`."""
 
 
 def channel_of(

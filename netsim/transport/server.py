@@ -21,12 +21,12 @@ import msgspec
 
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Stop, commands, emit
 from foundation.profiling.profiler import profiled
-from netsim.clock_line import BATCH_LIMIT_S, ClockLine, emulators_end
-from netsim.config import ServerConfig
-from netsim.hosted import HostedEmulator
-from netsim.parts import PARTS
-from netsim.radio import directory_key, in_pieces, receive_key, transmit_key
-from netsim.transport import Asker, Question, Sender, Transport
+from netsim.emulator.service import HostedEmulator
+from netsim.model.config import ServerConfig
+from netsim.transport.interval_stream import BATCH_LIMIT_S, ClockLine, emulators_end
+from netsim.transport.lockstep_radio import directory_key, in_pieces, receive_key, transmit_key
+from netsim.transport.profile_groups import PARTS
+from netsim.transport.zenoh_session import Asker, Question, Sender, Transport
 from netsim.wire.lockstep import Advance, Advanced
 from netsim.wire.messages import (
     Ack,

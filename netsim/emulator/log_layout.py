@@ -1,4 +1,4 @@
-"""Rows of the emulator's binary logs: the fields of `netsim.records`, in their order, at fixed sizes."""
+"""Fixed-size rows of the emulator's binary logs: the fields of `netsim.emulator.records`, in their order."""
 
 import numpy as np
 

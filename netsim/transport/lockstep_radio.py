@@ -2,7 +2,7 @@
 
 Everything is sent one way, for what has to come is known: the vehicle tells the time master that it has
 handed over a batch, and is told when one has been delivered to it (`netsim.wire.lockstep`). Stations
-outside the lockstep have `netsim.free_radio`. Here are the keys of the run's radio too.
+outside the lockstep have `netsim.transport.asynchronous_radio`. Here are the keys of the run's radio too.
 """
 
 import logging
@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import msgspec
 
-from netsim.transport import Asker, Transport
+from netsim.transport.zenoh_session import Asker, Transport
 from netsim.wire.messages import Ack, RxBatch, RxItem, TxBatch, TxItem, decode, encode
 
 logger = logging.getLogger(__name__)
@@ -21,7 +21,7 @@ BatchT = TypeVar("BatchT", TxBatch, RxBatch)
 ANSWER_LIMIT_S = 20.0
 """Wall time within which what is owed has to come; far beyond what a loaded machine needs."""
 MOST_ITEMS = 24
-"""In one batch on a direct connection, where they must fit `netsim.transport.LONGEST_DIRECT_BYTES`."""
+"""In one batch on a direct connection, where they must fit `zenoh_session.LONGEST_DIRECT_BYTES`."""
 
 
 def transmit_key(run_id: str) -> str:

@@ -15,17 +15,17 @@ from collections.abc import Callable
 
 import msgspec
 
-from netsim.config import RadioConfig
-from netsim.frames import ACK_BYTES, GROUP, Frame, FrameKind
-from netsim.kernel import EventQueue
+from netsim.emulator.records import FrameBook
 from netsim.mac.access import SIFS_NS
 from netsim.mac.jobs import GroupReception, Job, OnGroupFrame, Outcome, Reception, Upper
 from netsim.mac.station import RESPONSE_TIMEOUT_NS
+from netsim.model.config import RadioConfig
+from netsim.model.event_queue import EventQueue
+from netsim.model.tables import Integers
+from netsim.phy.frames import ACK_BYTES, GROUP, Frame, FrameKind
 from netsim.phy.modes import response_mode, response_ns
 from netsim.phy.propagation import Links
 from netsim.phy.signals import Transmission
-from netsim.records import FrameBook
-from netsim.tables import Integers
 
 
 def undisturbed(config: RadioConfig) -> RadioConfig:
@@ -36,7 +36,7 @@ def undisturbed(config: RadioConfig) -> RadioConfig:
 
 
 class IdealChannel:
-    """All stations' radios on a channel without contention; see `netsim.channels.Channel`."""
+    """All stations' radios on a channel without contention; see `netsim.emulator.channels.Channel`."""
 
     def __init__(
         self,
@@ -70,15 +70,15 @@ class IdealChannel:
             self._on_ended(transmission)
 
     def frames_sent(self) -> list[int]:
-        """See `netsim.channels.Channel`."""
+        """See `netsim.emulator.channels.Channel`."""
         return self._book.sent
 
     def broadcasts(self) -> Integers:
-        """See `netsim.channels.Channel`."""
+        """See `netsim.emulator.channels.Channel`."""
         return self._book.counts
 
     def take_frames(self) -> Integers:
-        """See `netsim.channels.Channel`."""
+        """See `netsim.emulator.channels.Channel`."""
         return self._book.take()
 
     def busy_ns(self) -> int:

@@ -1,8 +1,8 @@
 """Arrays that a compiled function borrows from its caller, without counting who refers to their memory.
 
 Numba counts references to an array's memory, by an atomic instruction for every view that is made and another
-for every one that is dropped. A row of `netsim.tables` is a view, and the air's events look at hundreds of
-rows: counting took half of their time. But whoever calls a compiled function holds its arguments until it
+for every one that is dropped. A row of `netsim.model.tables` is a view, and the air's events look at hundreds
+of rows: counting took half of their time. But whoever calls a compiled function holds its arguments until it
 returns, so in between nobody need own them.
 """
 

@@ -1,10 +1,10 @@
-"""The air's events: a heap by time and order of scheduling, in `netsim.tables`."""
+"""The air's events: a heap by time and order of scheduling, in `netsim.model.tables`."""
 
 from numba import njit
 
-from netsim import columns as c
-from netsim import tables as t
-from netsim.tables import Air
+from netsim.model import columns as c
+from netsim.model import tables as t
+from netsim.model.tables import Air
 
 
 @njit(cache=True)

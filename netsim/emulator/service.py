@@ -1,7 +1,7 @@
 """The emulator as a run's processes know it: batches in, intervals on request, deliveries out, logs written.
 
-What is between `netsim.emulator` and whoever carries its messages: sockets (`netsim.server`), or plain calls
-in one process. Does no I/O but for its logs.
+What is between `netsim.emulator.emulator` and whoever carries its messages: sockets
+(`netsim.transport.server`), or plain calls in one process. Does no I/O but for its logs.
 """
 
 import contextlib
@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from foundation.records.record_log import RecordLog
 from netsim.capture.writer import Capture
-from netsim.config import ServerConfig
-from netsim.emulator import Emulator
-from netsim.logs import FRAME_LOG, SESSION_LOG
+from netsim.emulator.emulator import Emulator
+from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
+from netsim.emulator.records import frame_log_rows, session_log_rows
+from netsim.model.config import ServerConfig
 from netsim.phy.propagation import is_possible
 from netsim.phy.signals import Transmission
-from netsim.records import frame_log_rows, session_log_rows
 from netsim.wire.lockstep import LEAD_US, Advance, Advanced, unpack_rows
 from netsim.wire.messages import RxBatch, Station, TxBatch
 

@@ -1,6 +1,6 @@
 """What the numbers in the tables of the air mean: columns, kinds of events, of calls and of frames.
 
-`netsim.tables` has the tables themselves. Times are in nanoseconds, powers in milliwatt.
+`netsim.model.tables` has the tables themselves. Times are in nanoseconds, powers in milliwatt.
 """
 
 NOTHING = -1
@@ -10,7 +10,7 @@ NOTHING = -1
 
 (
     STATIONS, CATEGORIES, EVENT_ROWS, JOB_ROWS, SIGNAL_ROWS,  # how many rows the tables have
-    NOW, SCHEDULED,  # the clock, and the events scheduled so far: `netsim.kernel.EventQueue`'s
+    NOW, SCHEDULED,  # the clock, and the events scheduled so far: `netsim.model.event_queue.EventQueue`'s
     EVENTS, CALLS, RECORDS, ACTIVE, BURSTS,  # rows in use
     FREE_SIGNAL,  # first of the free rows of ``signals``, which are chained by `NEXT_SIGNAL`
     STARTED,  # frames so far
@@ -112,7 +112,7 @@ a signal; up to four numbers further."""
 PREAMBLE, BITS_PER_SYMBOL, VHT, RESPONSE_MODE, HAZARDS, MODE_COLUMNS = range(6)
 BUDGET_UNTIL, BUDGET_DELAY, BUDGET_COLUMNS = range(3)
 
-# --- kinds of frames, in the order of `netsim.frames.FrameKind`
+# --- kinds of frames, in the order of `netsim.phy.frames.FrameKind`
 
 DATA, RTS, CTS, ACK, FTM_REQUEST, FTM, KINDS = range(7)
 
@@ -136,7 +136,7 @@ ABSENT, MISSED, RECEIVED, BROKE = range(-1, 3)
 """It is the sender's own or the radio is off; not locked on to; received whole; ended in errors."""
 NOT_MEANT, DELIVERED, COLLIDED, LOST = range(4)
 
-# --- rows of `netsim.tables.ends` and of the levels
+# --- rows of `netsim.model.tables.ends` and of the levels
 
 FATES, UPSETS, NOTES, TOLD = range(4)
 """What became of the frame at each station; whether that upset a plan; where it was meant to arrive, how that
@@ -150,6 +150,6 @@ NOISE_MW, ENERGY_MW, PREAMBLE_MW, SENSED_MW, LEVELS = range(5)
 BLOCK_DRAWS, LEAST_DRAWS = 64, 16
 """Draws that lie ready for a station, and what one event takes of them at most."""
 RECORD_ROWS, RECORD_COLUMNS = 256, 11
-"""Frames that have ended and have not been taken: columns are `netsim.records.FrameRecord`'s."""
+"""Frames that have ended and have not been taken: columns are `netsim.emulator.records.FrameRecord`'s."""
 MODES, RATIOS = 18, 1_102
 """802.11's modes up to 80 MHz, and entries of a mode's hazards."""

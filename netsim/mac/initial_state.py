@@ -3,16 +3,16 @@
 from collections.abc import Sequence
 from typing import get_args
 
-from netsim import columns as c
-from netsim import tables as t
-from netsim.config import Mode, RadioConfig
-from netsim.kernel import NEVER_NS
 from netsim.mac.access import AccessParameters
+from netsim.model import columns as c
+from netsim.model import tables as t
+from netsim.model.config import Mode, RadioConfig
+from netsim.model.event_queue import NEVER_NS
+from netsim.model.tables import Air, Tables
 from netsim.phy.errors import error_model
 from netsim.phy.medium import PREAMBLE_SINR
 from netsim.phy.modes import PhyMode, phy_mode, response_mode
 from netsim.phy.propagation import thermal_noise_mw
-from netsim.tables import Air, Tables
 
 MODE_NAMES: list[Mode] = list(get_args(Mode))
 """In the order of the tables' rows."""

@@ -5,8 +5,8 @@ over hundreds of places in memory, and in a swarm's lockstep every step begins w
 stations, queues, frames and events are is rows of tables, and `netsim.mac.loop` runs event after event over
 them without Python, as long as nobody above the MAC has to hear of one.
 
-Here is where everything lies and how rows are taken and given back; `netsim.columns` has what stands in them.
-What it means to 802.11 is `netsim.phy`'s and `netsim.mac`'s.
+Here is where everything lies and how rows are taken and given back; `netsim.model.columns` has what stands in
+them. What it means to 802.11 is `netsim.phy`'s and `netsim.mac`'s.
 """
 
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from netsim import columns as c
+from netsim.model import columns as c
 from netsim.phy.path_loss import Doubles
 
 Integers = NDArray[np.int64]
@@ -51,7 +51,7 @@ def queues(air: Air, row: int) -> Integers:
 
 @njit(cache=True)
 def ends(air: Air, row: int) -> Integers:
-    """(4, n): of the frame whose end is being looked at, see `netsim.columns.FATES`."""
+    """(4, n): of the frame whose end is being looked at, see `netsim.model.columns.FATES`."""
     return _row(air, 2, row, air[c.STATIONS])
 
 
@@ -105,7 +105,7 @@ def budgets_mw(air: Air, row: int) -> Doubles:
 
 @njit(cache=True)
 def modes(air: Air, row: int) -> Integers:
-    """802.11's modes, in the order of `netsim.config.Mode`."""
+    """802.11's modes, in the order of `netsim.model.config.Mode`."""
     return _row(air, 11, row, c.MODE_COLUMNS)
 
 
@@ -141,7 +141,7 @@ def receptions(air: Air, row: int) -> Doubles:
 
 @njit(cache=True)
 def records(air: Air, row: int) -> Integers:
-    """Frames that have ended: columns are `netsim.records.FrameRecord`'s."""
+    """Frames that have ended: columns are `netsim.emulator.records.FrameRecord`'s."""
     return _row(air, 17, row, c.RECORD_COLUMNS)
 
 

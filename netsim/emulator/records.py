@@ -9,18 +9,18 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from netsim.columns import COLLIDED, DELIVERED, LOST, RECORD_COLUMNS
-from netsim.frames import GROUP, FrameKind
+from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
 from netsim.ftm.session import Ranging
-from netsim.logs import FRAME_LOG, SESSION_LOG
-from netsim.mac.beginning import MODE_NAMES
-from netsim.mac.observed import KINDS
+from netsim.mac.initial_state import MODE_NAMES
+from netsim.mac.observations import KINDS
+from netsim.model.columns import COLLIDED, DELIVERED, LOST, RECORD_COLUMNS
+from netsim.model.tables import Integers
+from netsim.phy.frames import GROUP, FrameKind
 from netsim.phy.signals import Transmission
-from netsim.tables import Integers
 
 
 class FrameRecord(NamedTuple):
-    """One transmission; the fields of `netsim.logs.FRAME_LOG` in their order."""
+    """One transmission; the fields of `netsim.emulator.log_layout.FRAME_LOG` in their order."""
 
     start_ns: int
     end_ns: int

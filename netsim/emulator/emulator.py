@@ -1,8 +1,8 @@
 """The emulated 802.11 channel as a whole: items in, time advances with the vehicles' poses, deliveries out.
 
-Composes hosts, Fine Time Measurement and a channel (`netsim.channels`), which is emulated or ideal; does no
-I/O and knows no wall clock. The same seed, submissions and poses give the same results, in whatever order the
-stations' batches of one step were submitted.
+Composes hosts, Fine Time Measurement and a channel (`netsim.emulator.channels`), which is emulated or ideal;
+does no I/O and knows no wall clock. The same seed, submissions and poses give the same results, in whatever
+order the stations' batches of one step were submitted.
 """
 
 from collections.abc import Callable, Mapping
@@ -14,21 +14,21 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from netsim.channels import channel_of
-from netsim.config import RadioConfig, StationConfig
-from netsim.frames import DATA_OVERHEAD_BYTES, GROUP, UDP_OVERHEAD_BYTES, FrameKind
+from netsim.emulator.channels import channel_of
+from netsim.emulator.ideal_channel import undisturbed
+from netsim.emulator.records import Counters, FrameRecord, Tally, frame_records
+from netsim.emulator.settings_checks import check
 from netsim.ftm.session import FtmRadio, Ranging, lost
 from netsim.ftm.stamps import Clock
-from netsim.ideal import undisturbed
-from netsim.kernel import EventQueue
 from netsim.mac.jobs import GroupReception, Job, Outcome, Reception, Sender
 from netsim.mac.rates import datagram_modes
+from netsim.model.config import RadioConfig, StationConfig
+from netsim.model.event_queue import EventQueue
+from netsim.model.random_streams import Model, Streams, Uniforms
+from netsim.model.tables import Integers
+from netsim.phy.frames import DATA_OVERHEAD_BYTES, GROUP, UDP_OVERHEAD_BYTES, FrameKind
 from netsim.phy.propagation import Links, Trajectories, is_possible
 from netsim.phy.signals import Transmission
-from netsim.records import Counters, FrameRecord, Tally, frame_records
-from netsim.settings import check
-from netsim.streams import Model, Streams, Uniforms
-from netsim.tables import Integers
 from netsim.wire.messages import (
     Broadcast,
     Delivery,
@@ -55,7 +55,7 @@ class Emulator:
 
     ``seed`` is the emulator's own; every model and link draws from a stream of its own below it.
     ``on_transmission`` is told of every frame that has ended. Raises ValueError for settings that contradict
-    each other (`netsim.settings`).
+    each other (`netsim.emulator.settings_checks`).
     """
 
     def __init__(
@@ -367,7 +367,7 @@ class Emulator:
         return frame_records(self.take_frame_rows())
 
     def take_frame_rows(self) -> Integers:
-        """Give the same in rows, for `netsim.records.frame_log_rows`."""
+        """Give the same in rows, for `netsim.emulator.records.frame_log_rows`."""
         return self._channel.take_frames()
 
     def take_sessions(self) -> list[Ranging]:

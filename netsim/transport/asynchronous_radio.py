@@ -7,8 +7,8 @@ until it is taken, and what is not is lost.
 import logging
 from collections.abc import Callable, Sequence
 
-from netsim.radio import ANSWER_LIMIT_S, hand_over, receive_key, transmit_key
-from netsim.transport import Question, Transport
+from netsim.transport.lockstep_radio import ANSWER_LIMIT_S, hand_over, receive_key, transmit_key
+from netsim.transport.zenoh_session import Question, Transport
 from netsim.wire.messages import Ack, RxBatch, TxBatch, TxItem, decode, encode
 
 logger = logging.getLogger(__name__)

@@ -2,10 +2,10 @@
 
 from collections.abc import Callable
 
-from netsim.config import RadioConfig
-from netsim.kernel import EventQueue
+from netsim.model.config import RadioConfig
+from netsim.model.event_queue import EventQueue
+from netsim.model.random_streams import Model, Streams
 from netsim.phy.interferers import Interferer
-from netsim.streams import Model, Streams
 
 PART_NS = 20_000_000
 """A longer burst goes on the air in parts, each with the powers of its beginning: receivers move."""

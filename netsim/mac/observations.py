@@ -1,16 +1,16 @@
 """A frame that has ended everywhere as who watches the whole channel is told of it."""
 
-from netsim import columns as c
-from netsim.config import BandwidthMhz
-from netsim.frames import Frame, FrameKind
-from netsim.mac.beginning import MODE_NAMES
+from netsim.mac.initial_state import MODE_NAMES
+from netsim.model import columns as c
+from netsim.model.config import BandwidthMhz
+from netsim.model.tables import Tables
+from netsim.phy.frames import Frame, FrameKind
 from netsim.phy.modes import phy_mode
 from netsim.phy.propagation import LinkRow
 from netsim.phy.signals import Transmission
-from netsim.tables import Tables
 
 KINDS = list(FrameKind)
-"""In the order of `netsim.columns`."""
+"""In the order of `netsim.model.columns`."""
 
 
 def transmission_of(tables: Tables, row: int, bandwidth_mhz: BandwidthMhz, body: object) -> Transmission:

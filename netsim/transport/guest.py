@@ -13,9 +13,9 @@ import queue
 from types import TracebackType
 from typing import Self
 
-from netsim.free_radio import FreeRadio
-from netsim.radio import RadioLost, directory_key
-from netsim.transport import Transport
+from netsim.transport.asynchronous_radio import FreeRadio
+from netsim.transport.lockstep_radio import RadioLost, directory_key
+from netsim.transport.zenoh_session import Transport
 from netsim.wire.messages import (
     MAX_PAYLOAD_BYTES,
     MAX_STATION,

@@ -1,0 +1,24 @@
+"""Parts of the 802.11 emulator's process, for `foundation.profiling.profiler`: which modules are what."""
+
+from foundation.profiling.profiler import LINK
+
+PARTS = {
+    "netsim.phy": "physical layer",
+    "netsim.mac": "medium access",
+    "netsim.ftm": "ranging",
+    "netsim.emulator.emulator": "events",
+    "netsim.model.event_queue": "events",
+    "netsim.model.events": "events",
+    "netsim.model.tables": "events",
+    "netsim.emulator.channels": "events",
+    "netsim.emulator.ideal_channel": "events",
+    "netsim.wire": "batches",
+    "netsim.emulator.service": "batches",
+    "netsim.emulator.log_layout": "records",
+    "netsim.emulator.records": "records",
+    "foundation.records.record_log": "records",
+    "netsim.capture": "records",
+    "netsim.transport.interval_stream": LINK,
+    "netsim.transport.zenoh_session": LINK,
+    "netsim.transport.server": LINK,
+}
