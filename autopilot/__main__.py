@@ -26,19 +26,20 @@ from foundation.kernels import cache_folder
 if "--supervised" not in sys.argv:  # else the launcher has
     os.environ.update(cache_folder.environment())  # read when numba is imported, which is next
 
-from autopilot import parameter_file, plan_file
-from autopilot.config import AutopilotConfig, VehicleConfig, VehiclePorts
-from autopilot.host import Host, Links, warnings
 from autopilot.mavlink import signing
 from autopilot.mavlink.codec import Encoder, Message
 from autopilot.mavlink.links import UdpLink
 from autopilot.mavlink.signing import SigningKeyError
-from autopilot.parameter_file import ParameterFileError
-from autopilot.params import ParameterError
-from autopilot.parts import PARTS
-from autopilot.plan_file import PlanFileError
-from autopilot.protocol.service import COMPANION, GROUND_STATION, Addressed, Partner
-from autopilot.site_plan import PlanError
+from autopilot.navigation import plan_file
+from autopilot.navigation.plan_file import PlanFileError
+from autopilot.navigation.site_plan import PlanError
+from autopilot.parameters import parameter_file
+from autopilot.parameters.config import AutopilotConfig, VehicleConfig, VehiclePorts
+from autopilot.parameters.parameter_file import ParameterFileError
+from autopilot.parameters.table import ParameterError
+from autopilot.process.profile_groups import PARTS
+from autopilot.services.service import COMPANION, GROUND_STATION, Addressed, Partner
+from autopilot.vehicle.host import Host, Links, warnings
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Warned, emit, end_with_parent
 from foundation.profiling.profiler import profiled
 from netsim.transport.lockstep_radio import RadioClient

@@ -6,8 +6,8 @@ Imported where a PX4 flies and nowhere else, for Zenoh is large.
 import contextlib
 from collections.abc import Iterator
 
-from autopilot.companion_radio import said_key
 from autopilot.mavlink.codec import Parser
+from autopilot.process.companion_radio import said_key
 from harness.lockstep import Lockstep
 from netsim.transport.zenoh_session import Question, Transport
 

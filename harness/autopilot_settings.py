@@ -6,10 +6,11 @@ from pathlib import Path
 
 from msgspec import structs
 
-from autopilot import parameter_file, plan_file, site_plan
-from autopilot.config import AutopilotConfig, LinksConfig, Site
 from autopilot.mavlink import signing
-from autopilot.params import ParameterError, ParameterSet, Settings
+from autopilot.navigation import plan_file, site_plan
+from autopilot.parameters import parameter_file
+from autopilot.parameters.config import AutopilotConfig, LinksConfig, Site
+from autopilot.parameters.table import ParameterError, ParameterSet, Settings
 
 
 def with_parameter_file(config: AutopilotConfig, folder: Path) -> AutopilotConfig:

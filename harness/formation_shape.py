@@ -14,7 +14,7 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from antenna.model.geometry import grid
-from autopilot.config import AnyMotion
+from autopilot.parameters.config import AnyMotion
 
 Array = NDArray[np.float64]
 Spacing = Annotated[float, Meta(gt=0.0, le=1000.0)]

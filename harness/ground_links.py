@@ -6,9 +6,9 @@ from ipaddress import IPv4Address
 from pathlib import Path
 from typing import Any
 
-from autopilot.config import LinksConfig, VehiclePorts
 from autopilot.mavlink import dialect  # noqa: F401  # a connection knows all that a vehicle says
 from autopilot.mavlink.signing import key_of
+from autopilot.parameters.config import LinksConfig, VehiclePorts
 from harness.scenario import Scenario
 
 

@@ -14,9 +14,9 @@ from numba import njit
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import common as mavlink
 
-from autopilot.config import Site
 from autopilot.estimation.atmosphere import altitude_m
-from autopilot.sensors import BARO_FIELDS, IMU_FIELDS, MAG_FIELDS
+from autopilot.estimation.sensor_input import BARO_FIELDS, IMU_FIELDS, MAG_FIELDS
+from autopilot.parameters.config import Site
 from foundation.geometry.geodesy import ned_to_geodetic
 from foundation.types import Array
 from harness.esc import EscReadings, statuses

@@ -27,7 +27,7 @@ KEPT_S = 86_400.0
 _COMPLETE = "complete"
 _FOLDER = re.compile(r"[0-9a-f]{16}")
 _COMPILERS = {
-    "the vehicles'": "from autopilot.rehearsal import rehearse; rehearse()",
+    "the vehicles'": "from autopilot.process.warm_up import rehearse; rehearse()",
     "the radio's": "from netsim.emulator.warm_up import rehearse; rehearse()",
     "the physics'": "from harness.physics.rehearsal import rehearse; rehearse()",
     "the antenna's": "from antenna.solvers.warm_up import rehearse; rehearse()",

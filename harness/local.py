@@ -10,10 +10,10 @@ from pathlib import Path
 
 import msgspec
 
-from autopilot.config import VehicleConfig
-from autopilot.host import Host, warnings
+from autopilot.logs.vehicle_record import VEHICLE_RECORD
 from autopilot.mavlink.codec import Message
-from autopilot.recording import VEHICLE_RECORD
+from autopilot.parameters.config import VehicleConfig
+from autopilot.vehicle.host import Host, warnings
 from foundation.processes.child_protocol import Warned
 from foundation.records.record_log import BLOCK_ROWS
 from harness.answers import ANSWER_BYTES, Answers

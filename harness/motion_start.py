@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from autopilot.onboard import messages
+from autopilot.onboard.formation import messages
 from harness.messages import FormationMoves
 
 START_NAME = messages.START_NAME.decode("ascii")
@@ -44,7 +44,7 @@ def flown_start_us(events: Path) -> int | None:
 
 
 def since_start_s(time_us: NDArray[np.int64], flown_us: int | None) -> NDArray[np.float64]:
-    """(T,) times as `autopilot.formation_plan.FormationPlan` takes them; all 0 without a start."""
+    """(T,) times in seconds since the formation's start, for `FormationPlan`; all 0 without a start."""
     if flown_us is None:
         return np.zeros(len(time_us))
     return (time_us - flown_us).astype(np.float64) * 1e-6

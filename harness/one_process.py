@@ -33,7 +33,7 @@ import msgspec
 import numba
 from numba.core.dispatcher import Dispatcher
 
-from autopilot.config import VehicleConfig
+from autopilot.parameters.config import VehicleConfig
 from foundation.processes.child_protocol import Finished, Ready, Stop
 from harness import kernel_cache
 from harness.air import Air

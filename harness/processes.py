@@ -207,7 +207,9 @@ class Processes:
             own_name = self._own_link_name(run_id)
             RunFolder.create(self._folder.path)
             if self._has_hangar:  # it takes longest, and needs none of the others
-                self._supervisor.start_forker(HANGAR, python_module("autopilot.hangar", "--supervised"))
+                self._supervisor.start_forker(
+                    HANGAR, python_module("autopilot.process.prefork_server", "--supervised")
+                )
             clock = [sockets.enter_context(end) for end in socket.socketpair()]
             radio_fd, physics_fd = (end.fileno() for end in clock)
             config = self._folder.write_radio_config(scenario, run_id=run_id)
@@ -239,7 +241,7 @@ class Processes:
             if i in self._px4:
                 self._start_px4(i, simulator_ports[i])
                 self._supervisor.start(
-                    application(i), python_module("autopilot.companion", *supervised(config))
+                    application(i), python_module("autopilot.process.companion", *supervised(config))
                 )
             else:
                 self._supervisor.fork(uav(i), supervised(config), forker=HANGAR)

@@ -21,7 +21,7 @@ import string
 from collections.abc import Mapping
 from pathlib import Path
 
-from autopilot.config import AutopilotConfig, VehiclePorts
+from autopilot.parameters.config import AutopilotConfig, VehiclePorts
 from harness.keeper import KeptConfig
 from harness.scenario import Scenario
 from harness.sensors.config import GpsModel

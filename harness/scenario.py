@@ -19,8 +19,10 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from antenna.model.config import AntennaConfig
-from autopilot import formation_plan
-from autopilot.config import (
+from autopilot.navigation.plan_file import PlanFileError
+from autopilot.onboard.formation import formation_plan
+from autopilot.onboard.formation.formation_plan import FormationPlan
+from autopilot.parameters.config import (
     REMEMBERED_S,
     SESSION_S,
     AutopilotConfig,
@@ -32,9 +34,7 @@ from autopilot.config import (
     VehicleConfig,
     VehiclePorts,
 )
-from autopilot.formation_plan import FormationPlan
-from autopilot.parameter_file import ParameterFileError
-from autopilot.plan_file import PlanFileError
+from autopilot.parameters.parameter_file import ParameterFileError
 from harness import autopilot_settings, element_file, formation_shape
 from harness.element_file import ElementFileError
 from harness.faults import EXPECTED, MOST_TIME_S, AnyFault, check

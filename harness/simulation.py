@@ -16,8 +16,8 @@ from pymavlink.dialects.v20 import common as mavlink
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
 from autopilot.mavlink.modes import mode_from_custom
-from autopilot.onboard.motion import STAYS_AWAY
-from autopilot.onboard.phases import Phase
+from autopilot.onboard.formation.motion import STAYS_AWAY
+from autopilot.onboard.formation.phases import Phase
 from foundation.records.record_log import RecordLog
 from harness import esc
 from harness.answers import Answers

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from antenna.analysis.statistics import pointing_errors_deg
 from antenna.solvers.ports import MAIN_LOBE_DEG
-from autopilot.formation_plan import FormationPlan
-from autopilot.recording import VEHICLE_RECORD
+from autopilot.logs.vehicle_record import VEHICLE_RECORD
+from autopilot.onboard.formation.formation_plan import FormationPlan
 from foundation.records.record_log import read
 from harness.analysis import GainSeries
 from harness.flight import Flight

@@ -6,7 +6,7 @@ from foundation.kernels import cache_folder
 
 os.environ.update(cache_folder.environment())  # read when numba is imported, which is next
 
-from autopilot.parameter_docs import markdown
+from autopilot.parameters.parameter_docs import markdown
 
 if __name__ == "__main__":
     print(markdown(), end="")

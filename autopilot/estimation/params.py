@@ -5,7 +5,7 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from autopilot.config import Site, Vector
+from autopilot.parameters.config import Site, Vector
 
 PositiveSmall = Annotated[float, Meta(gt=0.0, le=10.0)]
 Gate = Annotated[float, Meta(ge=1.0, le=100.0)]

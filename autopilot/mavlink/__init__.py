@@ -1,1 +1,1 @@
-"""MAVLink at the edge: bytes, PX4's modes and the UDP link. The services are in `autopilot.protocol`."""
+"""MAVLink at the edge: bytes, PX4's modes and the UDP link. The services are in `autopilot.services`."""

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import common
 
 from autopilot.commander.geofence import FenceShape
-from autopilot.crc import crc32
+from autopilot.mavlink.crc import crc32
 from autopilot.navigation.mission import HeightFrame, Mission
 
 

@@ -5,6 +5,6 @@ radio, nothing else, so that it may as well ride on a companion computer beside 
 """
 
 from autopilot.onboard.app import Estimate, OnboardApp, OnboardOutput
-from autopilot.onboard.phases import Phase
+from autopilot.onboard.formation.phases import Phase
 
 __all__ = ["Estimate", "OnboardApp", "OnboardOutput", "Phase"]

@@ -15,25 +15,25 @@ import numpy as np
 from msgspec import Struct
 from pymavlink.dialects.v20 import common
 
-from autopilot.config import AnyMotion, Devices, OnboardConfig, Site
-from autopilot.formation_plan import FormationPlan
 from autopilot.mavlink.codec import Message
-from autopilot.mavlink.within import LocalPosition, PositionTarget
-from autopilot.onboard import messages
-from autopilot.onboard.avoidance import FRESH_US
-from autopilot.onboard.beacon import Fix, GpsError
-from autopilot.onboard.commands import CommandSender
-from autopilot.onboard.common_frame import CommonFrame
-from autopilot.onboard.flight import LOCALISE_TIMEOUT_US, Flight, Situation
-from autopilot.onboard.formation import Level
-from autopilot.onboard.guidance import SETPOINT_PERIOD_US, Guidance
-from autopilot.onboard.localisation import CooperativeLocalisation, LocalisationModel
-from autopilot.onboard.neighbourhood import Neighbourhood
-from autopilot.onboard.own_state import OwnState
-from autopilot.onboard.phases import Phase
-from autopilot.onboard.support import Support
-from autopilot.onboard.traffic import Traffic
-from autopilot.onboard.uncertainty import Others
+from autopilot.mavlink.local_messages import LocalPosition, PositionTarget
+from autopilot.onboard.formation import messages
+from autopilot.onboard.formation.avoidance import FRESH_US
+from autopilot.onboard.formation.commands import CommandSender
+from autopilot.onboard.formation.flight_phases import LOCALISE_TIMEOUT_US, Flight, Situation
+from autopilot.onboard.formation.formation_control import Level
+from autopilot.onboard.formation.formation_plan import FormationPlan
+from autopilot.onboard.formation.guidance import SETPOINT_PERIOD_US, Guidance
+from autopilot.onboard.formation.own_state import OwnState
+from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.localisation.common_frame import CommonFrame
+from autopilot.onboard.localisation.localisation import CooperativeLocalisation, LocalisationModel
+from autopilot.onboard.localisation.ranging_health import Support
+from autopilot.onboard.localisation.uncertainty import Others
+from autopilot.onboard.radio.beacon import Fix, GpsError
+from autopilot.onboard.radio.neighbourhood import Neighbourhood
+from autopilot.onboard.radio.traffic import Traffic
+from autopilot.parameters.config import AnyMotion, Devices, OnboardConfig, Site
 from foundation.types import Vector
 from netsim.wire.messages import Delivery, FtmResult, RxItem, Sent, Survey, TxItem
 

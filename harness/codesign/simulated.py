@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from autopilot.onboard.localisation import CooperativeLocalisation, LocalisationModel
-from autopilot.onboard.scheduled_ranging import owner
+from autopilot.onboard.localisation.localisation import CooperativeLocalisation, LocalisationModel
+from autopilot.onboard.radio.scheduled_ranging import owner
 from harness.gauss_markov import gauss_markov_path
 
 Array = NDArray[np.float64]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from autopilot.onboard.kernels import STATES
+from autopilot.onboard.localisation.kernels import STATES
 from harness.codesign.batch import batch_optimum
 from harness.codesign.bounds import aligned_error_m, posterior_bound, shape_basis
 from harness.codesign.simulated import Array, Trouble, simulate

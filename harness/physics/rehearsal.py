@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from autopilot.config import Site
+from autopilot.parameters.config import Site
 from harness.answers import Answers
 from harness.hil import SensorEncoder
 from harness.physics.environment import EnvironmentConfig

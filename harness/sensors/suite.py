@@ -9,8 +9,8 @@ from msgspec import Struct
 from numba import njit
 from numpy.typing import NDArray
 
-from autopilot.config import Site
 from autopilot.estimation import atmosphere
+from autopilot.parameters.config import Site
 from foundation.geometry.geodesy import ned_to_geodetic
 from foundation.types import Array
 from harness.faults import Faults

@@ -22,18 +22,18 @@ import numpy as np
 from msgspec import Struct
 
 from autopilot.commander.commander import Commander
-from autopilot.config import OnboardConfig, VehicleConfig
 from autopilot.control.flight import FlightController
-from autopilot.host import Host
-from autopilot.inertial_step import InertialSteps
+from autopilot.estimation.sensor_input import SensorInput
 from autopilot.mavlink.codec import Encoder
 from autopilot.mavlink.hil import TO_VEHICLE, HilActuatorControls, HilEncoder, HilParser
-from autopilot.monitor import Monitor
 from autopilot.onboard.app import OnboardApp
-from autopilot.pilot import Pilot
-from autopilot.protocol.services import Services
-from autopilot.protocol.streams import Streams
-from autopilot.sensors import SensorInput
+from autopilot.parameters.config import OnboardConfig, VehicleConfig
+from autopilot.services.services import Services
+from autopilot.services.streams import Streams
+from autopilot.vehicle.fast_step import InertialSteps
+from autopilot.vehicle.host import Host
+from autopilot.vehicle.monitor import Monitor
+from autopilot.vehicle.pilot import Pilot
 from harness.validation.solo import STEP_S, Solo
 from harness.wind import WindConfig
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from autopilot.config import Site
 from autopilot.estimation import atmosphere
 from autopilot.estimation.estimator import Estimator
+from autopilot.parameters.config import Site
 from foundation.geometry.geodesy import ned_to_geodetic
 from foundation.types import Array, EstimatorState, GpsFix, ImuSample
 

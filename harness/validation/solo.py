@@ -13,12 +13,12 @@ import numpy as np
 from msgspec import structs
 from pymavlink.dialects.v20 import common
 
-from autopilot.config import AutopilotConfig, Devices, OnboardConfig, Vector, VehicleConfig
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.hil import TO_VEHICLE, HilActuatorControls, HilEncoder, HilParser
 from autopilot.mavlink.modes import FlightMode, mode_from_custom
-from autopilot.protocol.service import GROUND_STATION, Partner, reply
-from autopilot.vehicle import StepOutput, Vehicle
+from autopilot.parameters.config import AutopilotConfig, Devices, OnboardConfig, Vector, VehicleConfig
+from autopilot.services.service import GROUND_STATION, Partner, reply
+from autopilot.vehicle.vehicle import StepOutput, Vehicle
 from foundation.types import Array, TrajectorySetpoint
 from harness import esc
 from harness.answers import is_armed

@@ -171,7 +171,7 @@ def main(command_line: Sequence[str]) -> int:
             physics(settings, [socket.socket(fileno=int(fd)) for fd in arguments.listen_fds.split(",")])
         case "netsim":
             radio(settings)
-        case "autopilot.hangar":
+        case "autopilot.process.prefork_server":
             hangar(socket.socket(fileno=arguments.fork_fd))
         case "autopilot":
             uav(settings)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from autopilot import parts as vehicle_parts
+from autopilot.process import profile_groups as vehicle_parts
 from foundation.profiling.profiler import REST, THREADS
 from harness import parts as physics_parts
 from harness.swarm import Swarm

@@ -16,14 +16,14 @@ pytestmark = pytest.mark.multiprocess
 
 FAILING = """
     import sys
-    from autopilot import hangar
-    from autopilot.rehearsal import RehearsalError
+    from autopilot.process import prefork_server
+    from autopilot.process.warm_up import RehearsalError
 
     def rehearse():
         raise RehearsalError("the vehicles of the rehearsal did not get on their way")
 
-    hangar.rehearse = rehearse
-    sys.exit(hangar.main())
+    prefork_server.rehearse = rehearse
+    sys.exit(prefork_server.main())
 """
 
 
@@ -36,7 +36,7 @@ def supervisor(tmp_path: Path) -> Iterator[Supervisor]:
 
 
 def test_it_runs_no_thread_which_a_fork_would_leave_behind(supervisor: Supervisor) -> None:
-    pid = supervisor.start_forker(HANGAR, python_module("autopilot.hangar", "--supervised"))
+    pid = supervisor.start_forker(HANGAR, python_module("autopilot.process.prefork_server", "--supervised"))
     hear(supervisor, Ready, HANGAR)
     hangar = psutil.Process(pid)
     assert hangar.num_threads() == 1
@@ -44,7 +44,7 @@ def test_it_runs_no_thread_which_a_fork_would_leave_behind(supervisor: Superviso
 
 
 def test_a_vehicle_without_settings_says_so_and_the_next_one_too(supervisor: Supervisor) -> None:
-    supervisor.start_forker(HANGAR, python_module("autopilot.hangar", "--supervised"))
+    supervisor.start_forker(HANGAR, python_module("autopilot.process.prefork_server", "--supervised"))
     hear(supervisor, Ready, HANGAR)
     for name in ("uav 0", "uav 1"):
         supervisor.fork(name, ["--config", f"no {name}.json", "--supervised"], forker=HANGAR)

@@ -4,8 +4,8 @@ import struct
 
 from pymavlink.dialects.v20 import common
 
-from autopilot.protocol.ftp import DATA_BYTES, Failure, Opcode
-from autopilot.protocol.service import NEVER_US
+from autopilot.services.ftp import DATA_BYTES, Failure, Opcode
+from autopilot.services.service import NEVER_US
 
 HEADER = struct.Struct("<HBBBBBxI")
 MS = 1_000

@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 
 from autopilot.mavlink.codec import Encoder, Message, Parser, stamp
-from autopilot.protocol.service import EVERYBODY, GROUND_STATION, Addressed, Partner, Service
+from autopilot.services.service import EVERYBODY, GROUND_STATION, Addressed, Partner, Service
 
 STATION_SYSTEM, STATION_COMPONENT = 255, 190
 VEHICLE_SYSTEM = 1

@@ -5,8 +5,8 @@ import struct
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Encoder, Parser
-from autopilot.params import ROW_INDEX_OF, ROWS
-from autopilot.protocol.parameter import value_bytes
+from autopilot.parameters.table import ROW_INDEX_OF, ROWS
+from autopilot.services.parameter import value_bytes
 
 UINT32, INT32, REAL32 = 5, 6, 9
 

@@ -17,8 +17,8 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.dialect import MissionAck, MissionCount
 from autopilot.navigation.plan_store import PlanType, WireItem
-from autopilot.protocol.plan_wire import decode_item, encode_item
-from autopilot.protocol.service import NEVER_US
+from autopilot.services.plan_wire import decode_item, encode_item
+from autopilot.services.service import NEVER_US
 
 VEHICLE = (1, 1)
 COUNT, ACK = common.MAVLINK_MSG_ID_MISSION_COUNT, common.MAVLINK_MSG_ID_MISSION_ACK

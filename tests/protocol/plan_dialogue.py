@@ -5,9 +5,9 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.codec import stamp
 from autopilot.mavlink.dialect import MissionAck, MissionCount
 from autopilot.navigation.plan_store import NOTHING, PlanStore, PlanType
-from autopilot.protocol.plan_transfer import PlanTransfer
-from autopilot.protocol.plan_wire import encode_item
-from autopilot.protocol.service import ALL, Partner
+from autopilot.services.plan_transfer import PlanTransfer
+from autopilot.services.plan_wire import encode_item
+from autopilot.services.service import ALL, Partner
 
 MISSION, FENCE, RALLY = PlanType
 ME, OTHER = Partner(0, 3), Partner(1, 3)

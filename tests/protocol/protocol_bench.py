@@ -10,15 +10,15 @@ from autopilot.commander.params import CommanderParams
 from autopilot.estimation.estimator import Estimator
 from autopilot.estimation.params import EstimatorParams
 from autopilot.mavlink.codec import Encoder, Parser, stamp
-from autopilot.protocol.actions_flight import FlightActions, FlightCommands
-from autopilot.protocol.actions_system import SystemCommands
-from autopilot.protocol.calibration import Calibration
-from autopilot.protocol.command import CommandService, TakeoffAltitude
-from autopilot.protocol.flight_data import FlightData, Home
-from autopilot.protocol.manual_control import ManualControlService
-from autopilot.protocol.service import Partner
-from autopilot.protocol.streams import GROUND_STATION_HZ, Streams
-from autopilot.protocol.telemetry import Telemetry
+from autopilot.services.actions_flight import FlightActions, FlightCommands
+from autopilot.services.actions_system import SystemCommands
+from autopilot.services.calibration import Calibration
+from autopilot.services.command import CommandService, TakeoffAltitude
+from autopilot.services.flight_data import FlightData, Home
+from autopilot.services.manual_control import ManualControlService
+from autopilot.services.service import Partner
+from autopilot.services.streams import GROUND_STATION_HZ, Streams
+from autopilot.services.telemetry import Telemetry
 
 NAN = math.nan
 EVERYTHING = sum(Condition)

@@ -7,9 +7,9 @@ from protocol_bench import ASKER, make_flight, over_the_wire
 from pymavlink.dialects.v20 import common
 
 from autopilot.commander.conditions import Reason
-from autopilot.protocol.clocks import PingService, TimesyncService
-from autopilot.protocol.places import PlacesService
-from autopilot.protocol.service import Partner
+from autopilot.services.clocks import PingService, TimesyncService
+from autopilot.services.places import PlacesService
+from autopilot.services.service import Partner
 
 any_int32 = st.integers(-(2**31), 2**31 - 1)
 

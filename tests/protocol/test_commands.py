@@ -10,8 +10,8 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.commander.conditions import Condition, Reason
 from autopilot.mavlink.modes import FlightMode
-from autopilot.protocol.command import REMEMBERED_MAX, REMEMBERED_US
-from autopilot.protocol.service import ALL, Partner, is_addressed_to
+from autopilot.services.command import REMEMBERED_MAX, REMEMBERED_US
+from autopilot.services.service import ALL, Partner, is_addressed_to
 
 ACCEPTED, DENIED = common.MAV_RESULT_ACCEPTED, common.MAV_RESULT_DENIED
 REFUSED, UNSUPPORTED = common.MAV_RESULT_TEMPORARILY_REJECTED, common.MAV_RESULT_UNSUPPORTED

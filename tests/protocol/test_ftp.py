@@ -11,8 +11,8 @@ from lossy import play
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Encoder, Parser
-from autopilot.protocol.files import Contents, FileStore, Log
-from autopilot.protocol.ftp import (
+from autopilot.services.files import Contents, FileStore, Log
+from autopilot.services.ftp import (
     BURST_PACKETS,
     DATA_BYTES,
     IDLE_US,
@@ -22,7 +22,7 @@ from autopilot.protocol.ftp import (
     FtpService,
     Opcode,
 )
-from autopilot.protocol.service import NEVER_US, Partner
+from autopilot.services.service import NEVER_US, Partner
 
 ASKER, OTHER = Partner(0, 3), Partner(1, 0)
 CONTENT = bytes(range(256)) * 80  # 20 kB: more than a burst, and no whole number of packets

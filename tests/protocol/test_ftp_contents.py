@@ -8,14 +8,12 @@ import pytest
 from ftp_client import Downloader
 from lossy import play
 
-from autopilot.crc import crc32
 from autopilot.mavlink.codec import Encoder, Parser
-from autopilot.params import ROWS, ParameterSet, Settings
-from autopilot.protocol import metadata
-from autopilot.protocol.files import FileStore
-from autopilot.protocol.ftp import (
-    FtpService,
-)
+from autopilot.mavlink.crc import crc32
+from autopilot.parameters.table import ROWS, ParameterSet, Settings
+from autopilot.services import metadata
+from autopilot.services.files import FileStore
+from autopilot.services.ftp import FtpService
 
 
 def vehicle_files():

@@ -16,7 +16,7 @@ from vehicle_process import VehicleProcess, config
 from autopilot.mavlink.codec import Encoder, Parser
 from autopilot.mavlink.counters import Counters
 from autopilot.mavlink.hil import HilActuatorControls, HilParser, HilSensor
-from autopilot.protocol.service import COMPANION, GROUND_STATION, Addressed, Partner, is_addressed_to, reply
+from autopilot.services.service import COMPANION, GROUND_STATION, Addressed, Partner, is_addressed_to, reply
 from harness.lockstep import Voice
 from harness.validation.solo import STEP_US, Solo
 

@@ -7,9 +7,9 @@ from lossy import play
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Encoder, Parser
-from autopilot.protocol.files import Contents, FileStore, Log
-from autopilot.protocol.logs import MOST_DOWNLOADS, PIECE_BYTES, PIECES, LogService
-from autopilot.protocol.service import NEVER_US, Partner
+from autopilot.services.files import Contents, FileStore, Log
+from autopilot.services.logs import MOST_DOWNLOADS, PIECE_BYTES, PIECES, LogService
+from autopilot.services.service import NEVER_US, Partner
 
 ASKER = Partner(0, 3)
 CHUNK_BYTES = 512 * PIECE_BYTES

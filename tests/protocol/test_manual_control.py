@@ -7,8 +7,8 @@ from autopilot.commander.commander import Commander
 from autopilot.commander.conditions import Condition
 from autopilot.commander.params import CommanderParams
 from autopilot.mavlink.modes import FlightMode
-from autopilot.protocol.manual_control import ManualControlService
-from autopilot.protocol.service import Partner
+from autopilot.services.manual_control import ManualControlService
+from autopilot.services.service import Partner
 
 ALL = sum(Condition)
 ASKER, OTHER = Partner(0, 3), Partner(1, 3)

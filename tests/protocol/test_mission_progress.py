@@ -12,8 +12,8 @@ from autopilot.navigation.mission import MissionCommand, MissionItem, make_missi
 from autopilot.navigation.mission_runner import MissionRunner
 from autopilot.navigation.plan_items import mission_items, rally_item
 from autopilot.navigation.plan_store import PlanStore, PlanType
-from autopilot.protocol import mission_progress
-from autopilot.protocol.mission_progress import (
+from autopilot.services import mission_progress
+from autopilot.services.mission_progress import (
     ACTIVE,
     COMPLETE,
     IN_MISSION,
@@ -26,7 +26,7 @@ from autopilot.protocol.mission_progress import (
     SUSPENDED,
     MissionProgress,
 )
-from autopilot.protocol.service import ALL, COMPANION, GROUND_STATION, NEVER_US, Partner
+from autopilot.services.service import ALL, COMPANION, GROUND_STATION, NEVER_US, Partner
 
 STATION = Partner(GROUND_STATION, 3)
 WAYPOINT = MissionItem(command=MissionCommand.WAYPOINT, lat_deg=47.0, lon_deg=8.0, height_m=5.0)

@@ -18,9 +18,9 @@ from autopilot.estimation.params import EstimatorParams
 from autopilot.mavlink import dialect
 from autopilot.mavlink.codec import Encoder, Parser
 from autopilot.mavlink.modes import FlightMode
-from autopilot.protocol.flight_data import FlightData, Home
-from autopilot.protocol.offboard import OffboardService
-from autopilot.protocol.service import APPLICATION_PARTNER, COMPANION, GROUND_STATION, Partner
+from autopilot.services.flight_data import FlightData, Home
+from autopilot.services.offboard import OffboardService
+from autopilot.services.service import APPLICATION_PARTNER, COMPANION, GROUND_STATION, Partner
 from foundation.geometry.geodesy import ned_to_geodetic
 from foundation.geometry.rotations import quat_from_euler
 from foundation.types import AttitudeSetpoint, RateSetpoint, TrajectorySetpoint

@@ -11,11 +11,11 @@ from parameter_dialogue import INT32, REAL32, UINT32, bits, expected, over_the_w
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Encoder, stamp
-from autopilot.params import ROWS, ParameterSet, Settings
-from autopilot.protocol.parameter import ParameterService
-from autopilot.protocol.parameter_ext import ParameterExtService
-from autopilot.protocol.parameter_lists import LIST_BATCH, LIST_PERIOD_US
-from autopilot.protocol.service import ALL, NEVER_US, Partner
+from autopilot.parameters.table import ROWS, ParameterSet, Settings
+from autopilot.services.parameter import ParameterService
+from autopilot.services.parameter_ext import ParameterExtService
+from autopilot.services.parameter_lists import LIST_BATCH, LIST_PERIOD_US
+from autopilot.services.service import ALL, NEVER_US, Partner
 
 ASKER, OTHER = Partner(0, 3), Partner(1, 0)
 MS = 1_000

@@ -5,9 +5,9 @@ from lossy import play
 from parameter_dialogue import bits, expected, set_message
 from pymavlink.dialects.v20 import common
 
-from autopilot.params import ROW_INDEX_OF, ROWS, ParameterSet, Settings
-from autopilot.protocol.parameter import ParameterService, value_bytes
-from autopilot.protocol.service import NEVER_US
+from autopilot.parameters.table import ROW_INDEX_OF, ROWS, ParameterSet, Settings
+from autopilot.services.parameter import ParameterService, value_bytes
+from autopilot.services.service import NEVER_US
 
 SEEDS = 200
 LINK = {"loss": 0.05, "duplication": 0.05, "delays_us": (0, 100_000)}

@@ -37,8 +37,8 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.codec import stamp
 from autopilot.mavlink.dialect import MissionCount
 from autopilot.navigation.plan_store import CAPACITY, PlanType, Refused
-from autopilot.protocol.plan_upload import REPEAT_US, RETRY_US, TIMEOUT_US
-from autopilot.protocol.service import ALL, NEVER_US, Partner
+from autopilot.services.plan_upload import REPEAT_US, RETRY_US, TIMEOUT_US
+from autopilot.services.service import ALL, NEVER_US, Partner
 
 PLAN = drawn_plan(20)
 

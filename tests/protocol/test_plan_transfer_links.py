@@ -9,8 +9,8 @@ from plan_clients import Job, MavProxy, Mavsdk, OldStation, QGroundControl, bits
 from pymavlink.dialects.v20 import common
 
 from autopilot.navigation.plan_store import NOTHING, PlanStore, PlanType
-from autopilot.protocol.plan_transfer import PlanTransfer
-from autopilot.protocol.service import NEVER_US
+from autopilot.services.plan_transfer import PlanTransfer
+from autopilot.services.service import NEVER_US
 
 MISSION, FENCE, RALLY = PlanType
 ERROR = common.MAV_MISSION_ERROR

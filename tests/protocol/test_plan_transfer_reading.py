@@ -27,7 +27,7 @@ from plan_dialogue import (
 from pymavlink.dialects.v20 import common
 
 from autopilot.navigation.plan_store import NOT_GIVEN, WireItem
-from autopilot.protocol.plan_wire import decode_item
+from autopilot.services.plan_wire import decode_item
 
 PLAN = drawn_plan(20)
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common
 
-from autopilot.config import LinksConfig, OnboardConfig, VehicleConfig
 from autopilot.mavlink.codec import frame_bytes
-from autopilot.protocol.service import COMPANION, EVERYBODY, GROUND_STATION, Addressed, Partner
-from autopilot.protocol.shaper import BURST_US, MAX_WAITING, TRANSFER_SHARE, Shaper, Shapers
+from autopilot.parameters.config import LinksConfig, OnboardConfig, VehicleConfig
+from autopilot.services.service import COMPANION, EVERYBODY, GROUND_STATION, Addressed, Partner
+from autopilot.services.shaper import BURST_US, MAX_WAITING, TRANSFER_SHARE, Shaper, Shapers
 from harness.validation.solo import STEP_US, Solo
 
 BUDGET = 5_000

@@ -11,7 +11,6 @@ import pytest
 from pymavlink.dialects.v20 import common
 from vehicle_process import VehicleProcess
 
-from autopilot.config import LinksConfig
 from autopilot.mavlink import signing
 from autopilot.mavlink.codec import Encoder, Parser, Sequences
 from autopilot.mavlink.codec import signed as sign_frame
@@ -29,6 +28,7 @@ from autopilot.mavlink.signing import (
     Verdict,
     key_of,
 )
+from autopilot.parameters.config import LinksConfig
 
 KEY = hashlib.sha256(b"correct horse").digest()
 NOW = 3_600 * TICKS_PER_S * 24 * 365 * 10

@@ -4,7 +4,7 @@ import pytest
 from protocol_bench import make_flight, make_telemetry
 from pymavlink.dialects.v20 import common
 
-from autopilot.protocol.streams import (
+from autopilot.services.streams import (
     APPLICATION_HZ,
     COMPANION_HZ,
     GROUND_STATION_HZ,

@@ -12,10 +12,10 @@ from autopilot.commander.failsafe import Cause
 from autopilot.mavlink.codec import Encoder, Parser
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.manual import ManualInput
-from autopilot.protocol.manual_control import ManualControlService
-from autopilot.protocol.status import TEXT_BYTES, Chunks, status_text
-from autopilot.protocol.telemetry import Telemetry
-from autopilot.protocol.telemetry_sensors import Vibration
+from autopilot.services.manual_control import ManualControlService
+from autopilot.services.status import TEXT_BYTES, Chunks, status_text
+from autopilot.services.telemetry import Telemetry
+from autopilot.services.telemetry_sensors import Vibration
 from foundation.types import TrajectorySetpoint
 
 GEOFENCE, RECEIVER = common.MAV_SYS_STATUS_GEOFENCE, common.MAV_SYS_STATUS_SENSOR_RC_RECEIVER

@@ -11,9 +11,9 @@ from typing import Self
 import msgspec
 from pymavlink.dialects.v20 import common
 
-from autopilot.config import OnboardConfig, VehicleConfig, VehiclePorts
 from autopilot.mavlink.codec import Encoder
 from autopilot.mavlink.hil import HilActuatorControls, HilParser
+from autopilot.parameters.config import OnboardConfig, VehicleConfig, VehiclePorts
 
 STEP_US = 4_000
 DEADLINE_S = 30.0

@@ -3,7 +3,7 @@
 import msgspec
 import numpy as np
 
-from autopilot.config import Site
+from autopilot.parameters.config import Site
 from foundation.geometry.geodesy import geodetic_to_ned
 from foundation.geometry.rotations import quat_from_rotation_vector
 from harness.faults import AnyFault, Faults

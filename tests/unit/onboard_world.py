@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from pymavlink.dialects.v20 import common
 
-from autopilot.config import Devices, OnboardConfig, Site
 from autopilot.onboard import OnboardApp, Phase
 from autopilot.onboard.app import NOTHING
+from autopilot.parameters.config import Devices, OnboardConfig, Site
 from foundation.geometry.geodesy import ned_to_geodetic
 from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult
 

@@ -8,7 +8,7 @@ from vehicle_world import Flight, vehicle_config
 
 from autopilot.mavlink.dialect import MissionCount
 from autopilot.navigation.plan_store import PlanType, WireItem
-from autopilot.protocol.plan_wire import encode_item
+from autopilot.services.plan_wire import encode_item
 from foundation.geometry.geodesy import ned_to_geodetic
 
 RELATIVE = common.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT

@@ -5,7 +5,7 @@ from pymavlink.dialects.v20 import common
 from vehicle_world import STEP_US, Flight, vehicle_config
 
 from autopilot.mavlink.modes import FlightMode
-from autopilot.protocol.service import GROUND_STATION, Partner
+from autopilot.services.service import GROUND_STATION, Partner
 from foundation.geometry.geodesy import ned_to_geodetic
 from foundation.geometry.rotations import quat_to_euler
 

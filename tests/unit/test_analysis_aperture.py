@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from antenna.model.config import AntennaConfig
 from antenna.model.geometry import ElementsTouch, grid
-from autopilot.config import RacetrackMotion
-from autopilot.formation_plan import FormationPlan
+from autopilot.onboard.formation.formation_plan import FormationPlan
+from autopilot.parameters.config import RacetrackMotion
 from harness.analysis import (
     NoFeed,
     antenna_from_ned,

@@ -5,8 +5,8 @@ from antenna_hertzian import exact_patterns
 from matplotlib.image import imread
 
 from antenna.model.geometry import grid
-from autopilot.config import RacetrackMotion
-from autopilot.formation_plan import FormationPlan
+from autopilot.onboard.formation.formation_plan import FormationPlan
+from autopilot.parameters.config import RacetrackMotion
 from harness import figures
 from harness.flight import Flight
 from harness.formation_error import formation_error

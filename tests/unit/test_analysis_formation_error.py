@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from autopilot.config import RacetrackMotion
-from autopilot.formation_plan import FormationPlan
+from autopilot.onboard.formation.formation_plan import FormationPlan
+from autopilot.parameters.config import RacetrackMotion
 from harness.flight import Flight
 from harness.formation_error import formation_error
 from harness.physics.model import IRIS

@@ -11,7 +11,7 @@ from antenna.model.excitation import end_fire
 from antenna.model.geometry import Snapshot, grid
 from antenna.solvers.interface import BackendUnavailable
 from antenna.solvers.selection import make_backend
-from autopilot.onboard.scheduled_ranging import owner
+from autopilot.onboard.radio.scheduled_ranging import owner
 from harness import swarm
 from harness.codesign.cases import (
     BASE,

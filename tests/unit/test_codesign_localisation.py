@@ -7,8 +7,8 @@ import pytest
 from onboard_world import article_places_ned_m
 from scipy.stats import chi2
 
-from autopilot.onboard.kernels import STATES
-from autopilot.onboard.localisation import CooperativeLocalisation, LocalisationModel
+from autopilot.onboard.localisation.kernels import STATES
+from autopilot.onboard.localisation.localisation import CooperativeLocalisation, LocalisationModel
 from harness.codesign.bounds import aligned_error_m, posterior_bound, shape_basis
 from harness.codesign.simulated import GRID_US, Trouble, simulate
 from harness.codesign.study import localisation_study

@@ -6,12 +6,12 @@ import msgspec
 import pytest
 from pymavlink.dialects.v20 import common
 
-from autopilot.companion import CALL_PERIOD_S, LONGEST_LEAP_US, TICK_US, Companion
-from autopilot.companion_log import CompanionLog
-from autopilot.config import VehicleConfig
+from autopilot.logs.companion_record import CompanionLog
+from autopilot.logs.vehicle_record import VEHICLE_RECORD
 from autopilot.mavlink.codec import Encoder, Parser, stamp
-from autopilot.onboard.phases import Phase
-from autopilot.recording import VEHICLE_RECORD
+from autopilot.onboard.formation.phases import Phase
+from autopilot.parameters.config import VehicleConfig
+from autopilot.process.companion import CALL_PERIOD_S, LONGEST_LEAP_US, TICK_US, Companion
 from foundation.records.record_log import read
 from netsim.wire.messages import Broadcast
 

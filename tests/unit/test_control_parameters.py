@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from autopilot.control import FlightController
 from autopilot.control.params import PositionParams
 from autopilot.control.position import PositionController, _attitude
-from autopilot.params import NOT_OVER, TABLE, ParameterError, ParameterSet, Settings
+from autopilot.parameters.table import NOT_OVER, TABLE, ParameterError, ParameterSet, Settings
 from foundation.geometry.rotations import quat_rotate
 from foundation.types import TrajectorySetpoint
 

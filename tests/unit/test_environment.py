@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from autopilot.config import Site
+from autopilot.parameters.config import Site
 from foundation.geometry.rotations import quat_from_rotation_vector
 from harness.physics.environment import EnvironmentConfig, Surroundings
 from harness.physics.model import IRIS

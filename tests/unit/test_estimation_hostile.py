@@ -19,8 +19,8 @@ from autopilot.estimation.params import EstimatorParams
 from autopilot.estimation.yaw_gsf import YawBank, level_start, update_model
 from autopilot.mavlink.codec import Encoder
 from autopilot.mavlink.hil import HilSensor
-from autopilot.protocol.service import GROUND_STATION, Addressed, Partner
-from autopilot.vehicle import Vehicle
+from autopilot.services.service import GROUND_STATION, Addressed, Partner
+from autopilot.vehicle.vehicle import Vehicle
 from foundation.types import ImuSample
 
 ALL_FIELDS = 0x1FFF

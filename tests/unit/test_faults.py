@@ -22,7 +22,7 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.estimation import atmosphere
 from autopilot.mavlink.codec import Parser
-from autopilot.recording import SiteFrame
+from autopilot.navigation.site_frame import SiteFrame
 from harness.faults import AnyFault, kind
 from harness.hil import SensorEncoder
 from harness.messages import FaultChanged

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common
 
-from autopilot.config import Site
 from autopilot.mavlink.hil import HilParser, HilSensor
+from autopilot.parameters.config import Site
 from foundation.geometry.geodesy import geodetic_to_ned
 from harness.hil import SensorEncoder
 from harness.physics.truth import Truth

@@ -10,11 +10,11 @@ from msgspec.structs import replace
 from pymavlink.dialects.v20 import common
 from vehicle_world import vehicle_config
 
-from autopilot import parameter_file
 from autopilot.__main__ import _yield_to_the_simulator
-from autopilot.host import MOST_WAITING, Host
 from autopilot.mavlink.codec import Encoder, Parser, stamp
-from autopilot.protocol.service import GROUND_STATION, Addressed, Partner
+from autopilot.parameters import parameter_file
+from autopilot.services.service import GROUND_STATION, Addressed, Partner
+from autopilot.vehicle.host import MOST_WAITING, Host
 from netsim.wire.lockstep import BATCH_DELIVERED
 
 SIMULATOR = Encoder(system=0, component=1)

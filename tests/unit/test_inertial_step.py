@@ -4,11 +4,11 @@ import pytest
 from fastcrc import crc16
 from pymavlink.dialects.v20 import common
 
-from autopilot.config import OnboardConfig, VehicleConfig
-from autopilot.host import Host
 from autopilot.mavlink.hil import TO_VEHICLE, HilParser, HilSensor, pack
-from autopilot.protocol.service import GROUND_STATION, Addressed, Partner
-from autopilot.vehicle import DECISION_PERIOD_US
+from autopilot.parameters.config import OnboardConfig, VehicleConfig
+from autopilot.services.service import GROUND_STATION, Addressed, Partner
+from autopilot.vehicle.host import Host
+from autopilot.vehicle.vehicle import DECISION_PERIOD_US
 from harness.validation.bench import record_flight
 
 FLIGHT_S = 24.0

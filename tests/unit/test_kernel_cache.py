@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from kernel_coverage import called_by_rehearsal, kernels, signatures
 
-import autopilot.rehearsal
+import autopilot.process.warm_up
 from antenna.analysis.patterns import Pattern
 from antenna.model.clearance import check_apart
 from antenna.model.config import AntennaConfig
@@ -228,7 +228,7 @@ def test_after_the_rehearsal_of_the_antenna_nothing_is_left_to_be_compiled():
 
 def test_after_the_rehearsal_of_the_vehicles_nothing_is_left_to_be_loaded():
     """Or every vehicle that is forked would load it for itself, in flight."""
-    autopilot.rehearsal.rehearse()
+    autopilot.process.warm_up.rehearse()
     loaded = signatures("autopilot")
     assert any(loaded.values())
     with OneProcessSwarm(ARTICLE, agents=3) as swarm:

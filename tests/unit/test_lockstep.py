@@ -19,8 +19,8 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot.__main__ import SimulatorUnreachable, connect_simulator
-from autopilot.config import VehiclePorts
 from autopilot.mavlink.codec import Encoder, Parser
+from autopilot.parameters.config import VehiclePorts
 from foundation.processes.child_protocol import Stop
 from harness.lockstep import CLOSED, OWN, PX4, ConnectTimeout, Lockstep
 from harness.messages import RunUntil, SetAttenuation

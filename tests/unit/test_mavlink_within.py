@@ -4,7 +4,7 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Encoder, Parser
-from autopilot.mavlink.within import LocalPosition, PositionTarget
+from autopilot.mavlink.local_messages import LocalPosition, PositionTarget
 
 POSITION = LocalPosition(4_000, 1.5, -2.5, -10.0, 0.25, 0.5, -0.125)
 TARGET = PositionTarget(4_000, 3, 1, 1, 3072, 1.5, -2.5, -10.0, 0.25, 0.5, -0.125, 0.5, 0.75)

@@ -16,17 +16,18 @@ from onboard_world import (
 )
 from pymavlink.dialects.v20 import common
 
-from autopilot.config import Devices, OnboardConfig
 from autopilot.mavlink.modes import FlightMode
-from autopilot.onboard import OnboardApp, Phase, messages
-from autopilot.onboard import beacon as wire
-from autopilot.onboard.commands import CommandSender
-from autopilot.onboard.flight import Flight, Situation
-from autopilot.onboard.formation import COAST_S
-from autopilot.onboard.own_state import OwnState
-from autopilot.params import ParameterSet, Settings
-from autopilot.protocol.parameter import ParameterService
-from autopilot.protocol.service import APPLICATION_PARTNER
+from autopilot.onboard import OnboardApp, Phase
+from autopilot.onboard.formation import messages
+from autopilot.onboard.formation.commands import CommandSender
+from autopilot.onboard.formation.flight_phases import Flight, Situation
+from autopilot.onboard.formation.formation_control import COAST_S
+from autopilot.onboard.formation.own_state import OwnState
+from autopilot.onboard.radio import beacon as wire
+from autopilot.parameters.config import Devices, OnboardConfig
+from autopilot.parameters.table import ParameterSet, Settings
+from autopilot.services.parameter import ParameterService
+from autopilot.services.service import APPLICATION_PARTNER
 from netsim.wire.messages import Broadcast, Delivery, FtmRequest
 
 GPS = OnboardConfig(localisation="gps")

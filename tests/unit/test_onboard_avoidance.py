@@ -9,9 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from onboard_world import article_places_ned_m
 
-from autopilot.config import RacetrackMotion
-from autopilot.formation_plan import FormationPlan
-from autopilot.onboard.avoidance import (
+from autopilot.onboard.formation.avoidance import (
     CLOSING_1_S,
     FRESH_US,
     GROWTH_M_S,
@@ -22,8 +20,10 @@ from autopilot.onboard.avoidance import (
     Avoidance,
     _nearest,
 )
-from autopilot.onboard.formation import Reference
-from autopilot.onboard.uncertainty import SEEN
+from autopilot.onboard.formation.formation_control import Reference
+from autopilot.onboard.formation.formation_plan import FormationPlan
+from autopilot.onboard.localisation.uncertainty import SEEN
+from autopilot.parameters.config import RacetrackMotion
 
 POSITION_P_1_S = 0.95
 DENSE = article_places_ned_m(4.25, 1.25)

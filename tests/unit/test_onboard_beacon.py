@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from msgspec import ValidationError, convert
 from msgspec.structs import replace
 
-from autopilot.config import OnboardConfig
-from autopilot.onboard import beacon as wire
-from autopilot.onboard.phases import Phase
+from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.radio import beacon as wire
+from autopilot.parameters.config import OnboardConfig
 from netsim.wire.messages import MAX_PAYLOAD_BYTES
 
 single = st.floats(-1e4, 1e4, width=32)

@@ -12,9 +12,9 @@ from msgspec import Struct
 from msgspec.inspect import DictType, FloatType, StructType, Type, type_info
 from onboard_world import SwarmWorld
 
-from autopilot import config as settings
-from autopilot.config import OnboardConfig, RacetrackMotion, TrackMotion
-from autopilot.formation_plan import FormationPlan, check
+from autopilot.onboard.formation.formation_plan import FormationPlan, check
+from autopilot.parameters import config as settings
+from autopilot.parameters.config import OnboardConfig, RacetrackMotion, TrackMotion
 
 TABLES = [
     table

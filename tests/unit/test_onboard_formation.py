@@ -6,9 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from onboard_world import article_places_ned_m
 
-from autopilot.config import RacetrackMotion
-from autopilot.formation_plan import FormationPlan
-from autopilot.onboard.formation import (
+from autopilot.onboard.formation.formation_control import (
     ACCELERATION_M_S2,
     COAST_S,
     FADE_TIME_CONSTANT_S,
@@ -19,7 +17,8 @@ from autopilot.onboard.formation import (
     Reference,
     joining_time_s,
 )
-from autopilot.onboard.layers import (
+from autopilot.onboard.formation.formation_plan import FormationPlan
+from autopilot.onboard.formation.height_layers import (
     BACK_S,
     DRIFT_SIGMAS,
     GROUND_CLEARANCE_M,
@@ -29,6 +28,7 @@ from autopilot.onboard.layers import (
     apart_s,
     layers,
 )
+from autopilot.parameters.config import RacetrackMotion
 
 DT_S = 0.05
 ZERO = np.zeros(2)

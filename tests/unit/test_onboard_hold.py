@@ -3,9 +3,9 @@
 from onboard_world import MODE_LOITER, SwarmWorld
 from pymavlink.dialects.v20 import common
 
-from autopilot.config import OnboardConfig
 from autopilot.mavlink.codec import stamp
 from autopilot.onboard import Phase
+from autopilot.parameters.config import OnboardConfig
 from netsim.wire.messages import Broadcast, FtmRequest
 
 PAIR = ((-3.0, 0.0, -8.0), (3.0, 0.0, -8.0))

@@ -6,11 +6,11 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from autopilot.onboard.joining import Problem, Range, badly_fitting
-from autopilot.onboard.kernels import STATES
-from autopilot.onboard.localisation_model import LocalisationModel
-from autopilot.onboard.members import new_members
-from autopilot.onboard.receivers import Receivers
+from autopilot.onboard.localisation.batch_initialisation import Problem, Range, badly_fitting
+from autopilot.onboard.localisation.kernels import STATES
+from autopilot.onboard.localisation.members import new_members
+from autopilot.onboard.localisation.model import LocalisationModel
+from autopilot.onboard.localisation.receivers import Receivers
 from harness.codesign.bounds import aligned_error_m
 
 MODEL = LocalisationModel()

@@ -5,13 +5,13 @@ import pytest
 from onboard_world import article_places_ned_m, rms, shape_errors_m
 from scipy.optimize import least_squares
 
-from autopilot.config import REMEMBERED_S
-from autopilot.onboard import beacon as wire
-from autopilot.onboard import kernels
-from autopilot.onboard.hearing import Hearing
-from autopilot.onboard.localisation import CooperativeLocalisation, LocalisationModel
-from autopilot.onboard.phases import Phase
-from autopilot.onboard.tracks import SAMPLES
+from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.localisation import kernels
+from autopilot.onboard.localisation.localisation import CooperativeLocalisation, LocalisationModel
+from autopilot.onboard.localisation.tracks import SAMPLES
+from autopilot.onboard.radio import beacon as wire
+from autopilot.onboard.radio.neighbour_table import Hearing
+from autopilot.parameters.config import REMEMBERED_S
 
 PLACES = article_places_ned_m()
 N = len(PLACES)

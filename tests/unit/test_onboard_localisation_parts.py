@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from autopilot.onboard.members import new_members
-from autopilot.onboard.receivers import add_fix
-from autopilot.onboard.tracks import KNOWN, NOT_YET, SAMPLES, TOO_OLD, Tracks, odometry_at, push
-from autopilot.onboard.trust import Trust
-from autopilot.onboard.uncertainty import bend
+from autopilot.onboard.localisation.members import new_members
+from autopilot.onboard.localisation.receivers import add_fix
+from autopilot.onboard.localisation.tracks import KNOWN, NOT_YET, SAMPLES, TOO_OLD, Tracks, odometry_at, push
+from autopilot.onboard.localisation.trust import Trust
+from autopilot.onboard.localisation.uncertainty import bend
 
 N = 8
 PAIRS = [(i, j) for i in range(N) for j in range(N) if i != j]

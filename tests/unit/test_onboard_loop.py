@@ -5,12 +5,12 @@ import pytest
 from onboard_world import ALONE, STEP_US, phase_is, world
 from pymavlink.dialects.v20 import common
 
-from autopilot.config import OnboardConfig
-from autopilot.formation_plan import FormationPlan, RacetrackMotion
-from autopilot.mavlink.within import PositionTarget
+from autopilot.mavlink.local_messages import PositionTarget
 from autopilot.onboard import Phase
 from autopilot.onboard.app import NOTHING
-from autopilot.onboard.guidance import SETPOINT_PERIOD_US
+from autopilot.onboard.formation.formation_plan import FormationPlan, RacetrackMotion
+from autopilot.onboard.formation.guidance import SETPOINT_PERIOD_US
+from autopilot.parameters.config import OnboardConfig
 
 GPS = OnboardConfig(localisation="gps")
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from autopilot.onboard.localisation import SILENCE_US
-from autopilot.onboard.motion import LEAD_US, MOST_LEADS, OLDEST_US, MotionStart
-from autopilot.onboard.phases import Phase
+from autopilot.onboard.formation.motion import LEAD_US, MOST_LEADS, OLDEST_US, MotionStart
+from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.localisation.localisation import SILENCE_US
 
 BEACON_US = 100_000
 STEP_US = 50_000

@@ -6,8 +6,8 @@ Costs nothing.
 import pytest
 from pymavlink.dialects.v20 import common
 
-from autopilot.config import Site
-from autopilot.onboard.own_state import OwnState
+from autopilot.onboard.formation.own_state import OwnState
+from autopilot.parameters.config import Site
 
 SITE = Site()
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from autopilot.onboard.ranging import GIVE_UP_US, MAX_OUTSTANDING, RangingSchedule
+from autopilot.onboard.radio.ranging import GIVE_UP_US, MAX_OUTSTANDING, RangingSchedule
 
 STEP_US = 4_000
 PERIOD_US = 1_000_000

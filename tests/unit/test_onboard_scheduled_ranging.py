@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from autopilot.onboard.ranging import GIVE_UP_US, MAX_OUTSTANDING
-from autopilot.onboard.scheduled_ranging import (
+from autopilot.onboard.radio.ranging import GIVE_UP_US, MAX_OUTSTANDING
+from autopilot.onboard.radio.scheduled_ranging import (
     CHECK_LATEST_US,
     CHECK_SPREAD,
     CHECK_US,

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from autopilot.config import SESSION_S, Devices, OnboardConfig, Site
-from autopilot.onboard import beacon as wire
-from autopilot.onboard.hearing import BEGUN_ANEW, HEARD, REFUSED, SHIFTS, WAIT_US, hear
-from autopilot.onboard.localisation import SILENCE_US
-from autopilot.onboard.own_state import OwnState
-from autopilot.onboard.phases import Phase
-from autopilot.onboard.scheduled_ranging import CHECK_LATEST_US, CHECK_US, UNKNOWN_PERIOD_US, owner
-from autopilot.onboard.traffic import Traffic
+from autopilot.onboard.formation.own_state import OwnState
+from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.localisation.localisation import SILENCE_US
+from autopilot.onboard.radio import beacon as wire
+from autopilot.onboard.radio.neighbour_table import BEGUN_ANEW, HEARD, REFUSED, SHIFTS, WAIT_US, hear
+from autopilot.onboard.radio.scheduled_ranging import CHECK_LATEST_US, CHECK_US, UNKNOWN_PERIOD_US, owner
+from autopilot.onboard.radio.traffic import Traffic
+from autopilot.parameters.config import SESSION_S, Devices, OnboardConfig, Site
 from netsim.wire.messages import Broadcast, FtmRequest, FtmResult, Survey
 
 STATIONS = 200

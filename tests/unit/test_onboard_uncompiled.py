@@ -3,23 +3,22 @@
 import numpy as np
 import pytest
 
-from autopilot.onboard import (
-    avoidance,
+from autopilot.onboard.formation import avoidance, formation_control
+from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.localisation import (
     common_frame,
     distances,
-    formation,
-    hearing,
-    intake,
     kernels,
+    measurement_update,
     receivers,
     tracks,
     trust,
     uncertainty,
 )
-from autopilot.onboard import beacon as wire
-from autopilot.onboard.localisation_model import LocalisationModel
-from autopilot.onboard.members import FILTER, MEMBER, new_filter
-from autopilot.onboard.phases import Phase
+from autopilot.onboard.localisation.members import FILTER, MEMBER, new_filter
+from autopilot.onboard.localisation.model import LocalisationModel
+from autopilot.onboard.radio import beacon as wire
+from autopilot.onboard.radio import neighbour_table
 
 N = 4
 RNG = np.random.default_rng(0)
@@ -119,19 +118,21 @@ def waiting():
 
 def listener():
     """Of station 0, at a beacon each 100 ms."""
-    return np.array([(0, 100_000, 12.0, 2.25, 0, 0, 0, 0, 0)], hearing.LISTENER)
+    return np.array([(0, 100_000, 12.0, 2.25, 0, 0, 0, 0, 0)], neighbour_table.LISTENER)
 
 
 CASES = {
     common_frame.laid_onto: lambda: (some(5, 2, size=6.0), some(5, 2, size=0.3)),
-    common_frame.to_everybodys_gps: lambda: (10_000_000, listed(hearing.STATION, 7), 1.0, -2.0),
+    common_frame.to_everybodys_gps: lambda: (10_000_000, listed(neighbour_table.STATION, 7), 1.0, -2.0),
     common_frame.play_round: lambda: (
-        2, 10_000_000, np.array((0, 2, 3, 5)), listed(hearing.STATION, 7), listed(MEMBER, N), rings(),
+        2, 10_000_000, np.array((0, 2, 3, 5)), listed(neighbour_table.STATION, 7), listed(MEMBER, N), rings(),
         some(5 * N), 0.2, -0.1),
     wire.is_credible: lambda: (heard_of()[0], True),
-    hearing.hear: lambda: (heard_of()[0], 10_000_000, listener(), listed(hearing.STATION, 6), numbers()),
-    hearing.hear_all: lambda: (3, 10_000_000, heard_of(), listener(), listed(hearing.STATION, 6), numbers()),
-    hearing.all_held: lambda: (listed(hearing.STATION, 7), np.array((0, 2, 3)), 9_500_000),
+    neighbour_table.hear: lambda: (
+        heard_of()[0], 10_000_000, listener(), listed(neighbour_table.STATION, 6), numbers()),
+    neighbour_table.hear_all: lambda: (
+        3, 10_000_000, heard_of(), listener(), listed(neighbour_table.STATION, 6), numbers()),
+    neighbour_table.all_held: lambda: (listed(neighbour_table.STATION, 7), np.array((0, 2, 3)), 9_500_000),
     tracks.push: lambda: (
         listed(MEMBER, N), rings(), 2, int(RNG.integers(9_500_000, 10_500_000)), some(6), np.zeros(2)),
     tracks.odometry_at: lambda: (rings(), 2, int(RNG.integers(9_000_000, 10_100_000)), np.zeros(3)),
@@ -140,13 +141,13 @@ CASES = {
     receivers.take_stated: lambda: (listed(MEMBER, N), 2, 3.0, 4.0, cov(), filter_row()),
     receivers.rate: lambda: (listed(MEMBER, N), 2, some(5 * N)),
     trust.note: lambda: (listed(MEMBER, N), 2, 1, bool(RNG.integers(2))),
-    intake.advance: lambda: (
+    measurement_update.advance: lambda: (
         filter_row(), listed(MEMBER, N), *filtered(), int(RNG.integers(9_000_000, 11_000_000)),
         bool(RNG.integers(2))),
-    intake.read_beacons: lambda: (
-        3, 10_000_000, heard_of(), listener(), listed(hearing.STATION, 6), numbers(), filter_row(),
+    measurement_update.read_beacons: lambda: (
+        3, 10_000_000, heard_of(), listener(), listed(neighbour_table.STATION, 6), numbers(), filter_row(),
         fixed(listed(MEMBER, N)), rings(), *filtered(), listed(distances.PAIR, (N, N)), waiting()),
-    intake.use_pending: lambda: (
+    measurement_update.use_pending: lambda: (
         10_000_000, filter_row(), listed(MEMBER, N), rings(), *filtered(),
         listed(distances.PAIR, (N, N)), waiting(), some(N, 2, size=5.0), some(N, N), np.abs(some(N, N))),
     kernels.predict: lambda: (
@@ -164,8 +165,9 @@ CASES = {
     uncertainty.shape_variance: lambda: (some(N, 3, size=6.0), cov(), np.arange(N)),
     uncertainty.bend: lambda: (
         some(N, 2, size=6.0), some(N, 2, size=6.0), cov(), np.arange(N), np.zeros((N, N)), np.zeros((N, N))),
-    formation.join: lambda: (some(3), some(3), some(3), some(3, 3), 0, 2, 1.0, 0.05, bool(RNG.integers(2))),
-    formation.follow: lambda: (
+    formation_control.join: lambda: (
+        some(3), some(3), some(3), some(3, 3), 0, 2, 1.0, 0.05, bool(RNG.integers(2))),
+    formation_control.follow: lambda: (
         some(3, 3, size=2.0), flags()[:2], some(4, 3), bool(RNG.integers(2)), 1.5, 0.05),
     avoidance.velocity_change: lambda: (
         0, 10_000_000, listed(uncertainty.SEEN, N), some(6, 3, size=3.0), some(6, 3), kept(), 0.5, 1.2,

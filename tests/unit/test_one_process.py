@@ -22,8 +22,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from autopilot.recording import VEHICLE_RECORD
-from autopilot.vehicle import Vehicle
+from autopilot.logs.vehicle_record import VEHICLE_RECORD
+from autopilot.vehicle.vehicle import Vehicle
 from foundation.records.record_log import BLOCK_ROWS
 from harness import aperture, kernel_cache, report
 from harness.air import Air

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from autopilot.parameter_docs import markdown, meaning
-from autopilot.params import TABLE
+from autopilot.parameters.parameter_docs import markdown, meaning
+from autopilot.parameters.table import TABLE
 
 PAGE = Path(__file__).parents[2] / "docs" / "parameters.md"
 

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from autopilot import parameter_file
-from autopilot.parameter_file import (
+from autopilot.parameters import parameter_file
+from autopilot.parameters.inert import STATED
+from autopilot.parameters.parameter_file import (
     ParameterFileError,
     ParsedParameters,
     dumps,
@@ -19,8 +20,7 @@ from autopilot.parameter_file import (
     parse,
     save,
 )
-from autopilot.params import NOT_OVER, ROWS, TABLE, UNDER, ParameterSet, Settings
-from autopilot.stated_params import STATED
+from autopilot.parameters.table import NOT_OVER, ROWS, TABLE, UNDER, ParameterSet, Settings
 
 READ_ONLY = [row.name for row in STATED if row.read_only]
 WRITTEN = [row for row in ROWS if row.name not in READ_ONLY]

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
-from autopilot import plan_file, site_plan
 from autopilot.__main__ import lone_vehicle
-from autopilot.config import AutopilotConfig, CircleConfig, MissionItemConfig, RallyPointConfig, Site
+from autopilot.navigation import plan_file, site_plan
+from autopilot.navigation.plan_file import HomePlace, PlanFileError, Plans, dumps, loads
 from autopilot.navigation.plan_items import (
     circle_item,
     make,
@@ -22,7 +22,13 @@ from autopilot.navigation.plan_items import (
     return_point_item,
 )
 from autopilot.navigation.plan_store import PlanType, WireItem, make_plan
-from autopilot.plan_file import HomePlace, PlanFileError, Plans, dumps, loads
+from autopilot.parameters.config import (
+    AutopilotConfig,
+    CircleConfig,
+    MissionItemConfig,
+    RallyPointConfig,
+    Site,
+)
 from foundation.geometry.geodesy import geodetic_to_ned
 from harness.scenario import ScenarioError
 from harness.scenario import load as load_scenario

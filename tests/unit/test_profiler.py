@@ -9,7 +9,7 @@ from types import ModuleType
 import msgspec
 import pytest
 
-from autopilot import parts as vehicle_parts
+from autopilot.process import profile_groups as vehicle_parts
 from foundation.profiling.profiler import (
     KEY,
     LINK,

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from autopilot.config import VehicleConfig
 from autopilot.estimation.atmosphere import pressure_pa
 from autopilot.mavlink.codec import Parser
+from autopilot.parameters.config import VehicleConfig
 from harness import esc, px4_seat
 from harness.hil import RC_PERIOD_US, SensorEncoder
 from harness.physics.truth import Truth

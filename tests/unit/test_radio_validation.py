@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import brentq
 from typer.testing import CliRunner
 
-from autopilot.onboard.beacon import HEADER_BYTES, RANGE_BYTES
+from autopilot.onboard.radio.beacon import HEADER_BYTES, RANGE_BYTES
 from harness.scenario import load
 from harness.validation.command import BAD_INPUT, FINE
 from harness.validation.radio import (

@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from autopilot.formation_plan import FormationPlan
-from autopilot.vehicle import Vehicle
+from autopilot.onboard.formation.formation_plan import FormationPlan
+from autopilot.vehicle.vehicle import Vehicle
 from harness.scenario import Scenario, ScenarioError, load
 
 ROOT = Path(__file__).parents[2]

@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from autopilot.config import Site
 from autopilot.estimation import atmosphere
+from autopilot.parameters.config import Site
 from foundation.geometry.geodesy import geodetic_to_ned
 from harness.physics.truth import Truth
 from harness.sensors.config import GpsOverrides, SensorsConfig

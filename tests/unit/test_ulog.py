@@ -9,12 +9,12 @@ import pytest
 from pymavlink.dialects.v20 import common
 from vehicle_world import STEP_US, Flight, vehicle_config
 
-from autopilot.host import Host
+from autopilot.logs.ulog import NAV_STATES, TOPICS, UlogWriter
 from autopilot.mavlink.codec import Encoder
 from autopilot.mavlink.modes import FlightMode
-from autopilot.params import ROWS
-from autopilot.protocol.service import GROUND_STATION, Addressed, Partner
-from autopilot.ulog import NAV_STATES, TOPICS, UlogWriter
+from autopilot.parameters.table import ROWS
+from autopilot.services.service import GROUND_STATION, Addressed, Partner
+from autopilot.vehicle.host import Host
 
 SAMPLE_US = 100_000
 _CODES = {"uint64_t": "Q", "double": "d", "float": "f", "uint8_t": "B", "bool": "?", "int32_t": "i"}

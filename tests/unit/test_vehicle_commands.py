@@ -8,9 +8,9 @@ from msgspec.structs import replace
 from pymavlink.dialects.v20 import common
 from vehicle_world import STEP_US, Flight, vehicle_config
 
-from autopilot.host import warnings
 from autopilot.mavlink.modes import FlightMode
-from autopilot.protocol.service import COMPANION, GROUND_STATION, Partner, reply
+from autopilot.services.service import COMPANION, GROUND_STATION, Partner, reply
+from autopilot.vehicle.host import warnings
 from foundation.geometry.geodesy import ned_to_geodetic
 
 NAN = math.nan

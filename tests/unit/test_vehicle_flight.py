@@ -8,15 +8,15 @@ import pytest
 from pymavlink.dialects.v20 import common
 from vehicle_world import STEP_US, Flight, vehicle_config
 
-from autopilot.config import OnboardConfig, VehicleConfig
+from autopilot.logs.vehicle_record import VEHICLE_RECORD, record
 from autopilot.mavlink.codec import Encoder, Parser, stamp
 from autopilot.mavlink.modes import FlightMode
 from autopilot.onboard.app import Estimate
-from autopilot.onboard.phases import Phase
-from autopilot.params import ParameterError
-from autopilot.protocol.service import COMPANION, GROUND_STATION, Addressed, Partner
-from autopilot.recording import VEHICLE_RECORD, record
-from autopilot.vehicle import DECISION_PERIOD_US, Vehicle
+from autopilot.onboard.formation.phases import Phase
+from autopilot.parameters.config import OnboardConfig, VehicleConfig
+from autopilot.parameters.table import ParameterError
+from autopilot.services.service import COMPANION, GROUND_STATION, Addressed, Partner
+from autopilot.vehicle.vehicle import DECISION_PERIOD_US, Vehicle
 
 NAN = math.nan
 ACCEPTED = common.MAV_RESULT_ACCEPTED

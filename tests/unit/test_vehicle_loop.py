@@ -8,8 +8,8 @@ from pymavlink.dialects.v20 import common
 from vehicle_world import STEP_US, Flight, vehicle_config
 
 from autopilot.onboard.app import OnboardOutput
-from autopilot.protocol.service import NEVER_US
-from autopilot.vehicle import DECISION_PERIOD_US, Vehicle
+from autopilot.services.service import NEVER_US
+from autopilot.vehicle.vehicle import DECISION_PERIOD_US, Vehicle
 from netsim.wire.messages import Broadcast, Delivery
 
 NOBODY = (False, False)

@@ -7,7 +7,8 @@ import pytest
 from pymavlink.dialects.v20 import common
 from vehicle_world import Flight, vehicle_config
 
-from autopilot.params import (
+from autopilot.parameters.inert import STATED
+from autopilot.parameters.table import (
     INDEX_OF,
     NOT_OVER,
     ROWS,
@@ -19,8 +20,7 @@ from autopilot.params import (
     Settings,
     check_range,
 )
-from autopilot.protocol.metadata import COMPONENT_METADATA
-from autopilot.stated_params import STATED
+from autopilot.services.metadata import COMPONENT_METADATA
 
 NAMES = [parameter.name for parameter in TABLE]
 CHAINS = (

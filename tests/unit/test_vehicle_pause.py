@@ -10,7 +10,7 @@ from autopilot.mavlink.codec import stamp
 from autopilot.mavlink.dialect import MissionCount
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.plan_store import PlanType
-from autopilot.protocol.service import GROUND_STATION, Partner, reply
+from autopilot.services.service import GROUND_STATION, Partner, reply
 
 ME, OTHER = Partner(GROUND_STATION, 0), Partner(GROUND_STATION, 1)
 NAN = math.nan

@@ -7,11 +7,11 @@ import pytest
 from plan_flights import act, flight_of, make_ready, of_site, place, reached, said, upload
 from pymavlink.dialects.v20 import common
 
-from autopilot.config import CircleConfig, MissionItemConfig, RallyPointConfig, Site
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.plan_items import make, polygon_items, rally_item
 from autopilot.navigation.plan_store import PlanType
-from autopilot.protocol.mission_progress import ACTIVE, COMPLETE, NO_MISSION, NOT_STARTED, PAUSED
+from autopilot.parameters.config import CircleConfig, MissionItemConfig, RallyPointConfig, Site
+from autopilot.services.mission_progress import ACTIVE, COMPLETE, NO_MISSION, NOT_STARTED, PAUSED
 
 ACCEPTED = common.MAV_RESULT_ACCEPTED
 TAKEOFF, WAYPOINT, LAND = common.MAV_CMD_NAV_TAKEOFF, common.MAV_CMD_NAV_WAYPOINT, common.MAV_CMD_NAV_LAND

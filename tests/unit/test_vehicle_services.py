@@ -10,11 +10,11 @@ from msgspec.structs import replace
 from pymavlink.dialects.v20 import common
 from vehicle_world import STEP_US, Flight, vehicle_config
 
-from autopilot.config import AutopilotConfig, CircleConfig, MissionItemConfig
 from autopilot.mavlink.modes import FlightMode
-from autopilot.onboard.phases import Phase
-from autopilot.params import ROWS, ParameterError, ParameterSet, Settings
-from autopilot.vehicle import DECISION_PERIOD_US
+from autopilot.onboard.formation.phases import Phase
+from autopilot.parameters.config import AutopilotConfig, CircleConfig, MissionItemConfig
+from autopilot.parameters.table import ROWS, ParameterError, ParameterSet, Settings
+from autopilot.vehicle.vehicle import DECISION_PERIOD_US
 
 NAN = math.nan
 ACCEPTED, DENIED = common.MAV_RESULT_ACCEPTED, common.MAV_RESULT_DENIED

@@ -10,7 +10,7 @@ from vehicle_world import STEP_US
 
 from autopilot.mavlink import dialect
 from autopilot.mavlink.modes import FlightMode
-from autopilot.protocol.service import COMPANION, Partner
+from autopilot.services.service import COMPANION, Partner
 from foundation.geometry.rotations import quat_from_euler, quat_to_euler
 
 PROGRAM = Partner(COMPANION, 4)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from autopilot.config import AutopilotConfig, OnboardConfig, VehicleConfig
+from autopilot.parameters.config import AutopilotConfig, OnboardConfig, VehicleConfig
 from harness.validation.solo import STEP_US, Solo
 
 __all__ = ["STEP_US", "Flight", "vehicle_config"]

@@ -1,7 +1,7 @@
 """What a swarm's radios are given to do, without the swarm: beacons and ranging of applications that hover.
 
-The applications' own schedule (`autopilot.onboard.traffic`) hears and measures through the emulator; what it
-hands over is kept, so that the emulator can be played the same again by itself.
+The applications' own schedule (`autopilot.onboard.radio.traffic`) hears and measures through the emulator;
+what it hands over is kept, so that the emulator can be played the same again by itself.
 """
 
 import math
@@ -9,8 +9,8 @@ import math
 import numpy as np
 from msgspec import Struct
 
-from autopilot.onboard.own_state import OwnState
-from autopilot.onboard.traffic import Traffic
+from autopilot.onboard.formation.own_state import OwnState
+from autopilot.onboard.radio.traffic import Traffic
 from foundation.types import Array
 from harness.scenario import Scenario
 from netsim.emulator.emulator import Emulator

@@ -1,0 +1,135 @@
+"""What an on-board application beside a PX4 writes down: the vehicle's record, of PX4's messages and its own.
+
+The rows are those of `autopilot.logs.vehicle_record`, so that a flight of PX4s is analysed as any other.
+PX4's messages are not in step with the simulation: a row is of the newest ones, at the last instant of the
+log before, some 10 ms earlier at most. What PX4 does not tell, the causes of failsafes, is 0.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from pymavlink.dialects.v20 import common
+
+from autopilot.logs.vehicle_record import VEHICLE_RECORD
+from autopilot.mavlink.codec import Message
+from autopilot.mavlink.components import AUTOPILOT_COMPONENT
+from autopilot.navigation.site_frame import LEAST_FIX_TYPE
+from autopilot.onboard.app import OnboardApp
+from autopilot.parameters.config import VehicleConfig
+from foundation.geometry.geodesy import geodetic_to_ned
+from foundation.records.record_log import RecordLog
+from foundation.types import Array
+
+_UNKNOWN = np.full(3, np.nan)
+_NO_ATTITUDE = (math.nan, math.nan, math.nan, math.nan)
+_HEARTBEAT = common.MAVLINK_MSG_ID_HEARTBEAT
+_LANDED = common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
+_STATUS = common.MAVLINK_MSG_ID_SYS_STATUS
+_POSITION = common.MAVLINK_MSG_ID_LOCAL_POSITION_NED
+_ATTITUDE = common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
+_FIX = common.MAVLINK_MSG_ID_GPS_RAW_INT
+_ORIGIN = common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN
+_TARGET = common.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED
+_KEPT = frozenset({_HEARTBEAT, _LANDED, _STATUS, _POSITION, _ATTITUDE, _FIX, _ORIGIN, _TARGET})
+_NO_AXIS = (
+    common.POSITION_TARGET_TYPEMASK_X_IGNORE,
+    common.POSITION_TARGET_TYPEMASK_Y_IGNORE,
+    common.POSITION_TARGET_TYPEMASK_Z_IGNORE,
+)
+
+
+class CompanionLog:
+    """The log of one application; close it. Raises OSError for the file."""
+
+    def __init__(self, config: VehicleConfig, path: str, app: OnboardApp) -> None:
+        self._site = config.site
+        self._system = config.instance + 1
+        self._period_us = config.record_period_us
+        self._app = app
+        self._newest: dict[int, Message] = {}
+        self._written_us = 0
+        self._log = RecordLog(path, VEHICLE_RECORD)
+
+    def on_message(self, message: Message) -> None:
+        """Take a message of PX4's link."""
+        kind = message.get_msgId()
+        is_px4s = (
+            message.get_srcSystem() == self._system and message.get_srcComponent() == AUTOPILOT_COMPONENT
+        )
+        if is_px4s and kind in _KEPT:
+            self._newest[kind] = message
+
+    def write(self, now_us: int) -> None:
+        """Write a row if an instant of the log has come since the last, and PX4 has spoken."""
+        at_us = now_us - now_us % self._period_us
+        if at_us > self._written_us and _HEARTBEAT in self._newest:
+            self._written_us = at_us
+            self._log.append([self._row(at_us)])
+
+    def close(self) -> None:
+        """Write the rest; harmless when repeated."""
+        self._log.close()
+
+    def _row(self, at_us: int) -> tuple[Any, ...]:
+        said = self._newest
+        beat, landed, status = said[_HEARTBEAT], said.get(_LANDED), said.get(_STATUS)
+        position, attitude = said.get(_POSITION), said.get(_ATTITUDE)
+        origin_ned_m = self._origin_ned_m()
+        armed = bool(beat.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED)
+        known = position is not None and not math.isnan(origin_ned_m[0])
+        estimate = self._app.estimate(at_us) if known else None
+        return (
+            at_us,
+            armed,
+            beat.custom_mode,
+            int(self._app.phase),
+            landed is not None and landed.landed_state == common.MAV_LANDED_STATE_ON_GROUND,
+            armed and beat.system_status >= common.MAV_STATE_CRITICAL,
+            0,
+            status.battery_remaining / 100
+            if status is not None and status.battery_remaining >= 0
+            else math.nan,
+            _UNKNOWN if position is None else np.array((position.x, position.y, position.z)) + origin_ned_m,
+            _UNKNOWN if position is None else (position.vx, position.vy, position.vz),
+            _NO_ATTITUDE if attitude is None else (attitude.q1, attitude.q2, attitude.q3, attitude.q4),
+            self._fix_ned_m(),
+            _UNKNOWN if estimate is None else estimate.pos_ned_m,
+            _UNKNOWN if estimate is None else estimate.std_ned_m,
+            _UNKNOWN if estimate is None else estimate.correction_ned_m,
+            _UNKNOWN if estimate is None else estimate.odometry_offset_ned_m,
+            self._target_ned_m(origin_ned_m),
+        )
+
+    def _origin_ned_m(self) -> Array:
+        """(3,) what to add to a local position; its height stays as it is."""
+        origin = self._newest.get(_ORIGIN)
+        if origin is None:
+            return _UNKNOWN
+        origin_ned_m = self._ned_m(origin.latitude, origin.longitude, 0)
+        origin_ned_m[2] = 0.0
+        return origin_ned_m
+
+    def _fix_ned_m(self) -> Array:
+        fix = self._newest.get(_FIX)
+        if fix is None or fix.fix_type < LEAST_FIX_TYPE:
+            return _UNKNOWN
+        return self._ned_m(fix.lat, fix.lon, fix.alt)
+
+    def _target_ned_m(self, origin_ned_m: Array) -> Array:
+        target = self._newest.get(_TARGET)
+        if target is None:
+            return _UNKNOWN
+        target_ned_m = np.array((target.x, target.y, target.z)) + origin_ned_m
+        target_ned_m[[bool(target.type_mask & bit) for bit in _NO_AXIS]] = np.nan
+        return target_ned_m
+
+    def _ned_m(self, lat_deg_e7: int, lon_deg_e7: int, alt_mm: int) -> Array:
+        return geodetic_to_ned(
+            lat_deg_e7 * 1e-7,
+            lon_deg_e7 * 1e-7,
+            alt_mm * 1e-3,
+            origin_lat_deg=self._site.latitude_deg,
+            origin_lon_deg=self._site.longitude_deg,
+            origin_alt_m=self._site.altitude_m,
+        )

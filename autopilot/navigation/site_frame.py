@@ -1,0 +1,49 @@
+"""The site's NED frame as one vehicle uses it: where its estimator's origin and its GPS fixes are."""
+
+import math
+
+from autopilot.mavlink.codec import Message
+from autopilot.parameters.config import Site
+from foundation.geometry.geodesy import place_ned_m
+from foundation.types import EstimatorState, Vector
+
+LEAST_FIX_TYPE = 3
+"""GPS_FIX_TYPE_3D_FIX"""
+UNKNOWN_NED_M: Vector = (math.nan, math.nan, math.nan)
+
+
+class SiteFrame:
+    """The site's NED frame as one vehicle needs it; keeps results, since origin and fixes change rarely."""
+
+    def __init__(self, site: Site) -> None:
+        self._site = site
+        self._origin_deg = (math.nan, math.nan)
+        self._origin_ned_m = UNKNOWN_NED_M
+        self._fix: Message | None = None
+        self._fix_ned_m = UNKNOWN_NED_M
+
+    def origin_ned_m(self, state: EstimatorState) -> Vector:
+        """What to add to a position from the estimator's origin; its height stays as it is."""
+        origin_deg = (state.origin_lat_deg, state.origin_lon_deg)
+        if origin_deg != self._origin_deg:
+            self._origin_deg = origin_deg
+            north_m, east_m, _ = self._ned_m(*origin_deg, self._site.altitude_m)
+            self._origin_ned_m = (north_m, east_m, 0.0)
+        return self._origin_ned_m
+
+    def fix_ned_m(self, gps: Message | None) -> Vector:
+        """Where a HIL_GPS puts the vehicle; NaN without one, or if it has no fix in three dimensions."""
+        if gps is not None and gps is not self._fix:
+            self._fix = gps
+            if gps.fix_type < LEAST_FIX_TYPE:
+                self._fix_ned_m = UNKNOWN_NED_M
+            else:
+                self._fix_ned_m = self._ned_m(gps.lat * 1e-7, gps.lon * 1e-7, gps.alt * 1e-3)
+        return self._fix_ned_m
+
+    def _ned_m(self, lat_deg: float, lon_deg: float, alt_m: float) -> Vector:
+        site = self._site
+        place: Vector = place_ned_m(
+            lat_deg, lon_deg, alt_m, site.latitude_deg, site.longitude_deg, site.altitude_m
+        )
+        return place

@@ -1,0 +1,22 @@
+"""The on-board application of a vehicle's settings, in the autopilot's process or in one beside a PX4."""
+
+import numpy as np
+
+from autopilot.mavlink.components import APPLICATION_COMPONENT
+from autopilot.onboard.app import OnboardApp
+from autopilot.parameters.config import VehicleConfig
+
+
+def make_application(config: VehicleConfig) -> OnboardApp:
+    """Make it; whichever process it runs in, the same seed gives it the same randomness."""
+    seed = np.random.SeedSequence([config.seed, config.instance, APPLICATION_COMPONENT])
+    return OnboardApp(
+        station=config.instance,
+        places_ned_m=config.places_ned_m,
+        heading_deg=config.heading_deg,
+        motion=config.motion,
+        site=config.site,
+        config=config.onboard,
+        devices=config.devices,
+        rng=np.random.default_rng(seed),
+    )

@@ -1,0 +1,157 @@
+"""The course of a flight: which phase it is in, and which command it wants of the autopilot. No I/O.
+
+Take-off is the autopilot's own, for its spool-up and its landed-state logic are made for leaving the ground;
+but it holds the uncorrected position, which drifts with the GPS bias, so at `HAND_OVER_HEIGHT_M`, while it
+still climbs, the application takes over in offboard with a setpoint that goes on climbing at the same speed
+over the corrected position. Nobody takes off before the shape of the formation on the ground is known to
+`SHAPE_STD_M`, or the wait for that has been in vain for `LOCALISE_TIMEOUT_US`. A flight that is held waits
+before all that, commands nothing and sets nothing; once released it goes on from wherever the vehicle is.
+"""
+
+from msgspec import Struct
+
+from autopilot.mavlink.modes import FlightMode
+from autopilot.onboard.formation.commands import ARM, OFFBOARD, CommandSender, take_off
+from autopilot.onboard.formation.own_state import OwnState
+from autopilot.onboard.formation.phases import Phase
+
+SHAPE_STD_M = 0.35
+LOCALISE_TIMEOUT_US = 10_000_000
+TAKE_OFF_HEIGHT_M = 2.5
+HAND_OVER_HEIGHT_M = 0.5
+"""Until then wind and GPS have the vehicle and neighbours are not heeded: as low as it surely flies."""
+FLOWN_HEIGHT_M = 0.3
+"""From here on a vehicle that is disarmed has landed, and is not sent up again."""
+HEARTBEAT_LAG_US = 1_500_000
+"""A HEARTBEAT (1 Hz) shows a change that a COMMAND_ACK announced after this at the latest."""
+
+
+class Situation(Struct, frozen=True, kw_only=True):
+    """What the course of a flight depends on besides the autopilot's own state."""
+
+    shape_std_m: float
+    """Expected error of the formation's shape; 0 where nobody asks for it, inf while it is not known."""
+    miss_m: float
+    """Distance from the own place, as the UAV believes."""
+    place_height_m: float
+    """Of the own place over the ground."""
+
+
+class Flight:
+    """The phases of one UAV's flight, in the order of `Phase`.
+
+    Attributes:
+        phase: where in the flight it is.
+        texts: what there is to tell the ground station; the owner takes them away.
+        held: it is not to begin yet; whoever takes that away releases it.
+
+    """
+
+    def __init__(
+        self,
+        *,
+        commands: CommandSender,
+        on_station_tolerance_m: float,
+        on_station_hold_s: float,
+        held: bool = False,
+    ) -> None:
+        self.phase = Phase.WAITING
+        self.held = held
+        self.texts: list[str] = []
+        self._commands = commands
+        self._tolerance_m = on_station_tolerance_m
+        self._hold_us = on_station_hold_s * 1e6
+        self._phase_since_us = 0
+        self._arrived_us: int | None = None
+        self._offboard_seen = False
+        self._has_flown = False
+
+    @property
+    def in_air(self) -> bool:
+        """Whether it has been sent up."""
+        return Phase.TAKE_OFF <= self.phase <= Phase.LANDED
+
+    @property
+    def in_formation(self) -> bool:
+        """Whether the application has the vehicle."""
+        return self.phase in {Phase.JOINING, Phase.ON_STATION}
+
+    def update(self, own: OwnState, situation: Situation, now_us: int) -> None:
+        """Go on to the phase that the facts of now lead to, and want the command that it needs."""
+        phase = self._next(own, situation, now_us)
+        if phase is not self.phase:
+            self.phase, self._phase_since_us = phase, now_us
+
+    def _next(self, own: OwnState, situation: Situation, now_us: int) -> Phase:
+        disarmed = not own.armed and own.heartbeat_us > self._phase_since_us + HEARTBEAT_LAG_US
+        match self.phase:
+            case Phase.JOINING | Phase.ON_STATION:  # first, for so it is nearly always
+                return self._in_formation(own, situation, now_us, disarmed=disarmed)
+            case Phase.WAITING if own.origin_ned_m is not None and own.fix is not None:
+                return Phase.HELD if self.held else self._begin(situation)
+            case Phase.HELD if not self.held:
+                return self._begin(situation)
+            case Phase.LOCALISING:
+                if situation.shape_std_m < SHAPE_STD_M:
+                    return Phase.ARMING
+                if now_us - self._phase_since_us > LOCALISE_TIMEOUT_US:
+                    self.texts.append("formation not localised: taking off all the same")
+                    return Phase.ARMING
+            case Phase.ARMING:
+                self._commands.want(ARM, now_us)
+                if self._commands.accepted:
+                    return Phase.TAKE_OFF
+            case Phase.TAKE_OFF:
+                return self._taking_off(own, situation, now_us, disarmed=disarmed)
+            case Phase.YIELDED:
+                self._commands.want(None, now_us)
+                if own.mode is FlightMode.OFFBOARD and not own.failsafe:
+                    return Phase.JOINING
+                return Phase.LANDED if disarmed else self.phase
+            case Phase.LANDED:
+                self._commands.want(None, now_us)
+        return self.phase
+
+    @staticmethod
+    def _begin(situation: Situation) -> Phase:
+        return Phase.LOCALISING if situation.shape_std_m > 0.0 else Phase.ARMING
+
+    def _taking_off(self, own: OwnState, situation: Situation, now_us: int, *, disarmed: bool) -> Phase:
+        height_m = -own.local_ned_m[2]
+        take_off_height_m = min(TAKE_OFF_HEIGHT_M, situation.place_height_m)
+        if disarmed:
+            return Phase.LANDED if self._has_flown else Phase.ARMING
+        if own.failsafe:
+            return self._yield("failsafe", now_us)
+        self._has_flown |= height_m > FLOWN_HEIGHT_M
+        if height_m < min(HAND_OVER_HEIGHT_M, 0.5 * take_off_height_m) and not self._commands.wants(OFFBOARD):
+            self._commands.want(take_off(own.origin_alt_m + take_off_height_m), now_us)
+            return Phase.TAKE_OFF
+        self._commands.want(OFFBOARD, now_us)
+        self._offboard_seen = False
+        return Phase.JOINING if self._commands.accepted else Phase.TAKE_OFF
+
+    def _in_formation(self, own: OwnState, situation: Situation, now_us: int, *, disarmed: bool) -> Phase:
+        if disarmed:
+            return Phase.LANDED
+        if own.failsafe:
+            return self._yield("failsafe", now_us)
+        if own.mode is FlightMode.OFFBOARD:
+            self._offboard_seen = True
+        elif self._offboard_seen:
+            return self._yield("offboard left", now_us)
+        if not situation.miss_m <= self._tolerance_m:  # NaN is nowhere
+            self._arrived_us = None
+        elif self._arrived_us is None:
+            self._arrived_us = now_us
+        elif now_us - self._arrived_us >= self._hold_us:
+            return Phase.ON_STATION
+        return self.phase
+
+    def _yield(self, why: str, now_us: int) -> Phase:
+        """Leave the flying to whoever has it now, and ask for nothing more."""
+        self._offboard_seen = False
+        self._arrived_us = None
+        self._commands.want(None, now_us)
+        self.texts.append(f"{why}: yielding")
+        return Phase.YIELDED

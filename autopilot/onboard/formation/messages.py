@@ -1,0 +1,63 @@
+"""The MAVLink messages that the application makes."""
+
+from pymavlink.dialects.v20 import common
+
+from autopilot.mavlink.components import AUTOPILOT_COMPONENT
+from autopilot.mavlink.local_messages import PositionTarget
+from autopilot.onboard.formation.guidance import Setpoint
+from autopilot.onboard.formation.phases import Phase
+
+START_NAME = b"start_ms"
+"""NAMED_VALUE_INT: when the formation's motion begins, milliseconds on the formation's clock."""
+GAIN_NAME = "MPC_XY_P"
+"""Gain of the autopilot's position loop, 1/s."""
+COMMANDS = frozenset({common.MAVLINK_MSG_ID_COMMAND_LONG, common.MAVLINK_MSG_ID_COMMAND_INT})
+_LOCAL_NED = int(common.MAV_FRAME_LOCAL_NED)
+_NO_YAW = common.POSITION_TARGET_TYPEMASK_YAW_IGNORE | common.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
+_NO_YAW_NOR_ACCELERATION = (
+    _NO_YAW
+    | common.POSITION_TARGET_TYPEMASK_AX_IGNORE
+    | common.POSITION_TARGET_TYPEMASK_AY_IGNORE
+    | common.POSITION_TARGET_TYPEMASK_AZ_IGNORE
+)
+
+
+def offboard_setpoint(setpoint: Setpoint, target_system: int, now_us: int) -> PositionTarget:
+    """Setpoint of a position, its velocity and, if there is one, its acceleration."""
+    pos_ned_m, vel_ned_m_s, acc_ned_m_s2 = setpoint
+    mask = _NO_YAW if acc_ned_m_s2 else _NO_YAW_NOR_ACCELERATION
+    return PositionTarget(
+        now_us // 1_000, target_system, AUTOPILOT_COMPONENT, _LOCAL_NED, mask,
+        *pos_ned_m, *vel_ned_m_s, *(acc_ned_m_s2 or ()),
+    )  # fmt: skip
+
+
+def heartbeat(phase: Phase, start_us: int | None, now_us: int) -> list[common.MAVLink_message]:
+    """HEARTBEAT with the phase as its custom mode, and when the formation's motion begins, once agreed."""
+    beat = common.MAVLink_heartbeat_message(
+        common.MAV_TYPE_ONBOARD_CONTROLLER, common.MAV_AUTOPILOT_INVALID, 0, int(phase),
+        common.MAV_STATE_ACTIVE, 3,
+    )  # fmt: skip
+    if start_us is None:
+        return [beat]
+    return [beat, common.MAVLink_named_value_int_message(now_us // 1_000, START_NAME, start_us // 1_000)]
+
+
+def gain_request(target_system: int) -> common.MAVLink_message:
+    """PARAM_REQUEST_READ of the position loop's gain."""
+    return common.MAVLink_param_request_read_message(
+        target_system, AUTOPILOT_COMPONENT, GAIN_NAME.encode("ascii"), -1
+    )
+
+
+def acknowledgement(command: common.MAVLink_message, *, accepted: bool) -> common.MAVLink_message:
+    """COMMAND_ACK for whoever sent a command to the application; what it does not know is unsupported."""
+    result = common.MAV_RESULT_ACCEPTED if accepted else common.MAV_RESULT_UNSUPPORTED
+    return common.MAVLink_command_ack_message(
+        command.command, result, 255, 0, command.get_srcSystem(), command.get_srcComponent()
+    )
+
+
+def warning(text: str) -> common.MAVLink_message:
+    """STATUSTEXT for whoever looks on."""
+    return common.MAVLink_statustext_message(common.MAV_SEVERITY_WARNING, text.encode("ascii"))

@@ -1,0 +1,133 @@
+"""What the own autopilot says of the vehicle: odometry, position, GPS, mode, from its MAVLink messages.
+
+Horizontal odometry is the integral of the autopilot's velocity from the first message on. The autopilot's
+position itself would not do: it follows the GPS bias, which is what localisation has to take out. Vertically
+it is the autopilot's height above the ground it started on, the barometer's.
+"""
+
+from pymavlink.dialects.v20 import common
+
+from autopilot.mavlink.codec import Message
+from autopilot.mavlink.local_messages import LocalPosition
+from autopilot.mavlink.modes import FlightMode, mode_from_custom
+from autopilot.onboard.radio.beacon import Fix
+from autopilot.parameters.config import Site
+from foundation.geometry.geodesy import place_ned_m
+from foundation.types import Vector
+
+_ZERO: Vector = (0.0, 0.0, 0.0)
+
+
+class OwnState:
+    """Newest state of the own vehicle.
+
+    Attributes:
+        time_us: of the position, on the formation's clock; -1 before the first.
+        odometry_ned_m: horizontal from where the application started, down from the ground.
+        vel_ned_m_s: of the same time.
+        local_ned_m: the autopilot's position from its own origin.
+        autopilot_ned_m: the same in the site's frame; down from where it started.
+        origin_ned_m: the autopilot's origin in the site's frame, or None.
+        origin_alt_m: its altitude above mean sea level, as the autopilot has it.
+        fix: newest GPS position, with the accuracy that the receiver states.
+        truth_ned_m: where the simulator says that the vehicle is, down from where it stood at the first
+            such message; None unless it does. ``truth_us`` is its time.
+        armed, failsafe, mode, heartbeat_us: by the newest HEARTBEAT and when that came.
+
+    """
+
+    def __init__(self, *, site: Site, gps_delay_s: float) -> None:
+        self.time_us = -1
+        self.odometry_ned_m = _ZERO
+        self.vel_ned_m_s = _ZERO
+        self.local_ned_m = self.autopilot_ned_m = _ZERO
+        self.origin_ned_m: Vector | None = None
+        self.origin_alt_m = 0.0
+        self.fix: Fix | None = None
+        self.truth_ned_m: Vector | None = None
+        self.truth_us = -1
+        self.armed = False
+        self.failsafe = False
+        self.mode: FlightMode | None = None
+        self.heartbeat_us = -1
+        self._site = site
+        self._gps_delay_ms = round(gps_delay_s * 1e3)
+        self._boot_offset_us: int | None = None
+        self._standing_down_m: float | None = None
+
+    def on_local_position(self, msg: Message | LocalPosition, now_us: int) -> bool:
+        """Take a LOCAL_POSITION_NED; False if it is no news."""
+        boot_us = msg.time_boot_ms * 1_000
+        # Messages can only be late, so the least difference of the clocks that was ever seen is the best one.
+        if self._boot_offset_us is None or now_us - boot_us < self._boot_offset_us:
+            self._boot_offset_us = now_us - boot_us
+        time_us = boot_us + self._boot_offset_us
+        if time_us <= self.time_us:
+            return False
+        vel_n, vel_e, down_m = msg.vx, msg.vy, msg.z
+        north_m, east_m, _ = self.odometry_ned_m
+        if self.time_us >= 0:
+            before_n, before_e, _ = self.vel_ned_m_s
+            half_s = 0.5e-6 * (time_us - self.time_us)
+            north_m += half_s * (vel_n + before_n)
+            east_m += half_s * (vel_e + before_e)
+        self.odometry_ned_m = (north_m, east_m, down_m)
+        self.local_ned_m = (msg.x, msg.y, down_m)
+        self._place()
+        self.vel_ned_m_s = (vel_n, vel_e, msg.vz)
+        self.time_us = time_us
+        return True
+
+    def on_gps(self, msg: common.MAVLink_gps_raw_int_message) -> bool:
+        """Take a GPS_RAW_INT; False if it holds no new 3-D position."""
+        if msg.fix_type < common.GPS_FIX_TYPE_3D_FIX or self._boot_offset_us is None:
+            return False
+        time_ms = (msg.time_usec + self._boot_offset_us) // 1_000 - self._gps_delay_ms
+        if time_ms < 0 or (self.fix is not None and time_ms <= self.fix.time_ms):
+            return False
+        pos_ned_m = self._site_ned_m(msg.lat, msg.lon, msg.alt)
+        # Its eph and epv are dilutions of precision, without a unit; the accuracies are zero where unknown.
+        self.fix = Fix(time_ms, pos_ned_m, msg.h_acc * 1e-3 or None, msg.v_acc * 1e-3 or None)
+        return True
+
+    def on_origin(self, msg: common.MAVLink_gps_global_origin_message) -> None:
+        """Take a GPS_GLOBAL_ORIGIN."""
+        self.origin_alt_m = msg.altitude * 1e-3
+        self.origin_ned_m = self._site_ned_m(msg.latitude, msg.longitude, msg.altitude)
+        self._place()
+
+    def on_truth(self, msg: common.MAVLink_hil_state_quaternion_message) -> None:
+        """Take a HIL_STATE_QUATERNION."""
+        north_m, east_m, down_m = self._site_ned_m(msg.lat, msg.lon, msg.alt)
+        if self._standing_down_m is None:
+            self._standing_down_m = down_m
+        self.truth_ned_m, self.truth_us = (north_m, east_m, down_m - self._standing_down_m), msg.time_usec
+
+    def odometry_at(self, time_us: int) -> Vector:
+        """Odometry at a time near the newest, by the velocity."""
+        ahead_s = (time_us - self.time_us) * 1e-6
+        (north_m, east_m, down_m), (vel_n, vel_e, vel_d) = self.odometry_ned_m, self.vel_ned_m_s
+        return north_m + vel_n * ahead_s, east_m + vel_e * ahead_s, down_m + vel_d * ahead_s
+
+    def on_heartbeat(self, msg: common.MAVLink_heartbeat_message, now_us: int) -> None:
+        """Take a HEARTBEAT; only an autopilot's counts."""
+        if msg.autopilot == common.MAV_AUTOPILOT_INVALID:
+            return
+        self.armed = bool(msg.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED)
+        self.failsafe = self.armed and msg.system_status >= common.MAV_STATE_CRITICAL
+        self.mode = mode_from_custom(msg.custom_mode)
+        self.heartbeat_us = now_us
+
+    def _place(self) -> None:
+        """Put the autopilot's position into the site's frame, as soon as its origin is known."""
+        north_m, east_m, down_m = self.local_ned_m
+        origin_n_m, origin_e_m, _ = self.origin_ned_m or _ZERO
+        self.autopilot_ned_m = (north_m + origin_n_m, east_m + origin_e_m, down_m)
+
+    def _site_ned_m(self, lat_deg_e7: int, lon_deg_e7: int, alt_mm: int) -> Vector:
+        site = self._site
+        place: Vector = place_ned_m(
+            lat_deg_e7 * 1e-7, lon_deg_e7 * 1e-7, alt_mm * 1e-3,
+            site.latitude_deg, site.longitude_deg, site.altitude_m,
+        )  # fmt: skip
+        return place

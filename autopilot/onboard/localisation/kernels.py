@@ -1,0 +1,230 @@
+"""Numerics of the cooperative localisation: a Kalman filter over a whole formation.
+
+State of UAV j, at `STATES` * j: offset (north, east, down), GPS bias (north, east). The true position at
+time t is ``odometry_j(t) + offset_j``, odometry being known, so that a delayed measurement is compared with
+the odometry of its own time stamp and nothing has to be propagated back. Horizontal offsets walk randomly
+(the error of the autopilot's velocity), the vertical offset (the barometer's error) and the GPS biases are
+first-order Gauss-Markov.
+
+GPS's vertical bias has no state. Its spectral density at rest, 2 sigma^2 tau, is that of white noise of the
+variance sigma^2 2 tau / T every T seconds, and as such it is fused: 750 m^2 for 2.5 m, 60 s and a fix per
+second, beside a barometer of 0.2 m. A state would cost two fifths more time and change the height by less
+than a hundredth of its error.
+
+Every measurement is scalar with a row h of few entries: with s = h P h' + r and g = P h' / sqrt(s), the
+update P - g g' is symmetric to the bit, because both triangles are the same products. Outliers: a measurement
+whose normalised innovation squared is d2 is taken with variance r / w, w = (nu + 1) / (nu + d2) at most 1,
+the weight of a Student-t likelihood (Lange, Little and Taylor, "Robust statistical modeling using the t
+distribution", 1989). Its pull falls with its size, so that a wrong one has bounded effect.
+
+Arrays are changed in place. Nothing here allocates on the per-measurement path but one row.
+
+Compiled or not, kernels give the same bits: squares are products, exponentials are `math.exp` and lengths
+`np.hypot`, for the interpreter's powers, NumPy's exponentials and `math.hypot` round otherwise (a test).
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from autopilot.onboard.localisation.members import Members
+
+Array = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+STATES = 5
+BIAS = 3
+"""Place of the GPS bias within a UAV's states."""
+STUDENT_NU = 4.0
+"""Degrees of freedom of the likelihood: near Gaussian below two sigma, indifferent beyond six."""
+NEAR_COSINE = 0.87
+"""Of 30 degrees: how far the line between two UAVs may turn from the reference's to be taken for it."""
+
+
+@njit(cache=True)
+def predict(
+    state: Array, cov: Array, members: Members, drift_m2: float, decay_s: float, height_var_m2: float,
+    height_tau_s: float, bias_tau_s: float,
+) -> None:  # fmt: skip
+    """Propagate state (5N,) and cov (5N, 5N) of ``members`` (N,).
+
+    Offsets walk randomly by the variance ``drift_m2``, which costs N additions. The rest, exactly discretised
+    Gauss-Markov over ``decay_s`` of time, touches every element and may therefore be done in longer strides:
+    0 leaves it.
+    """
+    size = state.shape[0]
+    for j in range(members.size):
+        if members[j]["active"]:
+            cov[STATES * j, STATES * j] += drift_m2
+            cov[STATES * j + 1, STATES * j + 1] += drift_m2
+    if decay_s <= 0.0:
+        return
+    height_decay = math.exp(-decay_s / height_tau_s)
+    bias_decay = math.exp(-decay_s / bias_tau_s)
+    factor = np.ones(size)
+    for j in range(members.size):
+        factor[STATES * j + 2] = height_decay
+        factor[STATES * j + BIAS] = bias_decay
+        factor[STATES * j + BIAS + 1] = bias_decay
+    for i in range(size):
+        state[i] *= factor[i]
+        for k in range(size):
+            cov[i, k] *= factor[i] * factor[k]
+    for j in range(members.size):
+        if members[j]["active"]:
+            base = STATES * j
+            for a in range(BIAS, STATES):
+                cov[base + a, base + a] += members[j]["bias_var_m2"] * (1.0 - bias_decay * bias_decay)
+            cov[base + 2, base + 2] += height_var_m2 * (1.0 - height_decay * height_decay)
+
+
+@njit(cache=True)
+def student_weight(normalised_squared: float) -> float:
+    """Weight 0..1 of a measurement with this normalised innovation squared."""
+    return min(1.0, (STUDENT_NU + 1.0) / (STUDENT_NU + normalised_squared))
+
+
+@njit(cache=True)
+def _scalar_update(state: Array, cov: Array, gain_row: Array, variance: float, innovation: float) -> None:
+    """Take a scalar measurement whose row P h' is ``gain_row``, which is used up."""
+    scale = innovation / variance
+    root = 1.0 / np.sqrt(variance)
+    for i in range(state.shape[0]):
+        state[i] += gain_row[i] * scale
+        gain_row[i] *= root
+    for i in range(state.shape[0]):
+        own = gain_row[i]
+        for k in range(state.shape[0]):
+            cov[i, k] -= own * gain_row[k]
+
+
+@njit(cache=True)
+def fuse_fix(
+    state: Array,
+    cov: Array,
+    j: int,
+    fix_less_odometry_m: Array,
+    variance_m2: float,
+    height_variance_m2: float,
+) -> float:
+    """GPS position of UAV j: z_a = odometry_a + offset_a + bias_a + noise, vertically without a bias state.
+
+    fix_less_odometry_m (3,) is the fix minus the odometry of the fix's own time; variance_m2 is that of the
+    white part of each horizontal axis, height_variance_m2 that of the whole vertical error. Returns the least
+    weight that one of the horizontal axes got.
+    """
+    least = 1.0
+    for a in range(3):
+        off = STATES * j + a
+        row = cov[off].copy()
+        innovation = fix_less_odometry_m[a] - state[off]
+        noise = height_variance_m2
+        prior = row[off]
+        if a < 2:
+            bias = STATES * j + BIAS + a
+            row += cov[bias]
+            innovation -= state[bias]
+            noise = variance_m2
+            prior = row[off] + row[bias]
+        weight = student_weight(innovation * innovation / (prior + noise))
+        if a < 2:
+            least = min(least, weight)
+        _scalar_update(state, cov, row, prior + noise / weight, innovation)
+    return least
+
+
+def relearn_bias(state: Array, cov: Array, j: int, fix_less_odometry_m: Array, variance_m2: float) -> None:
+    """Forget the GPS bias of UAV j: it is the fix less the odometry and the offset, which stays as known.
+
+    Not compiled: it is needed once in a flight, if at all.
+    """
+    for a in range(2):
+        off = STATES * j + a
+        bias = STATES * j + BIAS + a
+        state[bias] = fix_less_odometry_m[a] - state[off]
+        cov[bias, :] = -cov[off, :]
+        cov[:, bias] = -cov[:, off]
+        cov[bias, bias] = cov[off, off] + variance_m2
+
+
+@njit(cache=True)
+def fuse_range(
+    state: Array,
+    cov: Array,
+    linearised_at: Array,
+    reference_ne_m: Array,
+    i: int,
+    j: int,
+    odometry_between_m: Array,
+    distance_m: float,
+    variance_m2: float,
+    weight_width_m2: float,
+    trust: float,
+) -> float:
+    """Distance between UAVs i and j: z = |odometry_i - odometry_j + offset_i - offset_j| + noise.
+
+    Distances say nothing of the heading of the formation as a whole. A filter that takes each derivative at
+    its newest estimate believes otherwise, because the unobservable direction turns with the estimate: it
+    becomes sure of a heading that wanders, and each UAV's wanders differently. Derivatives at a fixed
+    geometry avoid that (Huang, Mourikis and Roumeliotis, "Observability-based rules for designing consistent
+    EKF SLAM estimators", IJRR 2010). So the horizontal direction of the derivative is that between the
+    reference positions, as long as it is near the estimated one; its elevation and the expected distance are
+    the estimate's.
+
+    Args:
+        state: (5N,) and ``cov`` (5N, 5N), changed in place.
+        linearised_at: (5N,) where the distance is expanded: the state itself in running use, another in the
+            passes of a Gauss-Newton iteration.
+        reference_ne_m: (N, 2) the fixed geometry; all zero for none.
+        i: one end, and ``j`` the other.
+        odometry_between_m: (3,) odometry of i less that of j at the measurement's time.
+        distance_m: measured.
+        variance_m2: of the measurement.
+        weight_width_m2: below 0, outliers are judged by the innovation; otherwise by the residual at
+            ``linearised_at``, with this variance added to the measurement's.
+        trust: 1, or 0 to judge alone and change nothing.
+
+    Returns:
+        The weight that it got, 0..1; 0 when the two are nearer than 0.1 m and the direction means nothing.
+
+    """
+    bi, bj = STATES * i, STATES * j
+    direction = np.empty(3)
+    for a in range(3):
+        direction[a] = odometry_between_m[a] + linearised_at[bi + a] - linearised_at[bj + a]
+    level_m = np.hypot(direction[0], direction[1])
+    expected_m = np.hypot(level_m, direction[2])
+    if expected_m < 0.1:
+        return 0.0
+    north_m = reference_ne_m[i, 0] - reference_ne_m[j, 0]
+    east_m = reference_ne_m[i, 1] - reference_ne_m[j, 1]
+    between_m = np.hypot(north_m, east_m)
+    if direction[0] * north_m + direction[1] * east_m > NEAR_COSINE * level_m * between_m:
+        direction[0] = level_m * north_m / between_m
+        direction[1] = level_m * east_m / between_m
+    residual_m = distance_m - expected_m
+    innovation_m = residual_m
+    for a in range(3):
+        direction[a] /= expected_m
+        innovation_m -= direction[a] * (state[bi + a] - linearised_at[bi + a])
+        innovation_m += direction[a] * (state[bj + a] - linearised_at[bj + a])
+    row = np.empty(state.shape[0])
+    d0, d1, d2 = direction
+    for k in range(state.shape[0]):
+        row[k] = (
+            d0 * (cov[bi, k] - cov[bj, k])
+            + d1 * (cov[bi + 1, k] - cov[bj + 1, k])
+            + d2 * (cov[bi + 2, k] - cov[bj + 2, k])
+        )
+    prior_m2 = 0.0
+    for a in range(3):
+        prior_m2 += direction[a] * (row[bi + a] - row[bj + a])
+    if weight_width_m2 < 0.0:
+        weight = student_weight(innovation_m * innovation_m / (prior_m2 + variance_m2))
+    else:
+        weight = student_weight(residual_m * residual_m / (weight_width_m2 + variance_m2))
+    if trust > 0.0:
+        _scalar_update(state, cov, row, prior_m2 + variance_m2 / weight, innovation_m)
+    return weight

@@ -1,0 +1,130 @@
+"""Everybody's odometry of the last seconds, to ask where they were."""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from autopilot.onboard.localisation.kernels import Array
+from autopilot.onboard.localisation.members import Members
+
+SAMPLES = 64
+"""Kept per UAV: `REMEMBERED_S` of the own ones at 30 Hz, six seconds of a neighbour's at 10 Hz."""
+JUMP_M = 0.5
+"""No step of odometry, beside what velocity explains, is that large in flight..."""
+JUMP_M_S2 = 10.0
+"""...but for what an acceleration that is over between two samples may come to."""
+EXTRAPOLATED_S = 1.0
+"""A neighbour is moved on by its velocity for so long at most."""
+BACK_LIMIT_US = 500_000
+"""How far before the first known odometry it may be extrapolated, by its velocity."""
+RING = np.dtype([("pushed", "i8"), ("times_us", "i8", SAMPLES), ("samples", "f8", (SAMPLES, 6))])
+"""The last samples of a UAV, position and velocity NED, and how many came."""
+Rings = NDArray[np.void]
+"""(N,) of `RING`"""
+KNOWN, NOT_YET, TOO_OLD = 0, 1, 2
+OLD, PUSHED, JUMPED = 0, 1, 2
+
+
+@njit(cache=True)
+def push(members: Members, rings: Rings, row: int, time_us: int, sample: Array, step_ne_m: Array) -> int:
+    """Take a sample (6,) of odometry; OLD: it is not newer than the newest, and ignored.
+
+    JUMPED: the odometry has made a step beside what the velocities explain, and not one of flight, which
+    step_ne_m (2,) is filled with; what came before it is then forgotten. Else PUSHED.
+    """
+    member, ring = members[row], rings[row]
+    before_us, pushed = member["newest_us"], ring["pushed"]
+    if time_us <= before_us:
+        return OLD
+    newest = member["newest"]
+    found = PUSHED
+    if pushed:
+        half_s = 0.5e-6 * (time_us - before_us)
+        for a in range(2):
+            step_ne_m[a] = sample[a] - newest[a] - half_s * (sample[3 + a] + newest[3 + a])
+        if abs(step_ne_m[0]) + abs(step_ne_m[1]) > JUMP_M + JUMP_M_S2 * half_s * half_s:
+            found, pushed = JUMPED, 0
+    slot = pushed % SAMPLES
+    kept = ring["samples"]
+    for a in range(6):
+        newest[a] = kept[slot, a] = sample[a]
+    ring["times_us"][slot] = time_us
+    ring["pushed"] = pushed + 1
+    member["newest_us"] = time_us
+    return found
+
+
+@njit(cache=True)
+def odometry_at(rings: Rings, row: int, time_us: int, out_ned_m: Array) -> int:
+    """Odometry of one UAV at a time, by cubic Hermite interpolation of its samples; fills out_ned_m (3,).
+
+    Returns KNOWN, NOT_YET when the newest sample is older, TOO_OLD when they do not reach back far enough.
+    """
+    ring = rings[row]
+    times_us, samples, pushed = ring["times_us"], ring["samples"], ring["pushed"]
+    held = min(pushed, SAMPLES)
+    if held == 0 or time_us > times_us[(pushed - 1) % SAMPLES]:
+        return NOT_YET
+    for back in range(1, held + 1):
+        k = (pushed - back) % SAMPLES
+        if times_us[k] <= time_us:
+            if times_us[k] == time_us:
+                for a in range(3):
+                    out_ned_m[a] = samples[k, a]
+                return KNOWN
+            after = (k + 1) % SAMPLES
+            span_s = (times_us[after] - times_us[k]) * 1e-6
+            u = (time_us - times_us[k]) * 1e-6 / span_s
+            for a in range(3):
+                step = samples[after, a] - samples[k, a]
+                start = samples[k, 3 + a] * span_s
+                end = samples[after, 3 + a] * span_s
+                out_ned_m[a] = samples[k, a] + u * (
+                    start + u * (3.0 * step - 2.0 * start - end + u * (start + end - 2.0 * step))
+                )
+            return KNOWN
+    oldest = (pushed - held) % SAMPLES
+    if pushed > SAMPLES or times_us[oldest] - time_us > BACK_LIMIT_US:
+        return TOO_OLD
+    back_s = (times_us[oldest] - time_us) * 1e-6
+    for a in range(3):
+        out_ned_m[a] = samples[oldest, a] - samples[oldest, 3 + a] * back_s
+    return KNOWN
+
+
+@njit(cache=True)
+def odometry_between(rings: Rings, i: int, j: int, time_us: int, out_ned_m: Array) -> int:
+    """Odometry (3,) of UAV i less that of j at a time, if that of both is known; see `odometry_at`."""
+    far_ned_m = np.empty(3)
+    known = odometry_at(rings, i, time_us, out_ned_m)
+    if known == KNOWN:
+        known = odometry_at(rings, j, time_us, far_ned_m)
+    if known == KNOWN:
+        for a in range(3):
+            out_ned_m[a] -= far_ned_m[a]
+    return known
+
+
+class Tracks:
+    """Odometry of N UAVs.
+
+    Attributes:
+        rings: (N,) of `RING`.
+        newest: (N, 6) position NED, m, and velocity NED, m/s.
+        newest_us: (N,) when that was; -1 before the first.
+
+    """
+
+    def __init__(self, members: Members) -> None:
+        self.rings: Rings = np.zeros(len(members), RING)
+        self.newest: Array = members["newest"]
+        self.newest_us: NDArray[np.int64] = members["newest_us"]
+
+    def forget(self, row: int) -> None:
+        """Forget the odometry of a UAV: what comes next has nothing to do with it."""
+        self.rings["pushed"][row] = 0
+
+    def now_ned_m(self, now_us: int) -> Array:
+        """(N, 3) odometry now, by the newest velocities."""
+        age_s = np.minimum((now_us - self.newest_us) * 1e-6, EXTRAPOLATED_S)
+        return np.asarray(self.newest[:, :3] + self.newest[:, 3:] * age_s[:, None])

@@ -1,0 +1,212 @@
+"""What the covariance of the localisation (`kernels`) says of the shape and of distances."""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from autopilot.onboard.localisation.kernels import STATES, Array, Times
+from autopilot.onboard.localisation.members import Members
+
+Flags = NDArray[np.bool_]
+SEEN = np.dtype(
+    [
+        ("pos_ned_m", "f8", 3),  # site NED
+        ("vel_ned_m_s", "f8", 3),
+        ("std_m", "f8"),  # one sigma of the position relative to the own, horizontally, along the line
+        ("fresh", "?"),  # located, and heard of lately
+    ],
+    align=True,
+)
+"""What one UAV knows of another, or of itself, now."""
+Others = NDArray[np.void]
+"""(N,) of `SEEN`: all UAVs as one of them has them, in their order, the own one included"""
+
+
+@njit(cache=True)
+def relative_variance(cov: Array, i: int, j: int, line_m: Array) -> float:
+    """Variance, m^2, of the offset of UAV i less that of j along ``line_m`` (3,), of any length over 0."""
+    bi, bj = STATES * i, STATES * j
+    total = 0.0
+    for a in range(3):
+        for b in range(3):
+            block = cov[bi + a, bi + b] + cov[bj + a, bj + b] - cov[bi + a, bj + b] - cov[bj + a, bi + b]
+            total += line_m[a] * line_m[b] * block
+    length_m2 = line_m[0] * line_m[0] + line_m[1] * line_m[1] + line_m[2] * line_m[2]
+    variance: float = max(total, 0.0) / length_m2
+    return variance
+
+
+@njit(cache=True)
+def variance_between(cov: Array, i: int, j: int, members: Members, state: Array) -> float:
+    """Variance, m^2, of the distance between UAVs i and j of ``members``, on the line between them.
+
+    state (5N,) and cov (5N, 5N) are the filter's.
+    """
+    line_m = np.empty(3)
+    here, there = members[i]["newest"], members[j]["newest"]
+    for a in range(3):
+        line_m[a] = here[a] - there[a] + (state[STATES * i + a] - state[STATES * j + a])
+    if line_m[0] == 0.0 and line_m[1] == 0.0 and line_m[2] == 0.0:
+        line_m[0] = 1.0
+    return relative_variance(cov, i, j, line_m)
+
+
+@njit(cache=True)
+def seen_from(
+    own: int, now_us: int, members: Members, longest_s: float, state: Array, cov: Array, since_us: int,
+    added_m2: float, shift_n_m: float, shift_e_m: float, others: Others,
+) -> None:  # fmt: skip
+    """Where everybody is now and how well that is known from UAV ``own``.
+
+    Args:
+        own: index of the UAV that looks.
+        now_us: to when odometry is moved on.
+        members: (N,) of `MEMBER`.
+        longest_s: it is moved on by its velocity for no longer.
+        state: (5N,) and ``cov`` (5N, 5N) of the filter.
+        cov: see there.
+        since_us: who has been heard of since and is located is fresh.
+        added_m2: comes to each variance.
+        shift_n_m: comes to each position in the end, north, and ``shift_e_m`` east.
+        shift_e_m: see there.
+        others: (N,) of `SEEN`, filled; std_m as by `relative_stds`, with 0 for who is not fresh.
+
+    """
+    pos_ned_m, std_m = np.empty((members.size, 3)), np.empty(members.size)
+    fresh = np.empty(members.size, np.bool_)
+    for j in range(members.size):
+        member = members[j]
+        newest = member["newest"]
+        age_s = min((now_us - member["newest_us"]) * 1e-6, longest_s)
+        for a in range(3):
+            pos_ned_m[j, a] = newest[a] + newest[3 + a] * age_s + state[STATES * j + a]
+        fresh[j] = member["located"] != 0 and member["newest_us"] >= since_us
+    relative_stds(cov, own, pos_ned_m, fresh, added_m2, std_m)
+    for j in range(members.size):
+        other = others[j]
+        other["pos_ned_m"][0] = pos_ned_m[j, 0] + shift_n_m
+        other["pos_ned_m"][1] = pos_ned_m[j, 1] + shift_e_m
+        other["pos_ned_m"][2] = pos_ned_m[j, 2]
+        for a in range(3):
+            other["vel_ned_m_s"][a] = members[j]["newest"][3 + a]
+        other["std_m"], other["fresh"] = std_m[j], fresh[j]
+
+
+@njit(cache=True)
+def relative_stds(
+    cov: Array, own: int, pos_ned_m: Array, whose: Flags, added_m2: float, out_m: Array
+) -> None:
+    """One sigma of each position relative to UAV ``own``, horizontally along the line; fills out_m (N,).
+
+    pos_ned_m (N, 3); added_m2 comes to each variance; those that are not in ``whose`` (N,), and the own: 0.
+    """
+    line_m = np.zeros(3)
+    out_m[:] = 0.0
+    for j in range(pos_ned_m.shape[0]):
+        if j == own or not whose[j]:
+            continue
+        line_m[0], line_m[1] = pos_ned_m[own, 0] - pos_ned_m[j, 0], pos_ned_m[own, 1] - pos_ned_m[j, 1]
+        if line_m[0] == 0.0 and line_m[1] == 0.0:
+            line_m[0] = 1.0
+        out_m[j] = np.sqrt(relative_variance(cov, own, j, line_m) + added_m2)
+
+
+@njit(cache=True)
+def shape_variance(pos_ned_m: Array, cov: Array, members: Times) -> float:
+    """Mean squared horizontal error to expect of the shape, m^2, after the best rigid alignment.
+
+    The trace of the covariance of all horizontal positions less its parts along the two translations and the
+    rotation about the vertical, which are what an alignment to first order removes. pos_ned_m (N, 3);
+    members (m,) indices of the UAVs that count.
+    """
+    m = members.shape[0]
+    centre_n, centre_e = 0.0, 0.0
+    for j in members:
+        centre_n += pos_ned_m[j, 0] / m
+        centre_e += pos_ned_m[j, 1] / m
+    spread = 0.0
+    for j in members:
+        arm_n, arm_e = pos_ned_m[j, 0] - centre_n, pos_ned_m[j, 1] - centre_e
+        spread += arm_n * arm_n + arm_e * arm_e
+    total = 0.0
+    shift_n, shift_e, turn = 0.0, 0.0, 0.0
+    for i in members:
+        bi = STATES * i
+        total += cov[bi, bi] + cov[bi + 1, bi + 1]
+        turn_n, turn_e = -(pos_ned_m[i, 1] - centre_e), pos_ned_m[i, 0] - centre_n
+        for j in members:
+            bj = STATES * j
+            shift_n += cov[bi, bj] / m
+            shift_e += cov[bi + 1, bj + 1] / m
+            other_n, other_e = -(pos_ned_m[j, 1] - centre_e), pos_ned_m[j, 0] - centre_n
+            turn += turn_n * (cov[bi, bj] * other_n + cov[bi, bj + 1] * other_e)
+            turn += turn_e * (cov[bi + 1, bj] * other_n + cov[bi + 1, bj + 1] * other_e)
+    if spread > 0.0:
+        total -= turn / spread
+    mean: float = max(total - shift_n - shift_e, 0.0) / m
+    return mean
+
+
+@njit(cache=True)
+def bend(
+    reference_ne_m: Array, pos_ne_m: Array, cov: Array, members: Times, out_m: Array, out_var_m2: Array
+) -> None:
+    """What unknown bending of the shape does to distances, whose derivatives are taken at a reference.
+
+    Two UAVs whose places across the line between them are known to sigma, and estimated as b, are farther
+    apart than their estimates by sigma^2 / 2 d on average, the second order of the distance. Its variance
+    is sigma^4 / 2 d^2, and where the derivative knows nothing of b, b^2 sigma^2 / d^2 besides. A turn of the
+    formation as a whole lengthens nothing, so its part is taken out of sigma. Matters in a line, whose
+    distances say nothing of what is across it.
+
+    Args:
+        reference_ne_m: (N, 2) where the derivatives are taken.
+        pos_ne_m: (N, 2) estimated, headed as the reference is.
+        cov: of the estimates.
+        members: (m,) indices of those concerned.
+        out_m: (N, N) filled with the lengthening, m.
+        out_var_m2: (N, N) filled with its variance, m^2.
+
+    """
+    m = members.shape[0]
+    out_m[:] = 0.0
+    out_var_m2[:] = 0.0
+    centre_n, centre_e = 0.0, 0.0
+    for j in members:
+        centre_n += reference_ne_m[j, 0] / m
+        centre_e += reference_ne_m[j, 1] / m
+    spread = 0.0
+    for j in members:
+        arm_n, arm_e = reference_ne_m[j, 0] - centre_n, reference_ne_m[j, 1] - centre_e
+        spread += arm_n * arm_n + arm_e * arm_e
+    if spread < 1e-6:
+        return
+    # Covariance of each position with the turn of the whole, and the variance of that.
+    with_turn = np.zeros((out_m.shape[0], 2))
+    turn_rad2 = 0.0
+    for i in members:
+        for a in range(2):
+            row = cov[STATES * i + a]
+            for j in members:
+                with_turn[i, a] -= row[STATES * j] * (reference_ne_m[j, 1] - centre_e) / spread
+                with_turn[i, a] += row[STATES * j + 1] * (reference_ne_m[j, 0] - centre_n) / spread
+        turn_rad2 -= with_turn[i, 0] * (reference_ne_m[i, 1] - centre_e) / spread
+        turn_rad2 += with_turn[i, 1] * (reference_ne_m[i, 0] - centre_n) / spread
+    across = np.zeros(3)
+    for i in members:
+        for j in members:
+            across[0] = reference_ne_m[j, 1] - reference_ne_m[i, 1]
+            across[1] = reference_ne_m[i, 0] - reference_ne_m[j, 0]
+            apart_m = np.hypot(across[0], across[1])
+            if i == j or apart_m < 0.1:
+                continue
+            turned = 0.0
+            for a in range(2):
+                turned += across[a] * (with_turn[i, a] - with_turn[j, a])
+            variance = relative_variance(cov, i, j, across) - 2.0 * turned + apart_m * apart_m * turn_rad2
+            bent_m = across[0] * (pos_ne_m[i, 0] - pos_ne_m[j, 0])
+            bent_m += across[1] * (pos_ne_m[i, 1] - pos_ne_m[j, 1])
+            bent_m /= apart_m
+            variance = max(variance, 0.0)
+            out_m[i, j] = variance / (2.0 * apart_m)
+            out_var_m2[i, j] = variance * (0.5 * variance + bent_m * bent_m) / (apart_m * apart_m)

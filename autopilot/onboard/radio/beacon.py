@@ -1,0 +1,295 @@
+"""The beacon: what every UAV broadcasts to the formation, and its bytes.
+
+A beacon carries the sender's newest GPS position with the receiver's stated accuracy, what the sender
+believes its receiver's error to be, its odometry, and the newest distance that it measured to each neighbour.
+Repeating the newest values in every beacon makes one that is lost cost latency alone: the time stamps tell a
+receiver what it has already used.
+
+Odometry is the integral of the autopilot's velocity since the sender started, so the difference of any two
+beacons of a sender is its displacement between them, however many were lost in between. Its down component
+is the autopilot's barometric height.
+
+Who hears beacons by the hundred reads them where they lie (`Pages`); `decode` is for all others.
+
+Layout, little-endian, `HEADER_BYTES` + `RANGE_BYTES` per distance (79 + 11 n):
+
+    u8 version   u8 station   u8 phase   u8 flags   u8 number of distances
+    u32 seq   u64 time_us   3 f32 odometry_ned_m   3 f32 vel_ned_m_s
+    u32 motion_start_ms   (flag 1)
+    u32 fix_ms   3 f32 fix_ned_m   u16 fix_std_h_mm   u16 fix_std_v_mm   (flag 2)
+    3 f32 gps_error_ned_m   u16 gps_error_std_mm   (flag 4)
+    then each: u8 peer   u32 measured_ms   f32 distance_m   u16 std_mm
+
+What has no flag is not known, and zeros stand in its place. Standard deviations saturate at 65.535 m. With
+distances to all others a beacon has 156 bytes in a formation of eight and 244 in one of sixteen; where each
+pair is measured by one of its ends, it has 123 or 167 at most.
+
+Times are on the clock that the formation shares. Positions are NED from the site's origin.
+"""
+
+import struct
+from collections.abc import Sequence
+
+import numpy as np
+from msgspec import Struct
+from numba import njit
+from numpy.typing import NDArray
+
+from autopilot.onboard.formation.phases import Phase
+
+VERSION = 3
+HEADER = np.dtype(
+    [
+        ("version", "u1"), ("station", "u1"), ("phase", "u1"), ("flags", "u1"), ("count", "u1"),
+        ("seq", "<u4"), ("time_us", "<u8"),
+        ("odometry_n_m", "<f4"), ("odometry_e_m", "<f4"), ("odometry_d_m", "<f4"),
+        ("vel_n_m_s", "<f4"), ("vel_e_m_s", "<f4"), ("vel_d_m_s", "<f4"),
+        ("motion_start_ms", "<u4"),
+        ("fix_ms", "<u4"), ("fix_n_m", "<f4"), ("fix_e_m", "<f4"), ("fix_d_m", "<f4"),
+        ("fix_std_h_mm", "<u2"), ("fix_std_v_mm", "<u2"),
+        ("error_n_m", "<f4"), ("error_e_m", "<f4"), ("error_d_m", "<f4"), ("error_std_mm", "<u2"),
+    ]
+)  # fmt: skip
+"""Of a beacon's bytes, for compiled code; numbers lie where the one before ends."""
+RANGE = np.dtype([("peer", "u1"), ("time_ms", "<u4"), ("distance_m", "<f4"), ("std_mm", "<u2")])
+"""Of each distance's."""
+_HEADER = struct.Struct("<BBBBBIQ3f3fII3fHH3fH")
+_RANGE = struct.Struct("<BIfH")
+HEADER_BYTES = HEADER.itemsize
+RANGE_BYTES = RANGE.itemsize
+MAX_RANGES = 126
+"""Keeps a beacon within the 1472 bytes of UDP payload that fit one Ethernet frame."""
+SEQ_MODULUS = 2**32
+HAS_START, HAS_FIX, HAS_GPS_ERROR = 1, 2, 4
+_FLAGS = HAS_START | HAS_FIX | HAS_GPS_ERROR
+_FAR_M = 1e6
+_FAR2_M2 = _FAR_M**2
+"""No honest sender is farther from the site."""
+_FAST2_M2_S2 = 30.0**2
+"""No honest sender is faster."""
+_NO_TIME_US = 2**63
+_STD_MAX_M, _MOST_MM = 65.535, 65_535
+_LAST_PHASE = max(int(phase) for phase in Phase)
+_CAPACITY = HEADER_BYTES + MAX_RANGES * RANGE_BYTES
+PAGE = np.dtype([("source", "<i8"), ("size", "<i8"), ("header", HEADER), ("ranges", RANGE, MAX_RANGES)])
+"""A datagram: from which station, how many bytes, and these. What they do not reach stays from before."""
+PageRows = NDArray[np.void]
+"""(P,) of `PAGE`"""
+_PAGE_BYTES = PAGE.itemsize
+
+Vector = tuple[float, float, float]
+
+
+class Fix(Struct, frozen=True):
+    """A GPS position of the antenna at ``time_ms``, the receiver's delay already taken off.
+
+    ``std_h_m`` and ``std_v_m`` are the accuracy that the receiver states; None: it states none.
+    """
+
+    time_ms: int
+    pos_ned_m: Vector
+    std_h_m: float | None = None
+    std_v_m: float | None = None
+
+
+class GpsError(Struct, frozen=True):
+    """What a UAV believes of its GPS receiver now: the fix less the true position.
+
+    Said only while distances hold the sender's position, and that is what the formation goes by: a UAV of
+    whom it is not heard may drift, and who has a height layer beside it goes there (`layers`). The numbers
+    are for whoever else listens, to whom they make the sender's fixes right: where each estimates everybody's
+    receivers itself, what another made of the same distances would be counted twice. Where each estimates
+    those of its neighbourhood alone, they tell the others where the sender believes itself to be, and are
+    horizontally of the newest fix itself (`common_frame`).
+    """
+
+    ned_m: Vector
+    std_m: float
+    """Of the error, horizontal, per axis, 0..65.535."""
+
+
+class Distance(Struct, frozen=True):
+    """A distance that the sender measured to ``peer``."""
+
+    peer: int
+    time_ms: int
+    distance_m: float
+    std_m: float
+    """Of ``distance_m``, 0..65.535."""
+
+
+class Beacon(Struct, frozen=True, kw_only=True):
+    """One beacon; ``time_us`` is that of the odometry and the velocity."""
+
+    station: int
+    seq: int
+    """Rises by one with each beacon of the sender, modulo `SEQ_MODULUS`."""
+    time_us: int
+    phase: Phase
+    odometry_ned_m: Vector
+    vel_ned_m_s: Vector
+    motion_start_ms: int | None = None
+    """When the formation begins to move, as far as the sender knows."""
+    fix: Fix | None = None
+    gps_error: GpsError | None = None
+    """None: no distances hold the sender's position."""
+    distances: tuple[Distance, ...] = ()
+
+
+_NO_FIX = Fix(0, (0.0, 0.0, 0.0))
+_NO_ERROR = GpsError((0.0, 0.0, 0.0), 0.0)
+
+
+def encode(beacon: Beacon) -> bytes:
+    """Bytes of a beacon.
+
+    Raises struct.error for a number that its field cannot hold, ValueError for a standard deviation that is
+    not a number and for more than `MAX_RANGES` distances.
+    """
+    return encode_with(
+        [encode_distance(item) for item in beacon.distances],
+        beacon.station, beacon.seq, beacon.time_us, beacon.phase, beacon.odometry_ned_m, beacon.vel_ned_m_s,
+        beacon.motion_start_ms, beacon.fix, beacon.gps_error,
+    )  # fmt: skip
+
+
+def encode_with(
+    distances: Sequence[bytes], station: int, seq: int, time_us: int, phase: Phase,
+    odometry_ned_m: Vector, vel_ned_m_s: Vector,
+    motion_start_ms: int | None, fix: Fix | None, gps_error: GpsError | None,
+) -> bytes:  # fmt: skip
+    """As `encode`, for a sender that keeps the bytes of its distances: each is in many beacons."""
+    if len(distances) > MAX_RANGES:
+        raise ValueError(f"{len(distances)} distances do not fit a beacon")
+    flags, start_ms = 0, 0
+    if motion_start_ms is not None:
+        flags, start_ms = HAS_START, motion_start_ms
+    if fix is None:
+        fix = _NO_FIX
+    else:
+        flags |= HAS_FIX
+    if gps_error is None:
+        gps_error = _NO_ERROR
+    else:
+        flags |= HAS_GPS_ERROR
+    header = _HEADER.pack(
+        VERSION, station, phase, flags, len(distances), seq, time_us, *odometry_ned_m, *vel_ned_m_s, start_ms,
+        fix.time_ms, *fix.pos_ned_m, _stated_mm(fix.std_h_m), _stated_mm(fix.std_v_m),
+        *gps_error.ned_m, _mm(gps_error.std_m),
+    )  # fmt: skip
+    return header + b"".join(distances)
+
+
+def encode_distance(distance: Distance) -> bytes:
+    """Bytes of a distance in a beacon; raises as `encode` does."""
+    return _RANGE.pack(distance.peer, distance.time_ms, distance.distance_m, _mm(distance.std_m))
+
+
+class Pages:
+    """Places for the bytes of datagrams, where compiled code reads them.
+
+    Attributes:
+        rows: (P,) of `PAGE`.
+        count: how many of them are written on.
+
+    """
+
+    def __init__(self, most: int) -> None:
+        self.rows: PageRows = np.zeros(most, PAGE)
+        self._most = most
+        self.count = 0
+        self._octets = self.rows.view(np.uint8).data
+        self._layouts: dict[int, struct.Struct] = {}
+        """How a datagram of each size that has come is written, behind where it is from and that size."""
+
+    def put(self, source: int, payload: bytes) -> bool:
+        """Write a station's datagram on the next page; of one that is too long, its length alone.
+
+        Returns whether that was the last page.
+        """
+        size = len(payload)
+        layout = self._layouts.get(size)
+        if layout is None:
+            layout = struct.Struct(f"<qq{size if size <= _CAPACITY else 0}s")
+            self._layouts[size] = layout
+        layout.pack_into(self._octets, self.count * _PAGE_BYTES, source, size, payload)
+        self.count += 1
+        return self.count == self._most
+
+
+@njit(cache=True)
+def is_credible(page: np.void, with_ranges: bool) -> bool:  # noqa: FBT001
+    """Whether the bytes on a page are a beacon.
+
+    They are not with another version or length, and with what no sender would say: a number that cannot be, a
+    phase or flag that does not exist, and in the distances, which are looked at if ``with_ranges``, one to
+    itself and two to the same peer.
+    """
+    size, header, ranges = page["size"], page["header"], page["ranges"]
+    if size < HEADER_BYTES or header["version"] != VERSION:
+        return False
+    count = np.int64(header["count"])
+    if count > MAX_RANGES or size != HEADER_BYTES + count * RANGE_BYTES:
+        return False
+    if header["phase"] > _LAST_PHASE or header["flags"] > _FLAGS or header["time_us"] >= _NO_TIME_US:
+        return False
+    odo_n, odo_e = np.float64(header["odometry_n_m"]), np.float64(header["odometry_e_m"])
+    odo_d, fix_d = np.float64(header["odometry_d_m"]), np.float64(header["fix_d_m"])
+    fix_n, fix_e = np.float64(header["fix_n_m"]), np.float64(header["fix_e_m"])
+    err_n, err_e = np.float64(header["error_n_m"]), np.float64(header["error_e_m"])
+    err_d, vel_d = np.float64(header["error_d_m"]), np.float64(header["vel_d_m_s"])
+    vel_n, vel_e = np.float64(header["vel_n_m_s"]), np.float64(header["vel_e_m_s"])
+    size2 = (
+        odo_n * odo_n + odo_e * odo_e + odo_d * odo_d + fix_n * fix_n + fix_e * fix_e + fix_d * fix_d
+        + err_n * err_n + err_e * err_e + err_d * err_d
+    )  # fmt: skip
+    speed2 = vel_n * vel_n + vel_e * vel_e + vel_d * vel_d
+    if not (size2 < _FAR2_M2 and speed2 <= _FAST2_M2_S2):  # NaN is below nothing
+        return False
+    if not with_ranges:
+        return True
+    for k in range(count):
+        peer = ranges[k]["peer"]
+        if not -_FAR_M < ranges[k]["distance_m"] < _FAR_M or peer == header["station"]:
+            return False
+        for before in range(k):
+            if ranges[before]["peer"] == peer:
+                return False
+    return True
+
+
+def decode(buffer: bytes) -> Beacon | None:
+    """Beacon in these bytes; None for what is none (`is_credible`)."""
+    pages = Pages(1)
+    pages.put(0, buffer)
+    page = pages.rows[0]
+    if not is_credible(page, with_ranges=True):
+        return None
+    (
+        _, station, phase, flags, count, seq, time_us,
+        odo_n, odo_e, odo_d, vel_n, vel_e, vel_d, start_ms,
+        fix_ms, fix_n, fix_e, fix_d, std_h_mm, std_v_mm, err_n, err_e, err_d, err_mm,
+    ) = page["header"].tolist()  # fmt: skip
+    fix = None
+    if flags & HAS_FIX:
+        fix = Fix(fix_ms, (fix_n, fix_e, fix_d), std_h_mm * 1e-3 or None, std_v_mm * 1e-3 or None)
+    return Beacon(
+        station=station, seq=seq, time_us=time_us, phase=Phase(phase),
+        odometry_ned_m=(odo_n, odo_e, odo_d), vel_ned_m_s=(vel_n, vel_e, vel_d),
+        motion_start_ms=start_ms if flags & HAS_START else None,
+        fix=fix,
+        gps_error=GpsError((err_n, err_e, err_d), err_mm * 1e-3) if flags & HAS_GPS_ERROR else None,
+        distances=tuple(
+            Distance(peer, time_ms, distance_m, std_mm * 1e-3)
+            for peer, time_ms, distance_m, std_mm in page["ranges"][:count].tolist()
+        ),
+    )  # fmt: skip
+
+
+def _mm(std_m: float) -> int:
+    return _MOST_MM if std_m > _STD_MAX_M else round(std_m * 1e3)
+
+
+def _stated_mm(std_m: float | None) -> int:
+    """Zero says that nothing is stated, so what is stated is 1 mm at the least."""
+    return 0 if std_m is None else max(_mm(std_m), 1)

@@ -1,0 +1,198 @@
+"""Parameter files: the text that QGroundControl saves and loads, one parameter to a line.
+
+    # Vehicle-Id Component-Id Name Value Type
+    1	1	MPC_XY_P	0.95	9
+
+Fields are separated by tabs (blanks are read, too), type 6 is INT32 and 9 is REAL32, and ``#`` begins a
+comment line. A number comes back as the double that was written; one that a ground station printed from its
+float32, with 18 decimals, comes back as the shortest decimal of that float32, as values over MAVLink do.
+What a vehicle is and cannot change (MAV_SYS_ID and the like) is neither written nor taken from a file.
+`parse` and `dumps` are pure; `load`, `load_known` and `save` touch files.
+"""
+
+import math
+import os
+import re
+from collections.abc import Mapping
+from operator import attrgetter
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from autopilot.mavlink.components import AUTOPILOT_COMPONENT
+from autopilot.parameters.inert import STATED
+from autopilot.parameters.table import (
+    ROW_INDEX_OF,
+    ROWS,
+    TABLE,
+    Parameter,
+    ParameterError,
+    ParameterSet,
+    Row,
+    Settings,
+    check_range,
+)
+
+INT32, REAL32 = "6", "9"
+FIELDS = ("vehicle", "component", "name", "value", "type")
+HEADER = "# Vehicle-Id Component-Id Name Value Type"
+
+
+class ParameterFileError(ValueError):
+    """A parameter file that cannot be read or is wrong; the text is one line that names file and line."""
+
+
+class ParsedParameters(NamedTuple):
+    """What a file holds."""
+
+    values: dict[str, float]
+    """In PX4's units, within their ranges"""
+    unknown: dict[str, int]
+    """The parameters that this autopilot does not have, and those of other components, and their lines"""
+
+
+def parse(text: str, name: str) -> ParsedParameters:
+    """Read a file's text; ``name`` is what errors call it. Raises ParameterFileError."""
+    values: dict[str, float] = {}
+    unknown: dict[str, int] = {}
+    line_of: dict[str, int] = {}
+    for number, line in enumerate(text.removeprefix("\ufeff").split("\n"), 1):
+        fields = line.split()
+        if not fields or fields[0].startswith("#"):
+            continue
+        try:
+            component, parameter_name = _heading(fields)
+            if component != AUTOPILOT_COMPONENT or parameter_name not in ROW_INDEX_OF:
+                unknown.setdefault(parameter_name, number)
+                continue
+            if parameter_name in _READ_ONLY:
+                continue
+            if parameter_name in line_of:
+                raise ParameterError(f"{parameter_name} was set already in line {line_of[parameter_name]}")  # noqa: TRY301  # one place that adds file and line
+            line_of[parameter_name] = number
+            values[parameter_name] = _value(parameter_name, *fields[3:])
+        except ParameterError as error:
+            raise ParameterFileError(f"{name}:{number}: {error}") from None
+    return ParsedParameters(values, unknown)
+
+
+def load(path: Path) -> dict[str, float]:
+    """Values of a file, all of whose parameters must be this autopilot's. Raises ParameterFileError."""
+    values, unknown = load_known(path)
+    for parameter_name, number in unknown.items():
+        raise ParameterFileError(f"{path}:{number}: the autopilot has no parameter {parameter_name!r}")
+    return values
+
+
+def load_known(path: Path) -> ParsedParameters:
+    """Values of a file that may hold any PX4's parameters. Raises ParameterFileError."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is no text"
+        raise ParameterFileError(f"{path}: cannot be read: {reason}") from None
+    return parse(text, str(path))
+
+
+def values_of(parameters: ParameterSet, *, only_changed: bool) -> dict[str, float]:
+    """Values of a set by name, all or those that differ from the defaults.
+
+    They are such that setting them gives the same settings to the last bit.
+    """
+    defaults = Settings()
+    values = {}
+    for parameter in TABLE:
+        setting = _setting(parameter, parameters.settings)
+        if not only_changed or setting != _setting(parameter, defaults):
+            values[parameter.name] = _value_of(parameter, setting)
+    for row in STATED:
+        value = parameters.stated[row.name]
+        if not row.read_only and (not only_changed or value != row.default):
+            values[row.name] = value
+    return dict(sorted(values.items()))
+
+
+def dumps(values: Mapping[str, float], *, system_id: int = 1) -> str:
+    """Text of a file with these values, in PX4's units; `parse` gives the same back.
+
+    They are finite. Raises KeyError for a parameter that does not exist.
+    """
+    lines = [f"# Onboard parameters for Vehicle {system_id}", "#", HEADER]
+    for name, value in values.items():
+        kind, text = _text(ROWS[ROW_INDEX_OF[name]], value)
+        lines.append("\t".join((str(system_id), str(AUTOPILOT_COMPONENT), name, text, kind)))
+    return "\n".join(lines) + "\n"
+
+
+def save(path: Path, parameters: ParameterSet, *, only_changed: bool = False, system_id: int = 1) -> None:
+    """Write a set's values; the file is there whole or as it was before. Raises OSError."""
+    text = dumps(values_of(parameters, only_changed=only_changed), system_id=system_id)
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        beside.write_text(text, encoding="utf-8", newline="\n")
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def _heading(fields: list[str]) -> tuple[int, str]:
+    """Component and name of a line. Raises ParameterError."""
+    if len(fields) != len(FIELDS):
+        raise ParameterError(f"{len(fields)} fields, not {len(FIELDS)}: {', '.join(FIELDS)}")
+    for what, field in zip(FIELDS[:2], fields[:2], strict=True):
+        if not re.fullmatch(r"[0-9]{1,3}", field):
+            raise ParameterError(f"{field!r} is no {what} id")
+    return int(fields[1]), fields[2]
+
+
+def _value(name: str, text: str, kind: str) -> float:
+    """Value of a line, within the parameter's range. Raises ParameterError."""
+    pattern = {INT32: _WHOLE, REAL32: _REAL}.get(kind)
+    if pattern is None:
+        raise ParameterError(f"{name}: type {kind!r} is neither {INT32} (INT32) nor {REAL32} (REAL32)")
+    if not pattern.fullmatch(text):
+        raise ParameterError(f"{name}: {text!r} is no {'whole ' if kind == INT32 else ''}number")
+    value = _real(text)
+    check_range(name, value)
+    return value
+
+
+_READ_ONLY = frozenset(row.name for row in STATED if row.read_only)
+_WHOLE = re.compile(r"[+-]?[0-9]{1,10}")
+_REAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+
+
+def _real(text: str) -> float:
+    """Double of a decimal; that of a float32's shortest decimal where the text is how one is printed."""
+    value = float(text)
+    if abs(value) > np.finfo(np.float32).max:
+        return value
+    single = np.float32(value)
+    return float(str(single)) if f"{float(single):.18f}" == text else value
+
+
+def _text(parameter: Row, value: float) -> tuple[str, str]:
+    """Type and decimal of a value that `_real` reads as the same double."""
+    if parameter.is_integer:
+        return INT32, str(round(value))
+    text = f"{value:.0f}" if value == round(value) and abs(value) < 1e15 else repr(value)
+    return REAL32, text if _real(text) == value else f"{value:.16e}"
+
+
+def _setting(parameter: Parameter, settings: Settings) -> float:
+    setting: float = attrgetter(parameter.path)(settings)
+    return setting
+
+
+def _value_of(parameter: Parameter, setting: float) -> float:
+    """Find the plainest value in PX4's unit that makes exactly this setting."""
+    factor = parameter.setting_per_unit
+    value = setting / factor
+    neighbours = (value, math.nextafter(value, math.inf), math.nextafter(value, -math.inf))
+    for candidate in (float(f"{value:.12g}"), *neighbours):
+        made = candidate * factor
+        is_made = (round(made) if isinstance(setting, int) else made) == setting
+        if is_made and parameter.minimum <= candidate <= parameter.maximum:
+            return candidate
+    return value

@@ -1,0 +1,200 @@
+"""A flight on the table: runs every numerical kernel of a vehicle, so that all are on disk and loaded.
+
+Two vehicles are lifted by hand once their rotors turn, with perfect sensors and a perfect radio between them,
+until both are on their way to their places. What they compute is of no interest, only that they compute it.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+from pymavlink.dialects.v20 import common
+
+from autopilot.estimation.atmosphere import pressure_pa
+from autopilot.estimation.sensor_input import BARO_FIELDS, IMU_FIELDS, MAG_FIELDS
+from autopilot.mavlink.hil import HilActuatorControls, HilSensor, pack
+from autopilot.mavlink.modes import FlightMode
+from autopilot.navigation.manual import ManualInput
+from autopilot.navigation.setpoints import Navigator
+from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.localisation.common_frame import CommonFrame
+from autopilot.onboard.localisation.localisation import CooperativeLocalisation, LocalisationModel
+from autopilot.onboard.radio.beacon import Fix, GpsError
+from autopilot.onboard.radio.neighbour_table import Hearing
+from autopilot.onboard.radio.neighbourhood import Neighbourhood
+from autopilot.parameters.config import Site, VehicleConfig
+from autopilot.services.service import NEVER_US
+from autopilot.vehicle.fast_step import InertialSteps
+from autopilot.vehicle.vehicle import Vehicle
+from foundation.geometry.geodesy import ned_to_geodetic
+from foundation.types import Array, RateSetpoint
+from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult, RxItem, TxItem
+
+LIMIT_US = 40_000_000
+JOINING_STEPS = 250
+DISTANCE_M = 0.9
+LIFT_SPEED_M_S = 1.0
+_GPS_PERIOD_US = 200_000
+_GRAVITY_M_S2 = 9.8066
+
+
+class RehearsalError(RuntimeError):
+    """The vehicles did not get on their way; something is wrong with the autopilot."""
+
+
+def rehearse() -> None:
+    """Fly on the table until both vehicles have been on their way for a while. Raises RehearsalError."""
+    places_ned_m = ((0.0, 0.0, -10.0), (0.0, 8.5, -10.0))
+    configs = [
+        VehicleConfig(run_id="rehearsal", instance=i, seed=0, places_ned_m=places_ned_m) for i in range(2)
+    ]
+    vehicles = [Vehicle(config) for config in configs]
+    inboxes: list[list[RxItem]] = [[], []]
+    step_us = configs[0].step_us
+    height_m, joining_steps = 0.0, 0
+    for time_us in range(step_us, LIMIT_US, step_us):
+        lifted = all(vehicle.commander.armed for vehicle in vehicles)
+        climb_m_s = LIFT_SPEED_M_S if lifted else 0.0
+        height_m += climb_m_s * step_us * 1e-6
+        sent: list[tuple[TxItem, ...]] = []
+        for i, vehicle in enumerate(vehicles):
+            pos_ned_m = np.array((0.0, i * DISTANCE_M, -height_m))
+            sensors = _sensors(configs[i].site, time_us, pos_ned_m, climb_m_s)
+            sent.append(vehicle.step(sim_messages=sensors, radio_items=inboxes[i]).radio)
+        inboxes = [_arrivals(sent[1 - i], sent[i], other=1 - i, time_us=time_us) for i in range(2)]
+        joining_steps += all(
+            vehicle.app is not None and vehicle.app.phase >= Phase.JOINING for vehicle in vehicles
+        )
+        if joining_steps > JOINING_STEPS and _rehearse_inertial_step(vehicles[0], time_us):
+            _rehearse_modes(vehicles[0])
+            _rehearse_distances(vehicles[0], time_us)
+            _rehearse_common_frame()
+            return
+    raise RehearsalError("the vehicles of the rehearsal did not get on their way")
+
+
+def _rehearse_modes(vehicle: Vehicle) -> None:
+    """Ask for the setpoints of the modes that the flight has no part in."""
+    state = vehicle.flight.state
+    settings = vehicle.parameters.settings
+    navigator = Navigator(settings.navigation, settings.control.trajectory, settings.control.position)
+    sticks = ManualInput(time_us=state.time_us, roll=0.5, pitch=0.5, yaw=0.5, throttle=0.8)
+    home_ned_m = (0.0, 0.0, 0.0)
+    for mode in (
+        FlightMode.POSITION, FlightMode.ALTITUDE, FlightMode.STABILIZED, FlightMode.RETURN, FlightMode.LAND,
+        FlightMode.ORBIT,
+    ):  # fmt: skip
+        navigator.enter(mode, state, landed=False, takeoff_down_m=0.0, home_ned_m=home_ned_m)
+        for _ in range(2):
+            setpoint = navigator.update(
+                state, dt_s=0.004, landed=False, touching=False, home_ned_m=home_ned_m, manual=sticks
+            )
+        vehicle.pilot.controller.update(state, setpoint, dt_s=0.004, landed=False)
+    rates = RateSetpoint(rate_frd_rad_s=np.zeros(3), thrust=0.5)
+    vehicle.pilot.controller.update(state, rates, dt_s=0.004, landed=False)
+
+
+def _rehearse_distances(vehicle: Vehicle, now_us: int) -> None:
+    """Ask how well a distance is known, which the application does only where it is worth a measurement.
+
+    Raises RehearsalError.
+    """
+    localisation = vehicle.app.localisation if vehicle.app is not None else None
+    if localisation is None or localisation.distance_variance_m2(1, now_us) is None:
+        raise RehearsalError("the vehicles on their way are not located")
+
+
+def _rehearse_inertial_step(vehicle: Vehicle, now_us: int) -> bool:
+    """Make a fast step as `autopilot.vehicle.host` does, if it is possible now. Raises RehearsalError."""
+    steps = InertialSteps()
+    answer = pack(HilActuatorControls(now_us, [0.0] * 16, 1, 0), sequence=0, system=1, component=1)
+    if not vehicle.look_ahead(steps, answer, 1, NEVER_US):
+        return False
+    nothing = (0.0, 0.0, 0.0)
+    accel = (0.0, 0.0, -_GRAVITY_M_S2)
+    at_rest = HilSensor(now_us + 1, *accel, *nothing, *nothing, 0.0, 0.0, 0.0, 0.0, IMU_FIELDS)
+    frame = pack(at_rest, sequence=0, system=0, component=1)
+    steps.incoming[: len(frame)] = frame
+    if steps.step(len(frame)) is None:
+        raise RehearsalError("an inertial sample was not taken for one")
+    return True
+
+
+def _rehearse_common_frame() -> None:
+    """Lay one of two neighbours onto the other, as in a formation that has more than a neighbourhood."""
+    near = Neighbourhood(0, np.array(((0.0, 0.0, -10.0), (0.0, 5.0, -10.0), (0.0, 20.0, -10.0))), 1)
+    localisation = CooperativeLocalisation(
+        own=near.own, places_ned_m=np.zeros((len(near.members), 3)), model=LocalisationModel()
+    )
+    hearing = Hearing(station=0, stations=3, period_us=100_000, gps_std_m=1.0, near=near)
+    frame = CommonFrame(near.members, hearing)
+    for row, station in enumerate(near.members.tolist()):
+        localisation.on_odometry(row, 1_000, (0.0, float(row), 0.0), (0.0, 0.0, 0.0))
+        localisation.located[row] = True
+        hearing.note_fix(station, Fix(1, (0.0, float(row), 0.0)), GpsError((0.0, 0.0, 0.0), 1.0), 1_000)
+    frame.update(2_000, localisation)
+    hearing.pages.put(1, b"no beacon")
+    hearing.read(2_000)  # as those do who localise nobody
+    hearing.all_held(np.arange(3), 1_000)
+
+
+def _sensors(site: Site, time_us: int, pos_ned_m: Array, climb_m_s: float) -> list[common.MAVLink_message]:
+    """Give what a vehicle feels that is held level, heading north, and lifted."""
+    lat_deg, lon_deg, alt_m = ned_to_geodetic(
+        pos_ned_m,
+        origin_lat_deg=site.latitude_deg,
+        origin_lon_deg=site.longitude_deg,
+        origin_alt_m=site.altitude_m,
+    )
+    messages = []
+    if time_us % _GPS_PERIOD_US == 0:
+        degrees_e7 = (round(float(lat_deg) * 1e7), round(float(lon_deg) * 1e7))
+        speed_cm_s = round(100 * climb_m_s)
+        messages.append(
+            common.MAVLink_hil_gps_message(
+                time_us,
+                common.GPS_FIX_TYPE_3D_FIX,
+                *degrees_e7,
+                round(float(alt_m) * 1e3),
+                100,
+                100,
+                *(speed_cm_s, 0, 0, -speed_cm_s),
+                65_535,
+                10,
+            )
+        )
+    baro = (pressure_pa(float(alt_m)) / 100.0, 0.0, float(alt_m), 15.0)
+    accel, gyro = (0.0, 0.0, -_GRAVITY_M_S2), (0.0, 0.0, 0.0)
+    fields = IMU_FIELDS | MAG_FIELDS | BARO_FIELDS
+    messages.append(
+        common.MAVLink_hil_sensor_message(
+            time_us, *accel, *gyro, *site.magnetic_field_ned_gauss, *baro, fields, 0
+        )
+    )
+    return messages
+
+
+def _arrivals(theirs: Iterable[TxItem], own: Iterable[TxItem], *, other: int, time_us: int) -> list[RxItem]:
+    """Deliver the other's broadcasts and answer the own ranging requests, at once and without error."""
+    at_ns = time_us * 1000
+    arrivals: list[RxItem] = [
+        Delivery(source=other, seq=item.seq, received_ns=at_ns, rssi_dbm=-60.0, payload=item.payload)
+        for item in theirs
+        if isinstance(item, Broadcast)
+    ]
+    arrivals += [
+        FtmResult(
+            peer=item.peer,
+            seq=item.seq,
+            status="ok",
+            measured_ns=at_ns,
+            ended_ns=at_ns,
+            distance_m=DISTANCE_M,
+            distance_std_m=0.1,
+            rssi_dbm=-60.0,
+            round_trips=7,
+            measurements=8,
+        )
+        for item in own
+        if isinstance(item, FtmRequest)
+    ]
+    return arrivals

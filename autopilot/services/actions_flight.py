@@ -1,0 +1,307 @@
+"""The commands that fly: arming, modes, take-off, landing, places to go to, home, the mission's progress.
+
+Results are those of PX4 v1.17's commander, where it has one.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import common
+
+from autopilot.commander.conditions import Condition, Reason
+from autopilot.mavlink.modes import FlightMode, mode_from_custom, mode_from_main_sub
+from autopilot.services.available_modes import STANDARD_MODES
+from autopilot.services.command import (
+    ACCEPTED,
+    AMSL_FRAMES,
+    DENIED,
+    RELATIVE_FRAMES,
+    UNSUPPORTED,
+    Action,
+    Answer,
+    Place,
+    Request,
+    TakeoffAltitude,
+    answer_for,
+    given,
+    refusal_text,
+    whole,
+)
+from autopilot.services.flight_data import FlightData
+from autopilot.services.service import APPLICATION, Partner
+from autopilot.services.status import status_text
+
+FORCE_MAGIC = 21196.0
+"""Second parameter of MAV_CMD_COMPONENT_ARM_DISARM: skip the checks."""
+ALTITUDE_MAX_M = 100_000.0
+"""Above or below sea level: what lies beyond is no place to fly to."""
+_TELL_RAISED_M = 0.1
+"""A take-off that is raised by less than this is not worth a word."""
+_GROUND_SPEED, _AIR_SPEED = 1, 0
+_FRAMES = AMSL_FRAMES | RELATIVE_FRAMES
+"""Of heights above terrain nothing is known here, and places are on the globe."""
+_OUTSIDE_FENCE = "Reposition is outside geofence"
+
+Spot = tuple[float | None, float | None, float | None]
+"""Latitude and longitude, both or neither, in degrees; altitude in metres above mean sea level."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlightActions:
+    """What the commands have done by the pilot and the mission; a refusal gives its reason."""
+
+    ask_offboard: Callable[[Partner, int], None]
+    """Let a partner's setpoints count, if they are fresh at a time."""
+    reposition: Callable[
+        [float | None, float | None, float | None, float | None, float | None], Reason | None
+    ]
+    """Hold at latitude, longitude, altitude AMSL, yaw in radians; fly there at a speed."""
+    orbit: Callable[
+        [float | None, float | None, float | None, float | None, float | None, float | None], Reason | None
+    ]
+    """Circle by radius (negative: anticlockwise), speed, ORBIT_YAW_BEHAVIOUR, about a place."""
+    change_speed: Callable[[float | None], None]
+    """Fly at a speed until the mode ends; None: at the usual one."""
+    set_home: Callable[[float, float, float], Reason | None]
+    set_home_here: Callable[[], Reason | None]
+    has_mission_item: Callable[[int], bool]
+    set_mission_current: Callable[[int], bool]
+    """Go on with an item of the mission; False if there is none of this number."""
+    takeoff_height_m: Callable[[], float]
+    """MIS_TAKEOFF_ALT."""
+
+
+class FlightCommands:
+    """Actions that go through the commander; ``table`` has them by MAV_CMD."""
+
+    def __init__(self, flight: FlightData, takeoff_altitude: TakeoffAltitude, actions: FlightActions) -> None:
+        self._flight = flight
+        self._commander = flight.commander
+        self._takeoff_altitude = takeoff_altitude
+        self._do = actions
+        self.table: dict[int, Action] = {
+            common.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_or_disarm,
+            common.MAV_CMD_DO_SET_MODE: self._set_mode,
+            common.MAV_CMD_DO_SET_STANDARD_MODE: self._set_standard_mode,
+            common.MAV_CMD_NAV_TAKEOFF: self._take_off,
+            common.MAV_CMD_NAV_LAND: lambda request: self._enter(FlightMode.LAND, "Landing", request),
+            common.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda request: self._enter(
+                FlightMode.RETURN, "Return", request
+            ),
+            common.MAV_CMD_DO_REPOSITION: self._reposition,
+            common.MAV_CMD_DO_CHANGE_ALTITUDE: self._change_altitude,
+            common.MAV_CMD_DO_ORBIT: self._orbit,
+            common.MAV_CMD_DO_CHANGE_SPEED: self._change_speed,
+            common.MAV_CMD_DO_SET_HOME: self._set_home,
+            common.MAV_CMD_MISSION_START: self._start_mission,
+            common.MAV_CMD_DO_SET_MISSION_CURRENT: self._set_mission_current,
+            common.MAV_CMD_DO_PAUSE_CONTINUE: self._pause_or_continue,
+            common.MAV_CMD_DO_FLIGHTTERMINATION: self._terminate,
+            common.MAV_CMD_RUN_PREARM_CHECKS: self._check,
+        }
+
+    # ---- arming and modes
+
+    def _arm_or_disarm(self, request: Request) -> Answer:
+        forced = request.params[1] == FORCE_MAGIC
+        if request.params[0] == 1.0:
+            return answer_for("Arming", self._commander.arm(request.now_us, forced=forced))
+        if request.params[0] == 0.0:
+            return answer_for("Disarming", self._commander.disarm(forced=forced))
+        return answer_for("Arming", Reason.BAD_ARGUMENT)
+
+    def _set_mode(self, request: Request) -> Answer:
+        base_mode, main, sub = request.params[:3]
+        if not (0.0 <= base_mode < 256.0 and int(base_mode) & common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED):
+            return answer_for("Mode", Reason.BAD_ARGUMENT)
+        return self._enter(mode_from_main_sub(main, sub), "Mode", request)
+
+    def _set_standard_mode(self, request: Request) -> Answer:
+        """Enter the mode that MAVLink calls by a number of its own, where there is one."""
+        wanted = whole(request.params[0])
+        custom_mode = next(
+            (custom for custom, standard in STANDARD_MODES.items() if standard == wanted), None
+        )
+        mode = None if custom_mode is None else mode_from_custom(custom_mode)
+        return Answer(UNSUPPORTED) if mode is None else self._enter(mode, "Mode", request)
+
+    def _take_off(self, request: Request) -> Answer:
+        """Climb to the altitude given, but no lower than MIS_TAKEOFF_ALT above home, as PX4 does.
+
+        The application is left its own height: it knows where the ground is, and its place may be lower.
+        """
+        home, place = self._flight.home, request.place
+        if place.frame not in _FRAMES:
+            return Answer(UNSUPPORTED)
+        altitude_m = given(request.params[6])
+        if altitude_m is not None and place.frame in RELATIVE_FRAMES:
+            altitude_m = None if home is None else altitude_m + home.alt_m
+        if altitude_m is None or abs(altitude_m) > ALTITUDE_MAX_M:
+            return self._enter(FlightMode.TAKEOFF, "Takeoff", request)
+        raised: str | None = None
+        if home is not None and request.partner.link != APPLICATION:
+            height_m = self._do.takeoff_height_m()
+            if altitude_m < home.alt_m + height_m - _TELL_RAISED_M:
+                raised = f"Using minimum takeoff altitude: {height_m:.2f} m"
+            altitude_m = max(altitude_m, home.alt_m + height_m)
+        answer = self._enter(FlightMode.TAKEOFF, "Takeoff", request, amsl_m=altitude_m)
+        if raised is None or answer.messages:
+            return answer
+        return Answer(answer.result, (status_text(common.MAV_SEVERITY_WARNING, raised),))
+
+    def _enter(
+        self, mode: FlightMode | None, what: str, request: Request, *, amsl_m: float | None = None
+    ) -> Answer:
+        if mode is FlightMode.OFFBOARD:
+            self._do.ask_offboard(request.partner, request.now_us)
+        refusal = self._commander.set_mode(mode)
+        if refusal is None:
+            self._takeoff_altitude.amsl_m = amsl_m
+        return answer_for(what, refusal)
+
+    # ---- places and speeds
+
+    def _reposition(self, request: Request) -> Answer:
+        """Hold at another place; like PX4, only with the flag that lets it change the mode."""
+        speed_m_s, flags, _, yaw_rad = request.params[:4]
+        if whole(flags) != common.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE:
+            return Answer(UNSUPPORTED)
+        return self._hold_at(request.place, yaw_rad=given(yaw_rad), speed_m_s=_positive(speed_m_s))
+
+    def _change_altitude(self, request: Request) -> Answer:
+        """Hold at another altitude, of the frame in the second parameter."""
+        altitude_m, frame = given(request.params[0]), whole(request.params[1])
+        if altitude_m is None:
+            return answer_for("Altitude", Reason.BAD_ARGUMENT)
+        return self._hold_at(Place(frame, None, None, altitude_m), yaw_rad=None, speed_m_s=None)
+
+    def _hold_at(self, place: Place, *, yaw_rad: float | None, speed_m_s: float | None) -> Answer:
+        spot = self._spot(place)
+        if isinstance(spot, Answer):
+            return spot
+        refusal = self._do.reposition(*spot, yaw_rad, speed_m_s)
+        if refusal is Reason.OUTSIDE_GEOFENCE:  # accepted and not flown to: PX4's commander asks nobody
+            return Answer(messages=(status_text(common.MAV_SEVERITY_CRITICAL, _OUTSIDE_FENCE),))
+        return answer_for("Reposition", refusal)
+
+    def _orbit(self, request: Request) -> Answer:
+        spot = self._spot(_above_the_sea(request.place))
+        if isinstance(spot, Answer):
+            return spot
+        radius_m, speed_m_s, yaw_behaviour = map(given, request.params[:3])
+        return answer_for("Orbit", self._do.orbit(radius_m, speed_m_s, yaw_behaviour, *spot))
+
+    def _change_speed(self, request: Request) -> Answer:
+        """Fly at a speed from now on; one that is none gives back the usual one, as PX4 takes it."""
+        kind, speed_m_s = whole(request.params[0]), request.params[1]
+        if kind not in {_AIR_SPEED, _GROUND_SPEED}:
+            return Answer(UNSUPPORTED)
+        self._do.change_speed(_positive(speed_m_s))
+        return Answer()
+
+    def _set_home(self, request: Request) -> Answer:
+        if request.params[0] > 0.5:
+            return answer_for("Home", self._do.set_home_here())
+        spot = self._spot(_above_the_sea(request.place))
+        if isinstance(spot, Answer):
+            return spot
+        lat_deg, lon_deg, alt_m = spot
+        if lat_deg is None or lon_deg is None or alt_m is None:
+            return answer_for("Home", Reason.BAD_ARGUMENT)
+        return answer_for("Home", self._do.set_home(lat_deg, lon_deg, alt_m))
+
+    def _spot(self, place: Place) -> Spot | Answer:
+        """Bring a command's place above mean sea level, or refuse it."""
+        lat_deg, lon_deg, alt_m = place[1:]
+        if place.frame not in _FRAMES:
+            return Answer(UNSUPPORTED)
+        if (lat_deg is None) is not (lon_deg is None):
+            return answer_for("Place", Reason.BAD_ARGUMENT)
+        if (
+            lat_deg is not None
+            and lon_deg is not None
+            and not (abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0)
+        ):
+            return answer_for("Place", Reason.BAD_ARGUMENT)
+        if alt_m is not None and place.frame in RELATIVE_FRAMES:
+            if self._flight.home is None:
+                return answer_for("Place", Reason.NO_HOME)
+            alt_m += self._flight.home.alt_m
+        if alt_m is not None and abs(alt_m) > ALTITUDE_MAX_M:
+            return answer_for("Place", Reason.BAD_ARGUMENT)
+        return lat_deg, lon_deg, alt_m
+
+    # ---- the mission
+
+    def _start_mission(self, request: Request) -> Answer:
+        """Enter mission mode at an item (-1: where it stands) and arm; without a mission DENIED, as PX4."""
+        if not self._flight.conditions & Condition.MISSION:
+            return Answer(DENIED, (refusal_text("Mission start", Reason.NO_MISSION),))
+        first = request.params[0]
+        if not math.isfinite(first) or first < -1.0:
+            return answer_for("Mission start", Reason.BAD_ARGUMENT)
+        if first >= 0.0 and not self._do.has_mission_item(int(first)):
+            return answer_for("Mission start", Reason.BAD_ARGUMENT)
+        answer = self._enter(FlightMode.MISSION, "Mission", request)
+        if not answer.result:
+            answer = answer_for("Arming", self._commander.arm(request.now_us))
+        if not answer.result and first >= 0.0:
+            self._do.set_mission_current(int(first))
+        return answer
+
+    def _set_mission_current(self, request: Request) -> Answer:
+        """Go on with an item, whose jumps count anew; -1 leaves the item as it is."""
+        seq, resets_jumps = request.params[0], request.params[1]
+        if resets_jumps not in {0.0, 1.0}:
+            return answer_for("Mission item", Reason.BAD_ARGUMENT)
+        if seq == -1.0:
+            return Answer(UNSUPPORTED if resets_jumps else ACCEPTED)
+        if whole(seq) < 0 or not self._do.set_mission_current(whole(seq)):
+            return answer_for("Mission item", Reason.BAD_ARGUMENT)
+        return Answer()
+
+    def _pause_or_continue(self, request: Request) -> Answer:
+        """Hold in the middle of a mission (0), or take the mission up again (1)."""
+        wanted = whole(request.params[0])
+        if wanted == 1:
+            return self._enter(FlightMode.MISSION, "Mission", request)
+        if wanted != 0:
+            return answer_for("Pause", Reason.BAD_ARGUMENT)
+        if self._commander.mode is FlightMode.MISSION:
+            return self._enter(FlightMode.HOLD, "Pause", request)
+        return answer_for(
+            "Pause", None if self._commander.mode is FlightMode.HOLD else Reason.MODE_UNAVAILABLE
+        )
+
+    # ---- the end
+
+    def _terminate(self, request: Request) -> Answer:
+        """Stop the motors for good; a flight that is not under way is not ended, nor one taken up again."""
+        if not request.params[0] >= 0.5:
+            return answer_for("Termination", Reason.BAD_ARGUMENT)
+        if not self._commander.armed:
+            return Answer(DENIED)
+        self._commander.terminate()
+        text = status_text(common.MAV_SEVERITY_EMERGENCY, "Flight terminated by command")
+        return Answer(messages=(text,))
+
+    def _check(self, request: Request) -> Answer:  # noqa: ARG002  # part of the shape
+        """Say everything for which arming would be refused."""
+        if self._commander.armed:
+            return Answer(common.MAV_RESULT_TEMPORARILY_REJECTED)
+        refusals = self._commander.arming_refusals()
+        return Answer(messages=tuple(refusal_text("Arming", refusal) for refusal in refusals))
+
+
+def _above_the_sea(place: Place) -> Place:
+    """Take an altitude for one above mean sea level whatever its frame says, as PX4 does.
+
+    MAVSDK's do_orbit and set_home count on it: they send altitudes above the sea in a relative frame.
+    """
+    return place._replace(frame=common.MAV_FRAME_GLOBAL) if place.frame in RELATIVE_FRAMES else place
+
+
+def _positive(value: float) -> float | None:
+    """Read a speed; MAVLink says by -1 and not-a-number that none is given."""
+    return value if math.isfinite(value) and value > 0.0 else None

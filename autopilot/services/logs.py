@@ -1,0 +1,114 @@
+"""MAVLink's log download: the list of logs, and their bytes in pieces of 90 from where a station asks.
+
+The station asks again for what did not arrive. Erasing is refused: the log is part of the run's record.
+"""
+
+from collections.abc import Sequence
+
+from pymavlink.dialects.v20 import common
+
+from autopilot.mavlink.codec import Message
+from autopilot.services.files import FileStore, Readable
+from autopilot.services.service import NEVER_US, Addressed, Partner, reply
+from autopilot.services.shaper import Room, always
+from autopilot.services.status import status_text
+
+PIECE_BYTES = 90
+SEND_PERIOD_US = 4_000
+PIECES = 8
+"""That go out at a time: 180 kB/s."""
+MOST_DOWNLOADS = 8
+"""At a time; the oldest ends for one more."""
+_LARGEST = 2**32 - 1
+
+
+class _Download:
+    """What is still to be sent to a partner."""
+
+    def __init__(self, number: int, file: Readable, offset: int, count: int) -> None:
+        self.number = number
+        self.file = file
+        self.offset = offset
+        self.left = max(min(count, file.size() - offset), 0)
+
+    def next_piece(self) -> Message:
+        """LOG_DATA; one that has less than it has room for is the last of a log."""
+        data = self.file.read(self.offset, min(self.left, PIECE_BYTES)) if self.left else b""
+        padded = data.ljust(PIECE_BYTES, b"\0")
+        message = common.MAVLink_log_data_message(self.number, self.offset, len(data), padded)
+        self.offset += len(data)
+        self.left = self.left - len(data) if data else 0
+        return message
+
+
+class LogService:
+    """The logs as the links see them."""
+
+    takes = frozenset(
+        {
+            common.MAVLINK_MSG_ID_LOG_REQUEST_LIST,
+            common.MAVLINK_MSG_ID_LOG_REQUEST_DATA,
+            common.MAVLINK_MSG_ID_LOG_REQUEST_END,
+            common.MAVLINK_MSG_ID_LOG_ERASE,
+        }
+    )
+
+    def __init__(self, files: FileStore, has_room: Room = always) -> None:
+        self._files = files
+        self._has_room = has_room
+        self._downloads: dict[Partner, _Download] = {}
+        self._due_us = NEVER_US
+
+    def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
+        """Answer a request, which ends what is being sent; the bytes of a log are sent by `on_timer`."""
+        self._downloads.pop(partner, None)
+        kind = message.get_msgId()
+        if kind == common.MAVLINK_MSG_ID_LOG_REQUEST_LIST:
+            return reply(partner, *self._entries(message.start, message.end))
+        if kind == common.MAVLINK_MSG_ID_LOG_REQUEST_DATA:
+            self._begin(message, now_us, partner)
+        elif kind == common.MAVLINK_MSG_ID_LOG_ERASE:
+            text = "Log erase denied: part of the run's record"
+            return reply(partner, status_text(common.MAV_SEVERITY_WARNING, text))
+        return ()
+
+    def on_timer(self, now_us: int) -> Sequence[Addressed]:
+        """Send the next pieces."""
+        if now_us < self._due_us:
+            return ()
+        messages: list[Addressed] = []
+        for partner, download in list(self._downloads.items()):
+            for _ in range(PIECES if self._has_room(partner) else 0):
+                messages += reply(partner, download.next_piece())
+                if not download.left:
+                    del self._downloads[partner]
+                    break
+        self._due_us = now_us + SEND_PERIOD_US if self._downloads else NEVER_US
+        return messages
+
+    def next_deadline_us(self) -> int:
+        """When the next pieces are due."""
+        return self._due_us
+
+    def _entries(self, start: int, end: int) -> list[Message]:
+        """LOG_ENTRY of each log from one number to another, or the one that says that there is none."""
+        logs = self._files.logs
+        if not logs:
+            return [common.MAVLink_log_entry_message(0, 0, 0, 0, 0)]
+        first, last = min(start, len(logs) - 1), min(end, len(logs) - 1)
+        return [
+            common.MAVLink_log_entry_message(
+                number, len(logs), last, logs[number].time_utc_s, min(logs[number].file.size(), _LARGEST)
+            )
+            for number in range(first, last + 1)
+        ]
+
+    def _begin(self, message: Message, now_us: int, partner: Partner) -> None:
+        logs = self._files.logs
+        if message.id >= len(logs):
+            return
+        if len(self._downloads) >= MOST_DOWNLOADS:
+            del self._downloads[next(iter(self._downloads))]
+        file = logs[message.id].file
+        self._downloads[partner] = _Download(message.id, file, message.ofs, message.count)
+        self._due_us = min(self._due_us, now_us)

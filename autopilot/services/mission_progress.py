@@ -1,0 +1,160 @@
+"""Where a mission stands: MISSION_CURRENT, MISSION_ITEM_REACHED, and MISSION_SET_CURRENT.
+
+States and repetitions are PX4's (src/modules/mavlink/mavlink_mission.cpp). MISSION_CURRENT is sent here when
+what it says changes; `Streams` sends it once a second.
+"""
+
+from collections.abc import Callable, Sequence
+
+from pymavlink.dialects.v20 import common
+
+from autopilot.commander.commander import Commander
+from autopilot.mavlink.codec import Message
+from autopilot.mavlink.dialect import MissionCurrent
+from autopilot.mavlink.modes import FlightMode
+from autopilot.navigation.mission import MissionCommand, MissionError
+from autopilot.navigation.mission_items import ACTS
+from autopilot.navigation.mission_runner import MissionRunner
+from autopilot.navigation.plan_store import PlanStore, PlanType
+from autopilot.services.service import ALL, COMPANION, GROUND_STATION, NEVER_US, Addressed, Partner, reply
+from autopilot.services.status import status_text
+
+NO_MISSION, NOT_STARTED, ACTIVE, PAUSED, COMPLETE = 1, 2, 3, 4, 5
+"""MISSION_STATE"""
+IN_MISSION, SUSPENDED = 1, 2
+"""Of ``mission_mode``."""
+NO_TOTAL = 65_535
+"""Number of items of no mission."""
+REPEAT_US = 1_000_000
+REPEATS = 10
+"""Of the last MISSION_ITEM_REACHED."""
+_AT_ONCE = 50
+"""Most items told of in one step; the others follow."""
+_MISSION_MODES = {FlightMode.MISSION, FlightMode.TAKEOFF, FlightMode.LAND}
+"""Modes in which PX4 calls a mission active."""
+
+
+class MissionProgress:
+    """Tells how far the mission of a vehicle is, and has it go on elsewhere."""
+
+    takes = frozenset({common.MAVLINK_MSG_ID_MISSION_SET_CURRENT})
+
+    def __init__(
+        self, runner: MissionRunner, plans: PlanStore, commander: Commander, *, is_valid: Callable[[], bool]
+    ) -> None:
+        """``is_valid``: whether the mission may be begun."""
+        self._runner = runner
+        self._plans = plans
+        self._commander = commander
+        self._is_valid = is_valid
+        self._version = runner.version
+        self._told: tuple[int, ...] = ()
+        """What MISSION_CURRENT said last of its own accord."""
+        self._reached = 0
+        self._repeats = REPEATS
+        """How often the last item reached was told again."""
+        self._repeat_us = NEVER_US
+
+    # ---- what others may know and do
+
+    @property
+    def state(self) -> int:
+        """MISSION_STATE."""
+        runner = self._runner
+        if runner.mission is None or not self._is_valid():
+            return NO_MISSION
+        if runner.finished:
+            return COMPLETE
+        if self._commander.mode in _MISSION_MODES:
+            return ACTIVE
+        return PAUSED if runner.begun else NOT_STARTED
+
+    def mission_current(self) -> Message:
+        """MISSION_CURRENT."""
+        return MissionCurrent(*self._content())
+
+    def has_item(self, seq: int) -> bool:
+        """Whether there is an item of this number."""
+        mission = self._runner.mission
+        return mission is not None and 0 <= seq < len(mission.items)
+
+    def set_current(self, seq: int) -> bool:
+        """Go on with another item; False: there is no such item, and nothing has changed."""
+        try:
+            self._runner.set_current(seq)
+        except MissionError:
+            return False
+        return True
+
+    @property
+    def has_news(self) -> bool:
+        """Whether the mission went on since `on_timer` was called last."""
+        return self._runner.version != self._version or bool(self._runner.done)
+
+    # ---- service
+
+    def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:  # noqa: ARG002
+        """Answer MISSION_SET_CURRENT with MISSION_CURRENT: of the item asked for, if it exists."""
+        if self.set_current(message.seq):
+            self._told = self._content()
+            return _outside(self.mission_current())
+        text = status_text(common.MAV_SEVERITY_WARNING, f"Mission: there is no item {message.seq}")
+        return [*reply(ALL, text), *reply(partner, self.mission_current())]
+
+    def on_timer(self, now_us: int) -> Sequence[Addressed]:
+        """Tell what was reached and what is flown now; tell what was reached last again."""
+        runner = self._runner
+        self._version = runner.version
+        messages: list[Addressed] = []
+        if not runner.begun:
+            self._repeats, self._repeat_us = REPEATS, NEVER_US
+        elif now_us >= self._repeat_us and not runner.done:
+            self._repeats += 1
+            self._repeat_us = now_us + REPEAT_US if self._repeats < REPEATS else NEVER_US
+            messages += _outside(_item_reached(self._reached))
+        for _ in range(min(len(runner.done), _AT_ONCE)):
+            self._reached = runner.done.popleft()
+            self._repeats, self._repeat_us = 0, now_us + REPEAT_US
+            messages += self._tell_of(self._reached)
+        if (content := self._content()) != self._told:
+            self._told = content
+            messages += _outside(self.mission_current())
+        return messages
+
+    def next_deadline_us(self) -> int:
+        """At once when there is news; else when the last item reached is told again."""
+        return 0 if self.has_news else self._repeat_us
+
+    # ---- pieces
+
+    def _content(self) -> tuple[int, ...]:
+        """Give what MISSION_CURRENT says."""
+        runner, plans = self._runner, self._plans
+        total = 0 if runner.mission is None else len(runner.mission.items)
+        return (
+            runner.current if total else 0,
+            total or NO_TOTAL,
+            self.state,
+            IN_MISSION if self._commander.mode in _MISSION_MODES else SUSPENDED,
+            *(plans[kind].opaque_id for kind in PlanType),
+        )
+
+    def _tell_of(self, index: int) -> list[Addressed]:
+        """MISSION_ITEM_REACHED, and in words what nobody sees: acts of a camera, a gimbal or another load."""
+        messages = _outside(_item_reached(index))
+        mission = self._runner.mission
+        if mission is not None and index < len(mission.items):
+            item = mission.items[index]
+            if item.command is MissionCommand.ACT and ACTS.get(item.act):
+                text = f"Mission: {ACTS[item.act]} (item {index})"
+                messages += reply(ALL, status_text(common.MAV_SEVERITY_INFO, text))
+        return messages
+
+
+def _item_reached(index: int) -> Message:
+    return common.MAVLink_mission_item_reached_message(index)
+
+
+def _outside(message: Message) -> list[Addressed]:
+    """Address a message to everybody outside; the application has no use for it."""
+    return [Addressed(Partner(link), message) for link in (GROUND_STATION, COMPANION)]

@@ -1,0 +1,193 @@
+"""MAVLink's parameter service: list, read by name or index, set. Integers travel as raw bytes, as PX4's do.
+
+A set that is taken is told to everybody on all links, whoever made it; a read or set that is not is answered
+by PARAM_ERROR to whoever asked, and a set by a STATUSTEXT with the reason as well. A list begins with
+_HASH_CHECK, PX4's checksum over names and values: a station that has kept the same values from before sets
+it, which ends the list.
+"""
+
+import struct
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from pymavlink.dialects.v20 import common
+
+from autopilot.mavlink.codec import Message
+from autopilot.mavlink.crc import crc32
+from autopilot.parameters.table import ROW_INDEX_OF, ROWS, ParameterError, ParameterSet, Problem
+from autopilot.services.parameter_lists import LIST_BATCH, LIST_PERIOD_US, ParameterLists
+from autopilot.services.service import ALL, Addressed, Partner, reply
+from autopilot.services.shaper import Room, always
+from autopilot.services.status import status_text
+
+MOST_TYPELESS = 16
+"""Partners that may send whole numbers as floats; the oldest gives way to one more."""
+TEXT_PERIOD_US = 1_000_000
+"""There is one text a second at most: some stations repeat a refused set at once."""
+HASH_NAME = "_HASH_CHECK"
+_HASH_INDEX = 65_535
+_HASH = -1
+"""The place of a list at which the checksum comes."""
+_NAME_BYTES = 16
+
+Setter = Callable[[str, float], None]
+"""Raises ParameterError."""
+
+
+class _HashValue(common.MAVLink_param_value_message):  # type: ignore[misc]  # pymavlink has no types
+    """PARAM_VALUE whose value is a uint32: not each of those survives as a float."""
+
+    unpacker = struct.Struct("<IHH16sB")
+
+
+class ParameterService:
+    """The parameters as the links see them; each partner may be sent its list."""
+
+    takes = frozenset(
+        {
+            common.MAVLINK_MSG_ID_PARAM_REQUEST_LIST,
+            common.MAVLINK_MSG_ID_PARAM_REQUEST_READ,
+            common.MAVLINK_MSG_ID_PARAM_SET,
+        }
+    )
+
+    def __init__(self, parameters: ParameterSet, put: Setter, has_room: Room = always) -> None:
+        """Values come from ``parameters``, and are changed by ``put``."""
+        self._lists = ParameterLists(has_room)
+        self._parameters = parameters
+        self._put = put
+        self._changed: dict[str, None] = {}
+        self._news_due_us = 0
+        self._text_us = -TEXT_PERIOD_US
+        self._hash: tuple[int, int] | None = None
+        self._typeless: dict[Partner, None] = {}
+
+    def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
+        """Answer a request; a list is sent by `on_timer`, and asking for it again starts it anew."""
+        kind = message.get_msgId()
+        if kind == common.MAVLINK_MSG_ID_PARAM_REQUEST_LIST:
+            self._lists.begin(partner, now_us, first=_HASH)
+            self._typeless.pop(partner, None)
+            return ()
+        if kind == common.MAVLINK_MSG_ID_PARAM_REQUEST_READ:
+            return self._read(message, partner)
+        return self._set(message, now_us, partner)
+
+    def on_timer(self, now_us: int) -> Sequence[Addressed]:
+        """Tell what was changed by others than the links, and send the next batch of each list."""
+        messages: list[Addressed] = []
+        if self._changed and now_us >= self._news_due_us:
+            for name in list(self._changed)[:LIST_BATCH]:
+                del self._changed[name]
+                messages += reply(ALL, self._value(ROW_INDEX_OF[name]))
+            self._news_due_us = now_us + LIST_PERIOD_US if self._changed else 0
+        for partner, rows in self._lists.next_batch(now_us):
+            messages += reply(partner, *map(self._value, rows))
+        return messages
+
+    def next_deadline_us(self) -> int:
+        """When the next batch is due; at once when a change is to be told."""
+        return min(self._news_due_us, self._lists.due_us) if self._changed else self._lists.due_us
+
+    def on_change(self, name: str) -> None:
+        """Have everybody told of a parameter that was changed otherwise than by PARAM_SET."""
+        self._changed[name] = None
+
+    def take_by_value(self, partner: Partner) -> None:
+        """Take whole numbers as floats from a partner that has them from param.pck.
+
+        MAVProxy then forgets the types and sends every value as the float that it is.
+        """
+        self._typeless.pop(partner, None)
+        self._typeless[partner] = None  # the newest last
+        if len(self._typeless) > MOST_TYPELESS:
+            del self._typeless[next(iter(self._typeless))]
+
+    def _read(self, message: Message, partner: Partner) -> Sequence[Addressed]:
+        index = message.param_index
+        if index < 0:
+            if message.param_id == HASH_NAME:
+                return reply(partner, self._value(_HASH))
+            index = ROW_INDEX_OF.get(message.param_id, len(ROWS))
+        if index < len(ROWS):
+            return reply(partner, self._value(index))
+        return reply(partner, refusal(message, Problem.UNKNOWN, index=message.param_index))
+
+    def _set(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
+        name = message.param_id
+        if name == HASH_NAME:
+            self._lists.end(partner)
+            return ()
+        try:
+            index = ROW_INDEX_OF.get(name)
+            if index is None:
+                raise ParameterError(f"there is no parameter {name!r}", Problem.UNKNOWN)  # noqa: TRY301  # one place that answers a refusal
+            self._put(name, self._from_wire(index, message, partner))
+        except ParameterError as error:
+            answers = reply(partner, refusal(message, error.problem))
+            if now_us - self._text_us >= TEXT_PERIOD_US:
+                self._text_us = now_us
+                answers += reply(ALL, status_text(common.MAV_SEVERITY_WARNING, str(error)))
+            return answers
+        self._changed.pop(name, None)
+        return reply(ALL, self._value(index))
+
+    def _value(self, index: int) -> Message:
+        if index == _HASH:
+            checksum, kind = self._hash_value(), common.MAV_PARAM_TYPE_UINT32
+            return _HashValue(HASH_NAME.encode(), checksum, kind, len(ROWS), _HASH_INDEX)
+        name = ROWS[index].name
+        value: float = self._parameters.get(name)
+        if ROWS[index].is_integer:
+            value = struct.unpack("<f", struct.pack("<i", round(value)))[0]
+        return common.MAVLink_param_value_message(name.encode(), value, _wire_type(index), len(ROWS), index)
+
+    def _hash_value(self) -> int:
+        """CRC over each parameter's name and the four bytes of its value, in their order."""
+        version = self._parameters.version
+        if self._hash is None or self._hash[0] != version:
+            checksum = 0
+            for row in ROWS:
+                checksum = crc32(row.name.encode(), checksum)
+                checksum = crc32(value_bytes(row.is_integer, self._parameters.get(row.name)), checksum)
+            self._hash = version, checksum
+        return self._hash[1]
+
+    def _from_wire(self, index: int, message: Message, partner: Partner) -> float:
+        """Value of a PARAM_SET. Raises ParameterError."""
+        value: float = message.param_value
+        name = ROWS[index].name
+        if message.param_type == _wire_type(index):
+            if not ROWS[index].is_integer:
+                return shortest(value)
+            try:
+                as_int: int = struct.unpack("<i", struct.pack("<f", value))[0]
+            except OverflowError:
+                raise ParameterError(f"{name}: not a 32-bit value", Problem.TYPE) from None
+            return as_int
+        if message.param_type == common.MAV_PARAM_TYPE_REAL32 and partner in self._typeless:
+            return value
+        raise ParameterError(f"{name}: wrong type", Problem.TYPE)
+
+
+def refusal(message: Message, problem: Problem, *, index: int = -1) -> Message:
+    """PARAM_ERROR in answer to a message that names a parameter by ``param_id``."""
+    name = message.param_id.encode("ascii", "replace")[:_NAME_BYTES]
+    return common.MAVLink_param_error_message(
+        message.get_srcSystem(), message.get_srcComponent(), name, index, int(problem)
+    )
+
+
+def value_bytes(is_integer: bool, value: float) -> bytes:  # noqa: FBT001  # which of two formats
+    """Four bytes of a value, as PX4 keeps it."""
+    return struct.pack("<i", round(value)) if is_integer else struct.pack("<f", value)
+
+
+def shortest(value: float) -> float:
+    """Read a float32 as its shortest decimal: 0.95 on the wire is 0.95 here, and a limit within its range."""
+    return float(str(np.float32(value)))
+
+
+def _wire_type(index: int) -> int:
+    wire_type: int = common.MAV_PARAM_TYPE_INT32 if ROWS[index].is_integer else common.MAV_PARAM_TYPE_REAL32
+    return wire_type

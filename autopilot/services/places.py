@@ -1,0 +1,40 @@
+"""SET_HOME_POSITION and SET_GPS_GLOBAL_ORIGIN: places that a station sets by a message of its own."""
+
+from collections.abc import Callable, Sequence
+
+from pymavlink.dialects.v20 import common
+
+from autopilot.commander.conditions import Reason
+from autopilot.mavlink.codec import Message
+from autopilot.services.command import refusal_text
+from autopilot.services.service import ALL, Addressed, Listener, Partner, reply
+
+_LAT_MAX_E7, _LON_MAX_E7 = 900_000_000, 1_800_000_000
+
+
+class PlacesService(Listener):
+    """Sets home; the local frame's origin is the first fix, and telling which it is answers who sets it."""
+
+    takes = frozenset({common.MAVLINK_MSG_ID_SET_HOME_POSITION, common.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN})
+
+    def __init__(
+        self,
+        set_home: Callable[[float, float, float], Reason | None],
+        global_origin: Callable[[], Message | None],
+    ) -> None:
+        """``set_home`` takes degrees and metres above mean sea level."""
+        self._set_home = set_home
+        self._global_origin = global_origin
+
+    def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:  # noqa: ARG002
+        """Take a place; a new home is told by the streams, as any is."""
+        if message.get_msgId() == common.MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN:
+            origin = self._global_origin()
+            return () if origin is None else reply(Partner(partner.link), origin)
+        if abs(message.latitude) > _LAT_MAX_E7 or abs(message.longitude) > _LON_MAX_E7:
+            refusal: Reason | None = Reason.BAD_ARGUMENT
+        else:
+            refusal = self._set_home(
+                message.latitude * 1e-7, message.longitude * 1e-7, message.altitude * 1e-3
+            )
+        return () if refusal is None else reply(ALL, refusal_text("Home", refusal))

@@ -1,0 +1,379 @@
+"""MAVLink's mission protocol: stations write, read and clear missions, fences and rally points.
+
+One plan is written at a time, all or nothing: the vehicle asks for item after item, and only when all are
+there and checked do they take the place of the old ones. Anybody may read at any time. Behaviour is PX4's
+(mavlink_mission.cpp), but where a link that loses, duplicates and reorders would make that fail:
+
+- Late copies of MISSION_COUNT and of items are ignored, which PX4 answers with an error.
+- A MAVSDK that hears a late copy of a request goes back to that item and ignores requests in front of it. So
+  the vehicle, when it asks in vain, asks from further back.
+- The last acknowledgement is said again while the station is silent: MAVSDK and QGroundControl only wait.
+- While simulated time stands no upload can time out. One whose station has said nothing between two tries of
+  another gives way to it, and one that its station begins again begins again.
+- Reading needs no turns. PX4 serves one at a time, items in their order.
+"""
+
+from collections.abc import Callable, Sequence
+
+from pymavlink.dialects.v20 import common
+
+from autopilot.mavlink.codec import Message
+from autopilot.mavlink.dialect import MissionCount
+from autopilot.navigation.plan_store import CAPACITY, Made, Plan, PlanStore, PlanType, Refused, WireItem
+from autopilot.services.plan_upload import (
+    COPY_US,
+    MOST_BACK,
+    PATIENT_RETRIES,
+    REPEAT_US,
+    RETRY_US,
+    STALE_US,
+    TIMEOUT_US,
+    Finished,
+    Station,
+    Upload,
+)
+from autopilot.services.plan_wire import decode_item, encode_item
+from autopilot.services.service import ALL, NEVER_US, Addressed, Partner, reply
+from autopilot.services.status import status_text
+
+_MAX_READERS = 32
+
+_ACCEPTED = common.MAV_MISSION_ACCEPTED
+_ERROR = common.MAV_MISSION_ERROR
+
+Make = Callable[[PlanType, Sequence[WireItem]], Made | Refused]
+
+
+class PlanTransfer:
+    """All plans of a vehicle towards all stations."""
+
+    def __init__(
+        self,
+        store: PlanStore,
+        *,
+        make: Make,
+        system: int,
+        current: Callable[[], int] = lambda: 0,
+        time_stands: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Write to ``store`` items, and what ``make`` makes of them if it does not refuse them.
+
+        ``current`` tells where in its mission the vehicle is, ``system`` is the vehicle's own number: a
+        message to all vehicles is for none of them, as at PX4. ``time_stands`` tells whether messages come
+        between two steps.
+        """
+        self._store = store
+        self._make = make
+        self._system = system
+        self._current = current
+        self._time_stands = time_stands
+        self._upload: Upload | None = None
+        self._finished: Finished | None = None
+        self._cleared: tuple[Station, int, int] | None = None
+        """Who cleared a plan last, of which MAV_MISSION_TYPE, and when"""
+        self._readers: dict[tuple[Station, PlanType], int] = {}
+        """Versions of the plans that stations have begun to read. Ordered: who began last is last."""
+        self._handlers = {
+            common.MAVLINK_MSG_ID_MISSION_COUNT: self._on_count,
+            common.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST: self._on_partial_write,
+            common.MAVLINK_MSG_ID_MISSION_ITEM: self._on_item,
+            common.MAVLINK_MSG_ID_MISSION_ITEM_INT: self._on_item,
+            common.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: self._on_list,
+            common.MAVLINK_MSG_ID_MISSION_REQUEST_PARTIAL_LIST: self._on_partial_list,
+            common.MAVLINK_MSG_ID_MISSION_REQUEST: self._on_request,
+            common.MAVLINK_MSG_ID_MISSION_REQUEST_INT: self._on_request,
+            common.MAVLINK_MSG_ID_MISSION_ACK: self._on_ack,
+            common.MAVLINK_MSG_ID_MISSION_CLEAR_ALL: self._on_clear,
+        }
+        self.takes = frozenset(self._handlers)
+
+    @property
+    def receiving(self) -> bool:
+        """A plan is being written."""
+        return self._upload is not None
+
+    def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
+        """Go on with the conversation."""
+        if message.target_system != self._system:
+            return ()
+        station = Station(partner, message.get_srcSystem(), message.get_srcComponent())
+        finished, upload = self._finished, self._upload
+        if finished is not None and station == finished.station and not finished.is_meant_by(message):
+            finished.repeats_us = []  # it goes on, so it knows
+        if upload is not None and station == upload.station:
+            upload.refused = None
+        return self._handlers[message.get_msgId()](message, now_us, station)
+
+    def on_timer(self, now_us: int) -> Sequence[Addressed]:
+        """Ask again, give up, say again that a plan was taken or not."""
+        messages: list[Addressed] = []
+        finished, upload = self._finished, self._upload
+        if finished is not None and finished.repeats_us and now_us >= finished.repeats_us[0]:
+            del finished.repeats_us[0]
+            messages += finished.answer
+        if upload is not None and now_us - upload.heard_us >= TIMEOUT_US:
+            self._upload = None
+            messages += _tell("Operation timeout")
+        elif upload is not None and now_us >= upload.retry_us:
+            messages += self._ask_again(upload, now_us)
+        return messages
+
+    def next_deadline_us(self) -> int:
+        """When something is to be said again or given up."""
+        deadline_us = NEVER_US
+        if self._upload is not None:
+            deadline_us = min(self._upload.retry_us, self._upload.heard_us + TIMEOUT_US)
+        if self._finished is not None and self._finished.repeats_us:
+            deadline_us = min(deadline_us, self._finished.repeats_us[0])
+        return deadline_us
+
+    # ---- writing
+
+    def _on_count(self, message: Message, now_us: int, station: Station) -> Sequence[Addressed]:
+        """Begin to receive a whole plan; one of no items is there at once."""
+        kind, span = _plan_type(message.mission_type), range(message.count)
+        hindrance = self._hindrance(message, span, now_us, station)
+        if hindrance is not None:
+            return hindrance
+        self._upload = None
+        if kind is None:
+            return station.acknowledge(message.mission_type, common.MAV_MISSION_UNSUPPORTED)
+        if len(span) > CAPACITY[kind]:
+            return station.acknowledge(kind, common.MAV_MISSION_NO_SPACE)
+        if not span:
+            self._store.put(kind, ())
+            return station.acknowledge(kind, _ACCEPTED)
+        return self._begin(station, kind, span, before=None, now_us=now_us)
+
+    def _on_partial_write(self, message: Message, now_us: int, station: Station) -> Sequence[Addressed]:
+        """Begin to receive some items of a plan, or some that follow its last."""
+        kind, span = _plan_type(message.mission_type), range(message.start_index, message.end_index + 1)
+        hindrance = self._hindrance(message, span, now_us, station)
+        if hindrance is not None:
+            return hindrance
+        self._upload = None
+        if kind is None:
+            return station.acknowledge(message.mission_type, common.MAV_MISSION_UNSUPPORTED)
+        before = self._store[kind]
+        if not span or not 0 <= span.start <= len(before.items):
+            return station.acknowledge(kind, common.MAV_MISSION_INVALID_SEQUENCE)
+        if span.stop > CAPACITY[kind]:
+            return station.acknowledge(kind, common.MAV_MISSION_NO_SPACE)
+        return self._begin(station, kind, span, before=before, now_us=now_us)
+
+    def _hindrance(
+        self, message: Message, span: range, now_us: int, station: Station
+    ) -> Sequence[Addressed] | None:
+        """Answer, or nothing at all, to who must not begin now; None: it may."""
+        upload, finished = self._upload, self._finished
+        if upload is None:
+            return None
+        if upload.station != station:
+            return self._refusal(upload, message, station)
+        if self._time_stands():
+            return None
+        asked = (message.mission_type, span.start, span.stop - 1)
+        late = (upload.kind, upload.first, upload.last) == asked and bool(upload.items)
+        late = late and now_us - upload.heard_us < STALE_US
+        if finished is not None and finished.station == station and now_us - finished.ended_us < STALE_US:
+            late = late or (finished.kind, finished.first, finished.last) == asked
+        return () if late else None
+
+    def _refusal(self, upload: Upload, message: Message, station: Station) -> Sequence[Addressed] | None:
+        """Answer to another station than the one that writes; None: that one has given up."""
+        if self._time_stands() and upload.refused == station:
+            return None
+        upload.refused = station
+        return station.acknowledge(message.mission_type, _ERROR)
+
+    def _begin(
+        self, station: Station, kind: PlanType, span: range, *, before: Plan | None, now_us: int
+    ) -> Sequence[Addressed]:
+        upload = self._upload = Upload(
+            station=station,
+            kind=kind,
+            first=span.start,
+            last=span.stop - 1,
+            before=before,
+            items=[],
+            start=0 if before is None else before.start,
+            asked=span.start,
+            asked_us=now_us,
+            retry_us=now_us + RETRY_US,
+            heard_us=now_us,
+            stray=span.stop,
+        )
+        return upload.ask(span.start)
+
+    def _on_item(self, message: Message, now_us: int, station: Station) -> Sequence[Addressed]:
+        """Take the item that is missing, and ask for the next."""
+        upload, seq = self._upload, message.seq
+        if upload is None:
+            return self._on_unasked_item(message, now_us, station)
+        if station != upload.station or message.mission_type != upload.kind:
+            return ()  # too late, or from somebody who has been refused
+        upload.heard_us = now_us
+        upload.in_integers = message.get_msgId() == common.MAVLINK_MSG_ID_MISSION_ITEM_INT
+        if seq not in {upload.missing, upload.asked}:
+            upload.stray, upload.stray_us = seq, now_us
+            return ()
+        if seq == upload.missing:
+            upload.items.append(decode_item(message))
+            upload.start = seq if message.current else upload.start
+        if not upload.retries:
+            upload.learn_round(now_us - upload.asked_us)
+        upload.retries = 0
+        upload.asked_us, upload.retry_us = now_us, now_us + upload.patience_us
+        return upload.ask(seq + 1) if seq < upload.last else self._complete(upload, now_us)
+
+    def _on_unasked_item(self, message: Message, now_us: int, station: Station) -> Sequence[Addressed]:
+        """Answer as PX4 does, but not to late copies: who knows the end already would not know why."""
+        finished = self._finished
+        if finished is None or station != finished.station:
+            return station.acknowledge(message.mission_type, _ERROR)
+        if finished.repeats_us or now_us - finished.ended_us < STALE_US:
+            return ()
+        if message.seq == finished.last and finished.is_meant_by(message):
+            return finished.answer
+        return station.acknowledge(message.mission_type, _ERROR)
+
+    def _ask_again(self, upload: Upload, now_us: int) -> Sequence[Addressed]:
+        """Ask for what is missing, or for what leads the station there if it seems to have gone back."""
+        upload.retries += 1
+        upload.retry_us = now_us + upload.patience_us
+        seq = upload.asked
+        went_back = max(upload.first, seq - MOST_BACK) <= upload.stray + 1 < seq
+        if went_back and now_us - upload.stray_us < STALE_US:
+            seq, upload.stray = upload.stray + 1, upload.last
+        elif upload.retries > PATIENT_RETRIES and upload.retries % 2:
+            seq = max(upload.first, seq - 1)
+            if not upload.items:  # an old station knows one kind of request only
+                upload.in_integers = not upload.in_integers
+        return upload.ask(seq)
+
+    def _complete(self, upload: Upload, now_us: int) -> Sequence[Addressed]:
+        """Check all items as one plan and take it, or leave the old one."""
+        self._upload = None
+        station, kind, before = upload.station, upload.kind, upload.before
+        items = upload.items
+        if before is not None:
+            items = [*before.items[: upload.first], *items, *before.items[upload.last + 1 :]]
+        made = self._make(kind, items)
+        if isinstance(made, Refused):
+            answer, text = station.acknowledge(kind, made.result), _tell(made.text)
+        else:
+            self._store.put(kind, items, start=upload.start, made=made)
+            answer, text = station.acknowledge(kind, _ACCEPTED, self._store[kind].opaque_id), []
+        self._finish(upload, answer, now_us)
+        return [*answer, *text]
+
+    def _finish(self, upload: Upload, answer: Sequence[Addressed], now_us: int) -> None:
+        self._upload = None
+        self._finished = Finished(
+            station=upload.station,
+            kind=upload.kind,
+            first=upload.first,
+            last=upload.last,
+            ended_us=now_us,
+            answer=answer,
+            repeats_us=[now_us + after_us for after_us in REPEAT_US] if answer else [],
+        )
+
+    # ---- reading: needs no turns, for who reads asks for what it lacks
+
+    def _on_list(self, message: Message, now_us: int, station: Station) -> Sequence[Addressed]:  # noqa: ARG002
+        """Tell how many items there are."""
+        kind = _plan_type(message.mission_type)
+        if kind is None:  # as PX4: a plan that is empty
+            count, opaque_id = 0, 0
+        else:
+            count, opaque_id = len(self._store[kind].items), self._store[kind].opaque_id
+            self._readers.pop((station, kind), None)
+            self._readers[station, kind] = self._store.version[kind]
+            if len(self._readers) > _MAX_READERS:
+                del self._readers[next(iter(self._readers))]
+        return reply(
+            station.partner,
+            MissionCount(station.system, station.component, count, message.mission_type, opaque_id),
+        )
+
+    def _on_partial_list(self, message: Message, now_us: int, station: Station) -> Sequence[Addressed]:
+        """Answer as to a whole list: items keep their numbers, the station asks for those it wants."""
+        kind = _plan_type(message.mission_type)
+        count = 0 if kind is None else len(self._store[kind].items)
+        last = count - 1 if message.end_index == -1 else message.end_index
+        if not 0 <= message.start_index <= last < count:
+            return station.acknowledge(message.mission_type, common.MAV_MISSION_INVALID_SEQUENCE)
+        return self._on_list(message, now_us, station)
+
+    def _on_request(self, message: Message, now_us: int, station: Station) -> Sequence[Addressed]:  # noqa: ARG002
+        """Give an item, in the kind of message that it is asked for in.
+
+        In whatever order, where PX4 wants them asked for from the first to the last. Who reads a plan that
+        has become another meanwhile is told to begin again.
+        """
+        kind, seq = _plan_type(message.mission_type), message.seq
+        if kind is None:
+            return ()
+        version = self._readers.get((station, kind))
+        in_range = seq < len(self._store[kind].items)
+        if version is None and not in_range:
+            return ()  # as PX4: there are stations that ask without an end
+        if not in_range or version not in {None, self._store.version[kind]}:
+            return station.acknowledge(kind, _ERROR)
+        item = encode_item(
+            self._store[kind].items[seq],
+            kind=kind,
+            seq=seq,
+            current=kind is PlanType.MISSION and seq == self._current(),
+            target=(station.system, station.component),
+            in_integers=message.get_msgId() == common.MAVLINK_MSG_ID_MISSION_REQUEST_INT,
+        )
+        return reply(station.partner, item)
+
+    # ---- both
+
+    def _on_ack(self, message: Message, now_us: int, station: Station) -> Sequence[Addressed]:
+        """End a reading; while writing, end it too or ask in the other kind of message."""
+        kind, upload = _plan_type(message.mission_type), self._upload
+        if kind is not None:
+            self._readers.pop((station, kind), None)
+        if upload is None or station != upload.station or kind is not upload.kind:
+            return ()
+        upload.heard_us = now_us
+        if message.type == common.MAV_MISSION_OPERATION_CANCELLED:
+            self._finish(upload, (), now_us)
+        elif message.type == common.MAV_MISSION_UNSUPPORTED:
+            upload.in_integers = not upload.in_integers
+            return upload.ask(upload.asked)
+        return ()
+
+    def _on_clear(self, message: Message, now_us: int, station: Station) -> Sequence[Addressed]:
+        """Empty a plan, or all; but a late copy does not end what its station writes meanwhile."""
+        upload = self._upload
+        if upload is not None and station != upload.station:
+            refusal = self._refusal(upload, message, station)
+            if refusal is not None:
+                return refusal
+        kind = _plan_type(message.mission_type)
+        if kind is None and message.mission_type != common.MAV_MISSION_TYPE_ALL:
+            return station.acknowledge(message.mission_type, common.MAV_MISSION_UNSUPPORTED)
+        cleared, self._cleared = self._cleared, (station, message.mission_type, now_us)
+        if self._upload is not None:
+            if cleared is not None and cleared[:2] == self._cleared[:2] and now_us - cleared[2] < COPY_US:
+                return ()
+            self._finish(self._upload, (), now_us)
+        for emptied in PlanType if kind is None else (kind,):
+            self._store.put(emptied, ())
+        return station.acknowledge(message.mission_type, _ACCEPTED)
+
+
+def _plan_type(number: int) -> PlanType | None:
+    return PlanType(number) if number in _PLAN_TYPES else None
+
+
+def _tell(text: str) -> list[Addressed]:
+    return reply(ALL, status_text(common.MAV_SEVERITY_CRITICAL, text))
+
+
+_PLAN_TYPES = frozenset(PlanType)

@@ -1,0 +1,207 @@
+"""Which message goes to a link how often: PX4's default rates, changed by SET_MESSAGE_INTERVAL.
+
+A stream is a table row. The messages are formed by `telemetry`, only when due, and only if somebody listens.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import common
+
+from autopilot.mavlink.codec import Message
+from autopilot.mavlink.dialect import CurrentMode
+from autopilot.services.service import NEVER_US
+
+Builder = Callable[[], Message | None]
+"""Forms a message of the present values; None while there is nothing to say."""
+
+_HEARTBEAT = common.MAVLINK_MSG_ID_HEARTBEAT
+SECOND_US = 1_000_000
+STEP_US = 4_000
+"""Of the vehicle: nothing is sent more often."""
+
+GROUND_STATION_HZ: dict[int, float] = {
+    _HEARTBEAT: 1.0,
+    common.MAVLINK_MSG_ID_ATTITUDE: 50.0,
+    common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
+    common.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 50.0,
+    common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 50.0,
+    common.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 50.0,
+    common.MAVLINK_MSG_ID_ATTITUDE_TARGET: 50.0,
+    common.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 50.0,
+    common.MAVLINK_MSG_ID_GPS_RAW_INT: 5.0,
+    common.MAVLINK_MSG_ID_VFR_HUD: 4.0,
+    common.MAVLINK_MSG_ID_ALTITUDE: 1.0,
+    common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 1.0,
+    common.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
+    common.MAVLINK_MSG_ID_SCALED_PRESSURE: 1.0,
+    common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: 1.0,
+    common.MAVLINK_MSG_ID_MISSION_CURRENT: 1.0,
+    common.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
+    common.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 0.5,
+    common.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
+    CurrentMode.id: 0.5,
+    common.MAVLINK_MSG_ID_PING: 0.1,
+    common.MAVLINK_MSG_ID_VIBRATION: 0.1,
+}
+"""As PX4 v1.17 streams to 14550."""
+
+COMPANION_HZ: dict[int, float] = {
+    _HEARTBEAT: 1.0,
+    common.MAVLINK_MSG_ID_ATTITUDE: 100.0,
+    common.MAVLINK_MSG_ID_HIGHRES_IMU: 50.0,
+    common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
+    common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 50.0,
+    common.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
+    common.MAVLINK_MSG_ID_ODOMETRY: 30.0,
+    common.MAVLINK_MSG_ID_TIMESYNC: 10.0,
+    common.MAVLINK_MSG_ID_ALTITUDE: 10.0,
+    common.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 10.0,
+    common.MAVLINK_MSG_ID_GPS_RAW_INT: 10.0,
+    common.MAVLINK_MSG_ID_ATTITUDE_TARGET: 10.0,
+    common.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: 10.0,
+    common.MAVLINK_MSG_ID_VFR_HUD: 10.0,
+    common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
+    common.MAVLINK_MSG_ID_SYS_STATUS: 5.0,
+    common.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
+    common.MAVLINK_MSG_ID_SYSTEM_TIME: 1.0,
+    common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: 1.0,
+    common.MAVLINK_MSG_ID_MISSION_CURRENT: 1.0,
+    common.MAVLINK_MSG_ID_BATTERY_STATUS: 0.5,
+    common.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
+    CurrentMode.id: 0.5,
+}
+"""As PX4 v1.17 streams to 14540."""
+
+APPLICATION_HZ: dict[int, float] = {
+    common.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 25.0,
+    common.MAVLINK_MSG_ID_GPS_RAW_INT: COMPANION_HZ[common.MAVLINK_MSG_ID_GPS_RAW_INT],
+    common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: COMPANION_HZ[common.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN],
+}
+"""What the on-board application in this process listens to beside the heartbeat: its position as often as it
+gives setpoints, the rest as often as a companion."""
+
+APPLICATION_WITH_ATTITUDE_HZ = {
+    **APPLICATION_HZ,
+    common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: COMPANION_HZ[common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION],
+}
+"""With what it needs to learn the wind."""
+
+ON_NEW_DATA = frozenset({common.MAVLINK_MSG_ID_GPS_RAW_INT})
+"""Sent when there is something new, at most at the stream's rate."""
+
+
+@dataclass(slots=True)
+class _Stream:
+    interval_us: int
+    due_us: int
+    has_new_data: bool
+
+
+class Streams:
+    """The periodic messages of one link. While nobody listens only the heartbeat is formed.
+
+    Who forms a message is looked up when it is due, so ``builders`` may become more after this was made.
+    """
+
+    def __init__(self, builders: Mapping[int, Builder], rates_hz: Mapping[int, float]) -> None:
+        self._active = True
+        self._builders = builders
+        self._default_us = {
+            message_id: round(SECOND_US / rate_hz) for message_id, rate_hz in rates_hz.items()
+        }
+        self._streams = {
+            message_id: _Stream(interval_us, 0, message_id not in ON_NEW_DATA)
+            for message_id, interval_us in self._default_us.items()
+        }
+        self.deadline_us = 0
+        """When the next stream is due."""
+
+    @property
+    def active(self) -> bool:
+        """Somebody listens."""
+        return self._active
+
+    @active.setter
+    def active(self, active: bool) -> None:
+        if active is not self._active:
+            self._active = active
+            self.deadline_us = 0
+
+    def on_timer(self, now_us: int) -> Sequence[Message]:
+        """Messages that are due."""
+        if now_us < self.deadline_us:
+            return ()
+        streams = self._streams
+        if not self._active:
+            streams = {_HEARTBEAT: streams[_HEARTBEAT]} if _HEARTBEAT in streams else {}
+        messages = []
+        deadline_us = NEVER_US
+        for message_id, stream in streams.items():
+            if not stream.has_new_data:
+                continue
+            due_us = stream.due_us
+            if now_us >= due_us:
+                due_us += stream.interval_us
+                if due_us <= now_us:  # the grid has fallen behind
+                    due_us = now_us + stream.interval_us
+                stream.due_us = due_us
+                stream.has_new_data = message_id not in ON_NEW_DATA
+                build = self._builders.get(message_id)
+                message = None if build is None else build()
+                if message is not None:
+                    messages.append(message)
+            if stream.has_new_data and due_us < deadline_us:
+                deadline_us = due_us
+        self.deadline_us = deadline_us
+        return messages
+
+    def on_new_data(self, message_id: int) -> None:
+        """Note that a message of `ON_NEW_DATA` has something new to say."""
+        stream = self._streams.get(message_id)
+        if stream is not None and not stream.has_new_data:
+            stream.has_new_data = True
+            self.deadline_us = min(self.deadline_us, stream.due_us)
+
+    def knows(self, message_id: int) -> bool:
+        """Whether the message can be formed at all."""
+        return message_id in self._builders
+
+    def form(self, message_id: int) -> Message | None:
+        """Form a message; None while there is nothing to say."""
+        build = self._builders.get(message_id)
+        return None if build is None else build()
+
+    def hasten(self, message_id: int, now_us: int) -> None:
+        """Have a stream's message sent with the next step, for what it says has changed."""
+        stream = self._streams.get(message_id)
+        if stream is not None and self._active:
+            stream.due_us = now_us
+            self.deadline_us = min(self.deadline_us, now_us)
+
+    def interval_us(self, message_id: int) -> int:
+        """Give what MESSAGE_INTERVAL says of a message: -1 if it is not sent, 0 if it does not exist here."""
+        if not self.knows(message_id):
+            return 0
+        stream = self._streams.get(message_id)
+        return -1 if stream is None else stream.interval_us
+
+    def set_interval(self, message_id: int, interval_us: int, now_us: int) -> bool:
+        """Do as MAV_CMD_SET_MESSAGE_INTERVAL says: -1 stops, 0 is the default. False: unknown message.
+
+        An interval is a step at least, and the heartbeat's a second at most.
+        """
+        if not self.knows(message_id):
+            return False
+        if interval_us == 0:
+            interval_us = self._default_us.get(message_id, -1)
+        if message_id == _HEARTBEAT:
+            interval_us = interval_us if 0 < interval_us < SECOND_US else SECOND_US
+        if interval_us < 0:
+            self._streams.pop(message_id, None)
+        else:
+            self._streams[message_id] = _Stream(
+                max(interval_us, STEP_US), now_us, message_id not in ON_NEW_DATA
+            )
+            self.deadline_us = min(self.deadline_us, now_us)
+        return True

@@ -1,0 +1,433 @@
+"""From the mode to the motors: navigation, control, contact with the ground, and the place to return to."""
+
+import math
+from collections.abc import Collection
+from dataclasses import replace
+
+import numpy as np
+
+from autopilot.commander.conditions import Reason
+from autopilot.commander.geofence import Geofence, Origin
+from autopilot.commander.land_detector import LandDetector, Stage
+from autopilot.control import FlightController
+from autopilot.mavlink.modes import FlightMode
+from autopilot.navigation.feasibility import distance_warning, fence_trouble
+from autopilot.navigation.orbit import Circle, YawBehaviour
+from autopilot.navigation.plan_store import PlanStore, PlanType
+from autopilot.navigation.setpoints import IDLE, ON_GROUND_M, Navigator, down_demand_m_s
+from autopilot.parameters.table import Settings
+from autopilot.services.command import TakeoffAltitude
+from autopilot.services.flight_data import FlightData, Home
+from autopilot.services.manual_control import ManualControlService
+from autopilot.services.offboard import OffboardService
+from foundation.geometry.geodesy import geodetic_to_ned, ned_to_geodetic
+from foundation.types import Array, Setpoint, TrajectorySetpoint
+
+_NO_MOTORS = (0.0,) * 12
+"""Controls beyond the motors'"""
+_FENCE_WARNS = 1
+"""GF_ACTION up to which a geofence is not kept to."""
+_HEIGHT_MAX_M = 1e5
+"""Of altitudes, whether above or below the sea: what is beyond was not meant."""
+
+
+class Pilot:
+    """Flies one vehicle in the commander's mode: `feel` the ground now and then, `fly` at every step."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        flight: FlightData,
+        *,
+        offboard: OffboardService,
+        manual: ManualControlService,
+        geofence: Geofence,
+    ) -> None:
+        self.takeoff_altitude = TakeoffAltitude()
+        self.controller = FlightController(settings.control)
+        control = settings.control
+        self.navigator = Navigator(settings.navigation, control.trajectory, control.position)
+        flight.course = lambda: self.navigator.course
+        flight.attitude_setpoint = lambda: self.controller.attitude_setpoint
+        self.mission_valid = False
+        """There is a mission that may be flown."""
+        self.mission_trouble: str | None = None
+        """Why the mission that there is may not be flown."""
+        self.warnings: list[str] = []
+        """What is to be said of the mission, for whoever says it and takes it away."""
+        self._mission_warning: str | None = None
+        self._settings = settings
+        self._flight = flight
+        self._offboard = offboard
+        self._manual = manual
+        self._geofence = geofence
+        self._land_detector = LandDetector(settings.land_detector)
+        self.landed = True
+        """On the ground for certain, as `feel` found it."""
+        self.flies_on = False
+        """Whether the next step follows the trajectory of this one, if nothing comes that changes it."""
+        self._setpoint: Setpoint = IDLE
+        self._active: tuple[FlightMode, bool, int, float | None, bool] | None = None
+        """Mode, arming, estimator resets, take-off altitude and a failsafe's hold that is flown now."""
+        self._home_is_manual = False
+        """Somebody said where home is: arming elsewhere does not change it."""
+
+    def set_params(self, settings: Settings) -> None:
+        """Change what differs, at once and in flight; what was learned and flown stays."""
+        before, self._settings = self._settings, settings
+        control = settings.control
+        if control is not before.control:
+            self.controller.set_params(control)
+        if control is not before.control or settings.navigation is not before.navigation:
+            self.navigator.set_params(settings.navigation, control.trajectory, control.position)
+        if settings.navigation is not before.navigation or settings.geofence is not before.geofence:
+            self._check_mission()
+        self._land_detector.params = settings.land_detector
+
+    @property
+    def controls(self) -> list[float]:
+        """(16,) of HIL_ACTUATOR_CONTROLS."""
+        return [*self._flight.motors, *_NO_MOTORS]
+
+    # ---- what is asked for in flight; a refusal gives its reason
+
+    def reposition(
+        self,
+        lat_deg: float | None,
+        lon_deg: float | None,
+        alt_amsl_m: float | None,
+        yaw_rad: float | None,
+        speed_m_s: float | None,
+    ) -> Reason | None:
+        """Hold at another place, as MAV_CMD_DO_REPOSITION with the flag that changes the mode.
+
+        Without latitude and longitude the place stays, without an altitude the height; without any of them it
+        stops here. Without a heading the nose points as on any leg. On the ground it is refused. A place that
+        is not allowed leaves it in hold here.
+        """
+        if (lat_deg is None) is not (lon_deg is None) or not _are_usable(lat_deg, lon_deg, alt_amsl_m):
+            return Reason.BAD_ARGUMENT
+        refusal = self._enter_in_flight(FlightMode.HOLD)
+        if refusal is not None:
+            return refusal
+        if speed_m_s is not None and speed_m_s > 0.0:
+            self.change_speed(speed_m_s)
+        if lat_deg is None and alt_amsl_m is None:
+            self.navigator.stop(self._flight.state)
+        else:
+            place_ned_m = self._place_ned_m(self.navigator.place_ned_m, lat_deg, lon_deg, alt_amsl_m)
+            if not self._may_be_at(place_ned_m):
+                self.navigator.stop(self._flight.state)
+                return Reason.OUTSIDE_GEOFENCE
+            self.navigator.hold_at(place_ned_m, yaw_rad=_number(yaw_rad))
+        return None
+
+    def orbit(
+        self,
+        radius_m: float | None,
+        speed_m_s: float | None,
+        yaw_behaviour: float | None,
+        lat_deg: float | None,
+        lon_deg: float | None,
+        alt_amsl_m: float | None,
+    ) -> Reason | None:
+        """Circle about a place, as MAV_CMD_DO_ORBIT; what is None stays as it was, or is here.
+
+        A positive radius is flown clockwise, and a negative speed turns that round. The bounds are PX4's
+        (`autopilot.navigation.orbit`). On the ground it is refused.
+        """
+        if (lat_deg is None) is not (lon_deg is None) or not _are_usable(lat_deg, lon_deg, alt_amsl_m):
+            return Reason.BAD_ARGUMENT
+        radius_m, speed_m_s, yaw_behaviour = map(_number, (radius_m, speed_m_s, yaw_behaviour))
+        if yaw_behaviour is not None and yaw_behaviour not in set(YawBehaviour):
+            return Reason.BAD_ARGUMENT
+        orbit, state = self.navigator.orbit, self._flight.state
+        goes_on = self._flight.commander.mode is FlightMode.ORBIT
+        refusal = self._enter_in_flight(FlightMode.ORBIT)
+        if refusal is not None:
+            return refusal
+        before = orbit.circle
+        if before is None:
+            return Reason.MODE_UNAVAILABLE  # cannot be: the mode was entered with one
+        here_ned_m = np.array((before.north_m, before.east_m, before.down_m)) if goes_on else state.pos_ned_m
+        north_m, east_m, down_m = self._place_ned_m(here_ned_m, lat_deg, lon_deg, alt_amsl_m).tolist()
+        yaw = before.yaw if yaw_behaviour is None else YawBehaviour(int(yaw_behaviour))
+        clockwise = before.speed_m_s if radius_m is None else radius_m
+        orbit.start(
+            state,
+            Circle(
+                north_m=north_m,
+                east_m=east_m,
+                down_m=down_m,
+                radius_m=before.radius_m if radius_m is None else abs(radius_m),
+                speed_m_s=math.copysign(1.0, clockwise)
+                * (abs(before.speed_m_s) if speed_m_s is None else speed_m_s),
+                yaw=before.yaw if yaw is YawBehaviour.UNCHANGED else yaw,
+            ),
+        )
+        return None
+
+    def change_speed(self, speed_m_s: float | None) -> None:
+        """Fly legs at this speed over ground until the mode ends, None: as the parameters say."""
+        usable = speed_m_s is not None and 0.0 < speed_m_s < math.inf
+        self.navigator.change_speed(speed_m_s if usable else None)
+
+    def set_home(self, lat_deg: float, lon_deg: float, alt_m: float) -> Reason | None:
+        """Have home at a place, its altitude above the sea, whatever happens afterwards."""
+        state = self._flight.state
+        if not _are_usable(lat_deg, lon_deg, alt_m):
+            return Reason.BAD_ARGUMENT
+        if not state.position_valid:
+            return Reason.NO_POSITION
+        north_m, east_m, down_m = self._place_ned_m(state.pos_ned_m, lat_deg, lon_deg, alt_m).tolist()
+        self._flight.home = replace(
+            self._here(), lat_deg=lat_deg, lon_deg=lon_deg, alt_m=alt_m, pos_ned_m=(north_m, east_m, down_m)
+        )
+        self._home_is_manual = True
+        self._check_mission()
+        return None
+
+    def set_home_here(self) -> Reason | None:
+        """Have home where the vehicle is, and again where it is armed."""
+        if not self._flight.state.position_valid:
+            return Reason.NO_POSITION
+        self._home_is_manual = False
+        self._set_home()
+        return None
+
+    def load_plans(self, plans: PlanStore, kinds: Collection[PlanType]) -> None:
+        """Fly by what the store has of these types now; a mission begins with the item that is marked.
+
+        In mission mode it begins at once. One that may not be flown then ends in hold.
+        """
+        if PlanType.RALLY in kinds:
+            self.navigator.set_rally_points(plans[PlanType.RALLY].made.rally_points)
+        if PlanType.FENCE in kinds:
+            self._geofence.set_shapes(plans[PlanType.FENCE].made.fence_shapes)
+        if PlanType.MISSION in kinds:
+            plan = plans[PlanType.MISSION]
+            start = plan.start if plan.start < len(plan.items) else 0
+            self.navigator.mission.load(plan.made.mission, start=start)
+            self.mission_trouble = self._mission_warning = None
+        if kinds != {PlanType.RALLY}:
+            self._check_mission(flown=True)
+
+    @property
+    def next_mode(self) -> FlightMode | None:
+        """The mode to go on with, where the present one has done what it is for, or may not go on."""
+        mode = self._flight.commander.mode
+        if mode is FlightMode.OFFBOARD:
+            return None  # it ends when somebody says so
+        if mode is FlightMode.MISSION and self.mission_trouble is not None:
+            return FlightMode.HOLD
+        return self.navigator.next_mode(self._flight.state)
+
+    def feel(self) -> None:
+        """Take the new estimate: whether there is ground below, and, once, where home is."""
+        flight = self._flight
+        state = flight.state
+        if state.position_valid and flight.home is None:
+            self._set_home()
+        armed = flight.commander.armed
+        if self.landed and not armed:
+            return
+        controller, hover_thrust = self.controller, self.controller.hover_thrust
+        self._land_detector.update(
+            flight.now_us,
+            state,
+            armed=armed,
+            down_demand_m_s=down_demand_m_s(
+                state, self._setpoint, z_p_1_s=controller.params.position.z_p, hover_thrust=hover_thrust
+            ),
+            thrust_of_hover=controller.thrust / hover_thrust,
+        )
+        self.landed = self._land_detector.landed
+
+    def fly(self, dt_s: float) -> None:
+        """Set the mode's setpoint and the controls that follow it."""
+        flight, commander, state = self._flight, self._flight.commander, self._flight.state
+        self._keep_up()
+        self.flies_on = False
+        if not commander.armed:
+            return
+        landed, controller = self.landed, self.controller
+        offboard = self._offboard.setpoint if commander.mode is FlightMode.OFFBOARD else None
+        setpoint: Setpoint
+        if landed and not commander.spooled_up(flight.now_us):
+            setpoint = IDLE
+        elif offboard is not None:
+            setpoint = offboard
+        else:
+            setpoint = self.navigator.update(
+                state,
+                dt_s=dt_s,
+                landed=landed,
+                touching=self._land_detector.stage is not Stage.AIRBORNE,
+                home_ned_m=flight.home.pos_ned_m if flight.home is not None else None,
+                manual=self._manual.sticks,
+                hover_thrust=controller.hover_thrust,
+                disturbance_ned_m_s2=controller.disturbance_ned_m_s2,
+            )
+        self._setpoint = setpoint
+        flight.setpoint = setpoint if isinstance(setpoint, TrajectorySetpoint) else None
+        flight.motors = controller.update(state, setpoint, dt_s=dt_s, landed=landed)
+        self.flies_on = not landed and setpoint is offboard and controller.flies_on
+
+    def catch_up(self) -> None:
+        """Take what compiled code has had the controller give since `fly`, if the motors turn."""
+        if self._flight.commander.armed:
+            self._flight.motors = self.controller.controls
+
+    def _keep_up(self) -> None:
+        """Have navigator and controller in the commander's mode."""
+        commander = self._flight.commander
+        active = (
+            commander.mode,
+            commander.armed,
+            self._flight.state.reset_counter,
+            self.takeoff_altitude.amsl_m,
+            commander.failsafe and commander.mode is FlightMode.HOLD,
+        )
+        if active != self._active:
+            self._change(was_armed=self._active is not None and self._active[1])
+            self._active = active
+
+    def _change(self, *, was_armed: bool) -> None:
+        """Begin what follows from a new mode, from arming, or from an estimate that jumped."""
+        flight = self._flight
+        if not flight.commander.armed:
+            flight.motors = self.controller.idle()
+            self._setpoint = IDLE
+            flight.setpoint = None
+            return
+        if not was_armed and flight.state.position_valid and not self._home_is_manual:
+            self._set_home()
+        self.navigator.enter(
+            flight.commander.mode,
+            flight.state,
+            landed=self.landed,
+            takeoff_down_m=self._takeoff_down_m(),
+            home_ned_m=flight.home.pos_ned_m if flight.home is not None else None,
+        )
+        if flight.commander.failsafe and flight.commander.mode is FlightMode.HOLD:
+            self.navigator.stop(flight.state)  # a hold that was on its way to a place would go on
+
+    # ---- pieces
+
+    def _may_be_at(self, place_ned_m: Array) -> bool:
+        """Whether the geofence, if it does more than warn, lets the vehicle be at a place (3,)."""
+        if self._settings.commander.geofence_action <= _FENCE_WARNS:
+            return True
+        home = self._flight.home
+        home_ned_m = None if home is None else home.pos_ned_m
+        return self._geofence.check(place_ned_m, home_ned_m, self._origin()) is None
+
+    def _origin(self) -> Origin:
+        """Give the place of the local frame on the globe."""
+        state = self._flight.state
+        return Origin(state.origin_lat_deg, state.origin_lon_deg, state.origin_alt_m)
+
+    def _takeoff_down_m(self) -> float:
+        """Where a take-off ends: MIS_TAKEOFF_ALT above home, or at an altitude that is off the ground."""
+        home_down_m = self._flight.home.pos_ned_m[2] if self._flight.home is not None else 0.0
+        amsl_m = self.takeoff_altitude.amsl_m
+        if amsl_m is not None:
+            down_m = self._flight.state.origin_alt_m - amsl_m
+            if down_m < home_down_m - ON_GROUND_M:
+                return down_m
+        return home_down_m - self._settings.navigation.takeoff_height_m
+
+    def _enter_in_flight(self, mode: FlightMode) -> Reason | None:
+        """Enter a mode for what only a flying vehicle can do."""
+        commander = self._flight.commander
+        if not commander.armed or self.landed:
+            return Reason.ON_GROUND
+        refusal = commander.set_mode(mode)
+        if refusal is None:
+            self.takeoff_altitude.amsl_m = None
+            self._keep_up()
+        return refusal
+
+    def _place_ned_m(
+        self, here_ned_m: Array, lat_deg: float | None, lon_deg: float | None, alt_amsl_m: float | None
+    ) -> Array:
+        """(3,) place from the estimator's origin; ``here_ned_m`` (3,) stands in for what is None."""
+        state = self._flight.state
+        place_ned_m = here_ned_m.copy()
+        if lat_deg is not None and lon_deg is not None:
+            place_ned_m[:2] = geodetic_to_ned(
+                lat_deg,
+                lon_deg,
+                state.origin_alt_m,
+                origin_lat_deg=state.origin_lat_deg,
+                origin_lon_deg=state.origin_lon_deg,
+                origin_alt_m=state.origin_alt_m,
+            )[:2]
+        if alt_amsl_m is not None:
+            place_ned_m[2] = state.origin_alt_m - alt_amsl_m
+        return place_ned_m
+
+    def _set_home(self) -> None:
+        """Make the present place the one to return to."""
+        self._flight.home = self._here()
+        self._check_mission()
+
+    def _check_mission(self, *, flown: bool = False) -> None:
+        """Find out whether there is a mission that may be flown.
+
+        Like PX4 it lets one that is being flown alone unless ``flown``: when mission or geofence are others.
+        """
+        mission, home, commander = (
+            self.navigator.mission.runner.mission,
+            self._flight.home,
+            self._flight.commander,
+        )
+        if commander.mode is FlightMode.MISSION and commander.armed and not self.landed and not flown:
+            return
+        trouble = warning = None
+        if mission is not None and home is not None:
+            trouble = fence_trouble(mission, self._geofence, home_ned_m=home.pos_ned_m, origin=self._origin())
+            warning = distance_warning(
+                mission,
+                home_lat_deg=home.lat_deg,
+                home_lon_deg=home.lon_deg,
+                max_m=self._settings.navigation.first_place_max_m,
+            )
+        if trouble is not None and trouble != self.mission_trouble:
+            self.warnings.append(f"Mission rejected: {trouble}")
+        if warning is not None and warning != self._mission_warning:
+            self.warnings.append(warning)
+        self.mission_trouble, self._mission_warning = trouble, warning
+        self.mission_valid = mission is not None and trouble is None
+
+    def _here(self) -> Home:
+        state = self._flight.state
+        lat_deg, lon_deg, alt_m = ned_to_geodetic(
+            state.pos_ned_m,
+            origin_lat_deg=state.origin_lat_deg,
+            origin_lon_deg=state.origin_lon_deg,
+            origin_alt_m=state.origin_alt_m,
+        )
+        north_m, east_m, down_m = state.pos_ned_m.tolist()
+        w, x, y, z = state.q_ned_frd.tolist()
+        return Home(
+            lat_deg=float(lat_deg),
+            lon_deg=float(lon_deg),
+            alt_m=float(alt_m),
+            pos_ned_m=(north_m, east_m, down_m),
+            q_ned_frd=(w, x, y, z),
+        )
+
+
+def _number(value: float | None) -> float | None:
+    """Give a value that is none for what is no number, as MAVLink means it."""
+    return value if value is not None and math.isfinite(value) else None
+
+
+def _are_usable(lat_deg: float | None, lon_deg: float | None, alt_m: float | None) -> bool:
+    """Whether a place is on the globe, or is left to be what it was; False for NaN."""
+    return (
+        (lat_deg is None or abs(lat_deg) <= 90.0)
+        and (lon_deg is None or abs(lon_deg) <= 180.0)
+        and (alt_m is None or abs(alt_m) <= _HEIGHT_MAX_M)
+    )

@@ -1,0 +1,457 @@
+"""One UAV without its edges: estimator, commander, control, MAVLink services, on-board application.
+
+`Vehicle.step` is all that happens in the moment of one HIL_SENSOR. It does no I/O: messages and radio items
+come in as objects and go out as objects, and time is the sensor's.
+
+Parts have rates of their own, as in PX4: prediction, rates and attitude act at every sample, position control
+at every second; magnetometer and barometer are taken at their parameters' rates; what is felt of the ground,
+conditions, failsafes and modes are looked at every `DECISION_PERIOD_US`, and at once when a link or the
+application wants something. The application has a loop of its own (``onboard.loop_period_ms``), in which it
+takes telemetry and says what it has to say. All come at the multiples of their periods, so that most steps
+have nothing but the sample.
+"""
+
+from collections.abc import Sequence
+
+from msgspec import Struct
+from msgspec.structs import replace
+from pymavlink.dialects.v20 import common
+
+from autopilot.commander.commander import Commander
+from autopilot.commander.failsafe import US_PER_S
+from autopilot.commander.geofence import Geofence
+from autopilot.estimation.estimator import Estimator
+from autopilot.estimation.sensor_input import SensorInput
+from autopilot.mavlink.codec import Message, stamp
+from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
+from autopilot.mavlink.hil import HilActuatorControls
+from autopilot.mavlink.local_messages import PositionTarget
+from autopilot.mavlink.modes import FlightMode
+from autopilot.navigation import site_plan
+from autopilot.navigation.site_frame import SiteFrame
+from autopilot.onboard.app import NOTHING
+from autopilot.onboard.factory import make_application
+from autopilot.onboard.formation.messages import COMMANDS
+from autopilot.parameters.config import VehicleConfig
+from autopilot.parameters.table import ROWS, ParameterError, ParameterSet, Problem, Settings
+from autopilot.services.flight_data import FlightData
+from autopilot.services.manual_control import ManualControlService
+from autopilot.services.offboard import OffboardService
+from autopilot.services.service import (
+    ALL,
+    APPLICATION_PARTNER,
+    GROUND_STATION,
+    NEVER_US,
+    Addressed,
+    Partner,
+    is_addressed_to,
+    reply,
+)
+from autopilot.services.status import heartbeat, status_text
+from autopilot.vehicle.fast_step import InertialSteps
+from autopilot.vehicle.messaging import Messaging
+from autopilot.vehicle.monitor import Monitor
+from autopilot.vehicle.pilot import Pilot
+from netsim.wire.messages import RxItem, TxItem
+
+DECISION_PERIOD_US = 40_000
+"""PX4 looks for the ground twice as often, at failsafes four times; what they wait for lasts far longer."""
+_GROUND = Partner(GROUND_STATION)
+_HEARTBEAT_PERIOD_US = 1_000_000
+_TRUTH_INTERVAL_US = 5_000.0
+"""What PX4 asks a simulator for on connecting."""
+_MODE_DISARMED = common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+_MODE_ARMED = _MODE_DISARMED | common.MAV_MODE_FLAG_SAFETY_ARMED
+_LOCKSTEP_FLAG = 1
+_OF_THE_START = frozenset({"EKF2_GPS_DELAY"})
+"""Parameters that cannot change later: the GPS delay is the length of the estimator's memory."""
+_HIL_STATE_QUATERNION = common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
+_TO_GROUND_TOO = frozenset({common.MAVLINK_MSG_ID_HEARTBEAT, common.MAVLINK_MSG_ID_NAMED_VALUE_INT})
+"""What the application tells simulator and ground station of itself."""
+
+
+class StepOutput(Struct, frozen=True, kw_only=True):
+    """What a step sends."""
+
+    now_us: int
+    actuators: HilActuatorControls
+    """HIL_ACTUATOR_CONTROLS, stamped as the sensor data that it answers."""
+    simulator: list[Message]
+    """Other messages to the simulator; those of the application carry its component as source."""
+    links: list[Addressed]
+    """To partners of the links to the outside."""
+    radio: tuple[TxItem, ...]
+    save_parameters: bool = False
+    """The parameters are to be written to their file."""
+
+
+class Vehicle:
+    """One UAV; `step` it with every HIL_SENSOR."""
+
+    def __init__(self, config: VehicleConfig) -> None:
+        """Put it together.
+
+        Raises ParameterError for a parameter that does not exist or is out of range, PlanError for a mission
+        or a fence that cannot be.
+        """
+        self.config = config
+        self._system = config.instance + 1
+        defaults = Settings()
+        estimation = replace(
+            defaults.estimation,
+            magnetic_field_ned_gauss=config.site.magnetic_field_ned_gauss,
+            gps_delay_us=round(config.devices.gps_delay_s * US_PER_S),
+        )
+        defaults = replace(defaults, estimation=estimation)
+        self.parameters = ParameterSet(defaults, config.autopilot.params, system=self._system)
+        settings = self.parameters.settings
+        self.estimator = Estimator(settings.estimation)
+        self.commander = Commander(settings.commander)
+        self.flight = FlightData(
+            estimator=self.estimator, commander=self.commander, state=self.estimator.state
+        )
+        self.offboard = OffboardService(self.flight)
+        self.manual = ManualControlService(self.commander)
+        self.site = SiteFrame(config.site)
+        self._sensors = SensorInput(self.estimator, settings.sensors)
+        self.monitor = Monitor(
+            settings,
+            geofence=Geofence(settings.geofence),
+            sensors=self._sensors,
+            offboard=self.offboard,
+            manual=self.manual,
+        )
+        self.flight.battery = self.monitor.battery
+        self.pilot = Pilot(
+            settings,
+            self.flight,
+            offboard=self.offboard,
+            manual=self.manual,
+            geofence=self.monitor.geofence,
+        )
+        self.messaging = Messaging(
+            config,
+            flight=self.flight,
+            parameters=self.parameters,
+            set_parameter=self.set_parameter,
+            reset_parameters=self.reset_parameters,
+            pilot=self.pilot,
+            geofence=self.monitor.geofence,
+            offboard=self.offboard,
+            manual=self.manual,
+            plans=site_plan.plans(config.autopilot, config.site),
+        )
+        self._before_conditions = self.offboard.takes | self.manual.takes
+        """Messages that conditions depend on, so that a mode is not asked for in vain."""
+        self._told_truth = config.onboard.localisation == "truth"
+        self._loop_period_us = config.onboard.loop_period_us
+        self.app = make_application(config) if config.onboard.enabled else None
+        if self.app is not None:
+            self.messaging.tell_application = self.app.on_mavlink
+        self._last_us: int | None = None
+        self._announced: tuple[FlightMode, bool, bool] | None = None
+        self._announce_us = 0
+        self._decide_us = 0
+        self._loop_us = NEVER_US
+        """When the application's loop comes round next, once there was a step."""
+
+    def step(
+        self,
+        *,
+        sim_messages: Sequence[Message],
+        link_messages: Sequence[Addressed] = (),
+        radio_items: Sequence[RxItem] = (),
+        link_active: tuple[bool, ...] = (True, True),
+    ) -> StepOutput:
+        """Take what arrived up to a HIL_SENSOR, the last of ``sim_messages``, and return what to send.
+
+        Where ``link_active`` says that nobody listens only the heartbeat is formed. A HIL_SENSOR that is
+        not later than the one before is answered with the controls of before.
+        """
+        now_us: int = sim_messages[-1].time_usec
+        last_us = self._last_us
+        if last_us is not None and now_us <= last_us:
+            return StepOutput(
+                now_us=now_us, actuators=self._actuators(now_us), simulator=[], links=[], radio=()
+            )
+        self._last_us = now_us
+        self._sense(sim_messages, now_us)
+        simulator: list[Message] = []
+        if last_us is None:
+            simulator.append(_greeting())
+            if self.app is not None:
+                self._loop_us = _next(now_us - 1, self._loop_period_us)
+        loops = now_us >= self._loop_us
+        decides = now_us >= self._decide_us or self._is_wanted(link_messages)
+        to_answer = self._take_in(link_messages, now_us) if link_messages else []
+        if decides:
+            self._decide_us = _next(now_us, DECISION_PERIOD_US)
+            self._look_around()
+            self._decide()
+        for received in to_answer:
+            self._on_link_message(received, now_us)
+        if self._told_truth:
+            self._pass_truth_on(sim_messages, now_us)
+        if self.app is not None and radio_items:
+            self.app.on_radio(radio_items, now_us)
+        radio = self._run_app(simulator, now_us) if loops else ()
+        self.pilot.fly((self.config.step_us if last_us is None else now_us - last_us) / US_PER_S)
+        messaging = self.messaging
+        links: list[Addressed] = []
+        if decides or messaging.is_due(now_us) or any(link_active):
+            links = messaging.on_timer(now_us, link_active)
+        if decides or loops:
+            self._announce(simulator, now_us)
+        return StepOutput(
+            now_us=now_us,
+            actuators=self._actuators(now_us),
+            simulator=simulator,
+            links=links,
+            radio=radio,
+            save_parameters=messaging.take_save_wanted(),
+        )
+
+    def attend(self, link_messages: Sequence[Addressed]) -> list[Addressed]:
+        """Answer the links while simulated time stands: commands are carried out, the newest setpoints kept.
+
+        Nothing is due in the meantime, for no time passes; so nothing times out either.
+        """
+        if self._last_us is None:
+            return []
+        now_us = self._last_us
+        self.flight.time_stands = True
+        to_answer = self._take_in(link_messages, now_us)
+        # for a mode may be asked for just after what it needs
+        self.monitor.update(self.flight, has_mission=self.pilot.mission_valid)
+        self._decide()
+        for received in to_answer:
+            self._on_link_message(received, now_us)
+        self.flight.time_stands = False
+        return self.messaging.take_outgoing()
+
+    @property
+    def next_look_us(self) -> int:
+        """From when on a step has to look at more than what its messages bring, if no link asks before."""
+        return min(self._decide_us, self._loop_us, self.messaging.next_deadline_us())
+
+    def look_ahead(self, steps: InertialSteps, answer: bytes, sequence: int, limit_us: int) -> bool:
+        """Let ``steps`` follow on this answer up to the next look at anything but inertial samples.
+
+        ``sequence`` is the next answer's, and somebody else looks at ``limit_us``. False: the next step is
+        that look.
+        """
+        filtered, now_us, flies = self.estimator.filter, self.flight.now_us, self.pilot.flies_on
+        if filtered is None or (self.commander.armed and not flies):
+            return False
+        until_us = min(self.next_look_us, limit_us)
+        if until_us <= now_us + self.config.step_us:
+            return False
+        steps.open(
+            answer, sequence, (filtered.block, filtered.samples, self.pilot.controller.block), now_us=now_us,
+            until_us=until_us, aids_us=self._sensors.aids_us, sound_until_us=self.estimator.sound_until_us,
+            flies=flies,
+        )  # fmt: skip
+        return True
+
+    def catch_up(self, now_us: int) -> None:
+        """Take what compiled steps have left in filter and controller, the last of which was at this time."""
+        self._last_us = self.flight.now_us = now_us
+        self._sensors.catch_up(now_us)
+        self.estimator.catch_up(now_us)
+        self.pilot.catch_up()
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether a step was made."""
+        return self._last_us is not None
+
+    def heartbeat(self) -> Message:
+        """HEARTBEAT as things stand."""
+        return heartbeat(self.commander, self.flight.conditions)
+
+    def has_been_at(self, now_us: int) -> bool:
+        """Whether a step was made at that time or later: then it takes nothing in."""
+        return self._last_us is not None and now_us <= self._last_us
+
+    def set_parameter(self, name: str, value: float) -> None:
+        """Change a parameter, which acts at once. Raises ParameterError, also for what cannot change now."""
+        if name in _OF_THE_START:
+            raise ParameterError(f"{name} can only be set at the start", Problem.READ_ONLY)
+        before = self.parameters.settings
+        self.parameters.set(name, value)
+        self.messaging.on_parameter(name)
+        self._apply_settings(before)
+
+    def reset_parameters(self, beginnings: tuple[str, ...]) -> bool:
+        """Give all parameters whose names begin so their defaults; armed it is refused, as by PX4."""
+        if self.commander.armed:
+            return False
+        before = self.parameters.settings
+        names = [
+            row.name for row in ROWS if row.name.startswith(beginnings) and row.name not in _OF_THE_START
+        ]
+        for name in self.parameters.reset(names):
+            self.messaging.on_parameter(name)
+        self._apply_settings(before)
+        return True
+
+    def _apply_settings(self, before: Settings) -> None:
+        """Have all parts go by what has become of the settings of before."""
+        settings = self.parameters.settings
+        if settings is before:
+            return
+        if settings.estimation is not before.estimation:
+            self.estimator.set_params(settings.estimation)
+        self._sensors.set_params(settings.sensors)
+        self.commander.params = settings.commander
+        self.monitor.set_params(settings)  # of the geofence, too, by which the pilot looks at the mission
+        self.pilot.set_params(settings)
+
+    def troubles(self) -> dict[str, int]:
+        """Counts of what went wrong so far and was coped with."""
+        counts = {"offboard_rejected": self.offboard.rejected}
+        if self.app is not None:
+            counts |= self.app.troubles()
+        return counts
+
+    # ---- parts of a step, in their order
+
+    def _sense(self, sim_messages: Sequence[Message], now_us: int) -> None:
+        """Bring estimate and sensors up to now."""
+        flight, sensors = self.flight, self._sensors
+        flight.now_us = now_us
+        if sensors.take(sim_messages, now_us):
+            flight.gps, flight.gps_us = sensors.gps, sensors.gps_us
+            self.messaging.on_new_fix()
+        flight.sensor, flight.baro = sensors.sensor, sensors.baro
+        flight.state = self.estimator.live
+
+    def _look_around(self) -> None:
+        """Find out what the commander goes by: contact with the ground, what holds and what is wrong."""
+        flight, pilot = self.flight, self.pilot
+        if flight.state.position_valid:
+            flight.origin_known = True
+        was_landed = pilot.landed
+        pilot.feel()
+        if pilot.landed is not was_landed:
+            if was_landed:
+                flight.took_off_us = flight.now_us
+            else:
+                flight.landed_us = flight.now_us
+                self.estimator.on_landed()
+        if self.estimator.numerical_failure and not self.commander.armed:
+            self.estimator.restart()
+        self.monitor.update(flight, has_mission=pilot.mission_valid)
+
+    def _is_wanted(self, link_messages: Sequence[Addressed]) -> bool:
+        """Whether a link wants something of this vehicle: what is for others must not change its timing."""
+        return any(
+            is_addressed_to(message, system=self._system, component=component)
+            for _, message in link_messages
+            for component in (AUTOPILOT_COMPONENT, APPLICATION_COMPONENT)
+        )
+
+    def _take_in(self, link_messages: Sequence[Addressed], now_us: int) -> list[Addressed]:
+        """Take what conditions depend on, wherever it stands among the messages; returns the others."""
+        to_answer = []
+        for received in link_messages:
+            self.monitor.on_message(received.message, now_us)
+            if received.message.get_msgId() in self._before_conditions:
+                self._on_link_message(received, now_us)
+            else:
+                to_answer.append(received)
+        return to_answer
+
+    def _decide(self) -> None:
+        """Have the commander look at conditions and causes, and tell what it does of itself."""
+        for notice in self.commander.update(
+            self.flight.now_us,
+            conditions=self.flight.conditions,
+            causes=self.flight.causes,
+            landed=self.pilot.landed,
+            next_mode=self.pilot.next_mode,
+        ):
+            self.messaging.post(reply(ALL, status_text(notice.severity, notice.text)))
+
+    def _on_link_message(self, received: Addressed, now_us: int) -> None:
+        partner, message = received
+        messaging, system = self.messaging, self._system
+        if is_addressed_to(message, system=system, component=AUTOPILOT_COMPONENT):
+            messaging.on_message(message, now_us, partner)
+        elif self.app is not None and is_addressed_to(
+            message, system=system, component=APPLICATION_COMPONENT
+        ):
+            answers = self.app.on_request(message)  # what its autopilot tells it comes another way
+            for answer in answers:
+                stamp(answer, system=system, component=APPLICATION_COMPONENT)
+            messaging.post(reply(partner, *answers))
+        else:
+            messaging.not_addressed[partner.link] += 1
+
+    def _run_app(self, simulator: list[Message], now_us: int) -> tuple[TxItem, ...]:
+        """Give the application its telemetry, and carry out what it asks for."""
+        app = self.app
+        if app is None:
+            return ()
+        self._loop_us = _next(now_us, self._loop_period_us)
+        self.messaging.stream_to_application(now_us)
+        output = app.on_timer(now_us)
+        if output is NOTHING:
+            return ()
+        for message in output.mavlink:
+            if isinstance(message, PositionTarget):
+                self.offboard.on_message(message, now_us, APPLICATION_PARTNER)
+                continue
+            stamp(message, system=self._system, component=APPLICATION_COMPONENT)
+            kind = message.get_msgId()
+            if kind in _TO_GROUND_TOO:
+                simulator.append(message)
+                self.messaging.post(reply(_GROUND, message))
+            elif kind == common.MAVLINK_MSG_ID_STATUSTEXT:
+                self.messaging.post(reply(_GROUND, message))
+            else:
+                self.messaging.on_message(message, now_us, APPLICATION_PARTNER)
+                if kind in COMMANDS:
+                    self._decide_us = now_us  # what it has changed is seen with the next sample
+        return output.radio
+
+    def _pass_truth_on(self, sim_messages: Sequence[Message], now_us: int) -> None:
+        """Tell the application where the vehicle is: what no aircraft knows, and estimates are held to."""
+        for message in sim_messages:
+            if message.get_msgId() == _HIL_STATE_QUATERNION:
+                self.flight.truth = message
+                if self.app is not None:
+                    self.app.on_mavlink(message, now_us)
+
+    def _announce(self, simulator: list[Message], now_us: int) -> None:
+        """Heartbeat to simulator and application: each second, and at once when what it says changes."""
+        present = (self.commander.mode, self.commander.armed, self.commander.failsafe)
+        if present != self._announced or now_us >= self._announce_us:
+            if self.commander.armed and (self._announced is None or not self._announced[1]):
+                self.flight.armed_us = now_us
+                self.flight.flights += 1
+            self._announced = present
+            self._announce_us = _next(now_us, _HEARTBEAT_PERIOD_US)
+            message = heartbeat(self.commander, self.flight.conditions)
+            simulator.append(message)
+            if self.app is not None:
+                self.app.on_mavlink(message, now_us)
+
+    # ---- pieces
+
+    def _actuators(self, now_us: int) -> HilActuatorControls:
+        mode = _MODE_ARMED if self.commander.armed else _MODE_DISARMED
+        return HilActuatorControls(now_us, self.pilot.controls, mode, _LOCKSTEP_FLAG)
+
+
+def _next(now_us: int, period_us: int) -> int:
+    """First multiple of a period that is later than now."""
+    return now_us - now_us % period_us + period_us
+
+
+def _greeting() -> Message:
+    """Give what PX4 sends a simulator on connecting, besides the heartbeat."""
+    truth = float(common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION)
+    return common.MAVLink_command_long_message(
+        0, 0, common.MAV_CMD_SET_MESSAGE_INTERVAL, 0, truth, _TRUTH_INTERVAL_US, 0.0, 0.0, 0.0, 0.0, 0.0
+    )
