@@ -3,11 +3,11 @@
 import os
 import sys
 
-from harness import kernel_cache
+from harness.launch import kernel_cache
 
 os.environ.update(kernel_cache.environment())  # read when numba is imported, which is later
 
-from harness.campaign.cli import main
+from harness.cli.campaign import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,16 +1,16 @@
 """Any instant of a run as a NEC deck: ``python scripts/export_deck.py RUN --time 60 --out array.nec``.
 
-See `harness.deck_export`.
+See `harness.cli.export_deck`.
 """
 
 import os
 import sys
 
-from harness import kernel_cache
+from harness.launch import kernel_cache
 
 os.environ.update(kernel_cache.environment())  # read when numba is imported, which is next
 
-from harness.deck_export import main
+from harness.cli.export_deck import main
 
 if __name__ == "__main__":
     sys.exit(main())

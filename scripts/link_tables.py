@@ -2,7 +2,7 @@
 
 import os
 
-from harness import kernel_cache
+from harness.launch import kernel_cache
 
 os.environ.update(kernel_cache.environment())  # read when numba is imported, which is next
 

@@ -2,11 +2,11 @@
 
 import os
 
-from harness import kernel_cache
+from harness.launch import kernel_cache
 
 os.environ.update(kernel_cache.environment())  # read when numba is imported, which is next
 
-from harness.article.cli import article_app
+from studies.article.cli import article_app
 
 if __name__ == "__main__":
     article_app()

@@ -1,4 +1,4 @@
-"""How right the antenna is: ``python scripts/validate_antenna.py``. See `harness.validation.antenna`."""
+"""How right the antenna is: ``python scripts/validate_antenna.py``. See `studies.antenna`."""
 
 import os
 
@@ -6,7 +6,7 @@ from foundation.kernels import cache_folder
 
 os.environ.update(cache_folder.environment())  # read when numba is imported, which is next
 
-from harness.validation.antenna.cli import validate_antenna_app
+from studies.antenna.cli import validate_antenna_app
 
 if __name__ == "__main__":
     validate_antenna_app()

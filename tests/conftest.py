@@ -2,6 +2,6 @@
 
 import os
 
-from harness import kernel_cache
+from harness.launch import kernel_cache
 
 os.environ.update(kernel_cache.environment())  # read when numba is imported, which is later

@@ -114,7 +114,7 @@ class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     px4_command: Annotated[tuple[str, ...], Meta(min_length=1)] = (
         "{build}/bin/px4", "-i", "{i}", "-d", "{build}/etc", "-w", "{work}",
     )  # fmt: skip
-    """What starts one; see `harness.px4_seat` for what stands in braces."""
+    """What starts one; see `harness.launch.px4` for what stands in braces."""
     px4_env: dict[str, str] = field(default_factory=lambda: {"PX4_SIM_MODEL": "none_iris"})
     """Its environment besides what the launcher has; the same may stand in braces."""
     px4_rc: bool = False

@@ -7,7 +7,7 @@ every checkout too, for Numba finds a kernel by its file's path. All processes o
 
 It stands in the lowest package, and needs nothing but the standard library, so that a process of any package
 can set the folder before it imports Numba, which reads it then and once. That the folder is filled before a
-swarm flies, and the old ones go, is `harness.kernel_cache`'s.
+swarm flies, and the old ones go, is `harness.launch.kernel_cache`'s.
 """
 
 import contextlib
@@ -19,7 +19,7 @@ import sys
 from functools import cache
 from pathlib import Path
 
-PACKAGES = ("foundation", "antenna", "netsim", "autopilot", "harness")
+PACKAGES = ("foundation", "antenna", "netsim", "autopilot", "harness", "studies")
 VARIABLE = "NUMBA_CACHE_DIR"
 _IMPORT = re.compile(rf"^\s*from ((?:{'|'.join(PACKAGES)})(?:\.\w+)*) import\b", re.MULTILINE)
 

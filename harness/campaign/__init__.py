@@ -1,6 +1,6 @@
 """Campaigns: a scenario's changes, each flown with many seeds, and one table of what came out.
 
-`run` is what programs call; `harness.campaign.cli` is the command line.
+`run` is what programs call; `harness.cli.campaign` is the command line.
 """
 
 from harness.campaign.definition import Campaign, Case, load

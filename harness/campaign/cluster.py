@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from harness import kernel_cache
 from harness.campaign.store import CampaignError
+from harness.launch import kernel_cache
 
 LOOPBACK = "127.0.0.1"
 CONNECT_LIMIT_S = 20.0

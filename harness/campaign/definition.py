@@ -31,9 +31,9 @@ from msgspec.structs import force_setattr, replace
 
 from harness.campaign.store import CampaignError
 from harness.campaign.values import flat, plain, spread, toml_text
-from harness.refusals import explain
-from harness.scenario import Scenario, ScenarioError
-from harness.scenario import load as load_scenario
+from harness.scenario.scenario import Scenario, ScenarioError
+from harness.scenario.scenario import load as load_scenario
+from harness.scenario.validation_errors import explain
 
 SEED_PATH = "run.seed"
 MOST_RUNS = 1_000_000

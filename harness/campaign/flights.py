@@ -6,13 +6,13 @@ from pathlib import Path
 
 from antenna.solvers.interface import BackendUnavailable
 from antenna.solvers.selection import make_backend
-from harness import kernel_cache
 from harness.campaign.series import read_series
 from harness.campaign.store import Flown
-from harness.campaign.worker import Task, failed
-from harness.one_process import fly, use_kernel_cache
-from harness.processes import SetupError
-from harness.run_folder import RunFolder
+from harness.campaign.task import Task, failed
+from harness.launch import kernel_cache
+from harness.launch.one_process import fly, use_kernel_cache
+from harness.launch.processes import SetupError
+from harness.records.run_folder import RunFolder
 
 OF_THE_MACHINE = (OSError, MemoryError, SetupError, BackendUnavailable, kernel_cache.CompileError)
 """Trouble that the same run may not have elsewhere, or later: a full disk, a solver that is not there"""

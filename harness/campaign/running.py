@@ -21,7 +21,8 @@ from harness.campaign.cluster import check_address, connected
 from harness.campaign.definition import Campaign, Run, expand
 from harness.campaign.store import FAILED, ClusterError, Flown, Store
 from harness.campaign.table import Table, write_table
-from harness.campaign.worker import Task, failed, fly_on_worker, sources_bytes, sources_state
+from harness.campaign.task import Task, failed
+from harness.campaign.worker import fly_on_worker, sources_bytes, sources_state
 
 DIED = "its process died"
 GONE = "the scheduler has gone; the same campaign goes on from here"

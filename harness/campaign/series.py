@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from harness.run_folder import RunFolder
+from harness.records.run_folder import RunFolder
 
 
 class NoSeries(RuntimeError):

@@ -8,18 +8,14 @@ import hashlib
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
-from harness.versions import FLOWN_WITH, versions
+from harness.records.versions import FLOWN_WITH, versions
 
 ROOT = Path(__file__).parents[2]
 _FLOWN_PACKAGES = ("foundation", "antenna", "netsim", "autopilot", "harness")
-_AFTERWARDS = ("validation", "codesign", "campaign", "article")
-"""Parts of the harness that fly nothing themselves, but for modules that make a flight's numbers"""
-_LABORATORIES = ("antenna/lab/", "netsim/lab/")
-_SHOWN = {
-    "antenna/analysis/plots.py", "harness/cli.py", "harness/deck_export.py", "harness/figures.py",
-    "harness/progress.py", "harness/pytest_plugin.py",
-}  # fmt: skip
-"""Modules that draw what has been flown, or tell of it"""
+_NOT_FLOWN = ("antenna/lab/", "netsim/lab/", "harness/campaign/", "harness/cli/")
+"""Folders that fly nothing, except for modules that compute a flight's numbers."""
+_SHOWN = {"antenna/analysis/plots.py", "harness/report/figures.py", "harness/launch/pytest_plugin.py"}
+"""Modules that draw or report what was flown."""
 
 
 def hash_sources(root: Path, *, measured_by: Collection[str]) -> str:
@@ -30,18 +26,16 @@ def hash_sources(root: Path, *, measured_by: Collection[str]) -> str:
 def read_sources(root: Path, *, measured_by: Collection[str]) -> dict[str, bytes]:
     """Read the modules that fly and measure, by their paths below ``root``, in order.
 
-    ``measured_by``: modules of the parts that fly nothing which belong to them all the same, as paths below
-    ``root/harness``. Raises OSError.
+    ``measured_by``: further modules, of folders that fly nothing, as paths below ``root``. Raises OSError.
     """
     sources = {}
     for package in _FLOWN_PACKAGES:
         for path in sorted((root / package).rglob("*.py")):
             name = path.relative_to(root).as_posix()
-            if name in _SHOWN or name.startswith(_LABORATORIES):
-                continue
-            part = name.removeprefix("harness/")
-            if part.partition("/")[0] not in _AFTERWARDS or part in measured_by:
+            if name not in _SHOWN and not name.startswith(_NOT_FLOWN):
                 sources[name] = path.read_bytes()
+    for name in sorted(measured_by):
+        sources[name] = (root / name).read_bytes()
     return sources
 
 

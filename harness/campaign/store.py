@@ -47,7 +47,7 @@ class Flown(Struct, frozen=True, kw_only=True):
     reason: str | None = None
     """One line, of all but those that are completed"""
     summary: dict[str, Any] = {}
-    """As `harness.report.finish` has it; empty for one that failed"""
+    """As `harness.report.report.finish` has it; empty for one that failed"""
     settings: tuple[str, ...] = ()
     """Overrides of the campaign's scenario, with which it can be flown once more"""
     series: dict[str, Kept] = {}

@@ -109,7 +109,7 @@ def plain(path: str, value: object) -> Any:  # noqa: ANN401  whatever a file cou
 
 
 def toml_text(value: object) -> str:
-    """Write a `plain` value as TOML has it, for `harness.scenario.load`; dates and times as ISO 8601."""
+    """Return a `plain` value as TOML text for `scenario.load`; dates and times as ISO 8601."""
     match value:
         case bool():
             return "true" if value else "false"

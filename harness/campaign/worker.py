@@ -8,32 +8,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from msgspec import Struct
-
 from harness.campaign.sources import ROOT, hash_bytes, hash_said, read_sources
-from harness.campaign.store import FAILED, ClusterError, Flown
-from harness.scenario import Scenario
+from harness.campaign.store import ClusterError, Flown
+from harness.campaign.task import Task
 
 _STDOUT, _STDERR = 1, 2
-_MEASURED_BY = ("campaign/flights.py", "campaign/series.py")
-
-
-class Task(Struct, frozen=True, kw_only=True):
-    """A run to be flown, as a worker is told."""
-
-    digest: str
-    state: str
-    """Of the sources that shall fly it, ..."""
-    state_bytes: str
-    """... and of their bytes, for a worker that has the very same files"""
-    scenario: Scenario
-    settings: tuple[str, ...]
-    keep: tuple[str, ...]
-
-
-def failed(task: Task, reason: str) -> Flown:
-    """Make what is written down of a run without numbers."""
-    return Flown(digest=task.digest, status=FAILED, reason=reason, settings=task.settings)
+_MEASURED_BY = ("harness/campaign/flights.py", "harness/campaign/series.py")
 
 
 @cache

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from swarms import Held
 
-from harness import kernel_cache
+from harness.launch import kernel_cache
 
 PACKAGES = {"mavsdk": "mavsdk", "MAVProxy": "MAVProxy", "serial": "pyserial"}
 REQUIRED = os.environ.get("COFLIGHT_CLIENTS") == "required"

@@ -13,8 +13,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from harness.resources import PortError, bind
-from harness.scenario import PortsConfig
+from harness.launch.resources import PortError, bind
+from harness.scenario.scenario import PortsConfig
 
 ROOT = Path(__file__).parents[2]
 AGENTS = 3

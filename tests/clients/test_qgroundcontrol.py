@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink import dialect
 from foundation.geometry.geodesy import ned_to_geodetic
-from harness.swarm import Swarm
+from harness.launch.swarm import Swarm
 
 pytestmark = [pytest.mark.clients, pytest.mark.timeout(200)]
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from harness import kernel_cache
+from harness.launch import kernel_cache
 
 
 @pytest.fixture(scope="session", autouse=True)

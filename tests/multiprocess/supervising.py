@@ -10,14 +10,14 @@ from pathlib import Path
 
 import psutil
 
-from harness.supervisor import Supervisor
+from harness.launch.supervisor import Supervisor
 
 WALL_LIMIT_S = 20.0
 """Far beyond what any of these waits takes on a busy machine."""
 _LAUNCHER = """
 import sys
 from pathlib import Path
-from harness.supervisor import Supervisor
+from harness.launch.supervisor import Supervisor
 from netsim.child import Ready
 supervisor = Supervisor(Path(sys.argv[1]))
 {start}

@@ -18,7 +18,7 @@ from typing import Any
 
 from foundation.processes.child_protocol import Finished, Ready, Stop, commands, emit, end_with_parent
 from foundation.processes.prefork import serve
-from harness.messages import (
+from harness.simulator.messages import (
     AnyCommand,
     Formed,
     Paused,
@@ -167,7 +167,7 @@ def main(command_line: Sequence[str]) -> int:
     arguments = parser.parse_args(command_line)
     settings = json.loads(arguments.config.read_bytes()) if arguments.config else {}
     match arguments.module:
-        case "harness.physics_server":
+        case "harness.simulator.server":
             physics(settings, [socket.socket(fileno=int(fd)) for fd in arguments.listen_fds.split(",")])
         case "netsim":
             radio(settings)

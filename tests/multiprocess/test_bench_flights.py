@@ -11,7 +11,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from harness.profiling import VEHICLES
+from harness.launch.profiling import VEHICLES
 
 pytestmark = pytest.mark.multiprocess
 BENCH = Path(__file__).parents[2] / "scripts" / "bench.py"

@@ -18,7 +18,7 @@ from distributed import LocalCluster
 from harness.campaign import Campaign, ClusterError, flights, running, worker
 from harness.campaign import run as fly_campaign
 from harness.campaign.store import FAILED, Flown
-from harness.processes import SwarmError
+from harness.launch.processes import SwarmError
 
 pytestmark = pytest.mark.multiprocess
 
@@ -112,7 +112,7 @@ def fly_or_die(task):
 
 
 def out_of_room(_scenario, _folder):
-    """As `harness.one_process.fly` does it: an error whose context leads back to it."""
+    """As `harness.launch.one_process.fly` does it: an error whose context leads back to it."""
     full = OSError(errno.ENOSPC, "No space left on device")
     full.__context__ = SwarmError("of the test")
     full.__context__.__cause__ = full

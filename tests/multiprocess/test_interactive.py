@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common
 
-from harness.messages import Progress
-from harness.physics_server import MOST_LAG_S
-from harness.swarm import Swarm
+from harness.launch.swarm import Swarm
+from harness.simulator.messages import Progress
+from harness.simulator.server import MOST_LAG_S
 
 pytestmark = pytest.mark.multiprocess
 

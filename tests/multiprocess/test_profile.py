@@ -4,8 +4,8 @@ import pytest
 
 from autopilot.process import profile_groups as vehicle_parts
 from foundation.profiling.profiler import REST, THREADS
-from harness import parts as physics_parts
-from harness.swarm import Swarm
+from harness.launch.swarm import Swarm
+from harness.simulator import profile_groups as physics_parts
 from netsim.transport import profile_groups as radio_parts
 
 pytestmark = pytest.mark.multiprocess

@@ -11,10 +11,10 @@ from pathlib import Path
 import psutil
 import pytest
 
-from harness.messages import VehicleLost
-from harness.one_process import OneProcessSwarm
-from harness.processes import HANGAR, application, uav
-from harness.swarm import SetupError, Swarm, SwarmError
+from harness.launch.one_process import OneProcessSwarm
+from harness.launch.processes import HANGAR, application, uav
+from harness.launch.swarm import SetupError, Swarm, SwarmError
+from harness.simulator.messages import VehicleLost
 
 pytestmark = pytest.mark.multiprocess
 
@@ -237,7 +237,14 @@ def test_px4s_end_when_their_launcher_is_killed(tmp_path):
         "folder": str(tmp_path),
     }  # fmt: skip
     (tmp_path / "kept.json").write_text(json.dumps(config), encoding="ascii")
-    command = [sys.executable, "-P", "-m", "harness.keeper", "--config", str(tmp_path / "kept.json")]
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        "harness.launch.external_process",
+        "--config",
+        str(tmp_path / "kept.json"),
+    ]
     for way in ("stdin", "kill", "stop"):
         pids.unlink(missing_ok=True)
         with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT) as keeper:

@@ -14,10 +14,10 @@ import pytest
 from supervising import WALL_LIMIT_S, hear, launcher_and_children, python, wait_for
 
 from foundation.processes.child_protocol import Finished, Ready
-from harness.interrupts import interruptible, interrupts_deferred
-from harness.messages import SetPid
-from harness.resources import PortError, bind
-from harness.supervisor import MARK, Exited, Supervisor, SupervisorError, ending
+from harness.launch.interrupts import interruptible, interrupts_deferred
+from harness.launch.resources import PortError, bind
+from harness.launch.supervisor import MARK, Exited, Supervisor, SupervisorError, ending
+from harness.simulator.messages import SetPid
 
 pytestmark = pytest.mark.multiprocess
 

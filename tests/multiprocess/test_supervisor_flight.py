@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from harness.messages import VehicleLost
-from harness.supervisor import Exited
-from harness.swarm import Swarm
+from harness.launch.supervisor import Exited
+from harness.launch.swarm import Swarm
+from harness.simulator.messages import VehicleLost
 
 pytestmark = pytest.mark.multiprocess
 

@@ -12,8 +12,8 @@ import pytest
 from supervising import WALL_LIMIT_S, alive, hear, launcher_and_children, python, wait_for
 
 from foundation.processes.child_protocol import Finished, Ready
-from harness.messages import SetPid
-from harness.supervisor import Exited, Supervisor, SupervisorError
+from harness.launch.supervisor import Exited, Supervisor, SupervisorError
+from harness.simulator.messages import SetPid
 
 pytestmark = pytest.mark.multiprocess
 

@@ -8,9 +8,9 @@ import pytest
 from supervising import hear, python
 
 from foundation.processes.child_protocol import Ready
-from harness import kernel_cache
-from harness.processes import HANGAR, python_module
-from harness.supervisor import Exited, Supervisor
+from harness.launch import kernel_cache
+from harness.launch.processes import HANGAR, python_module
+from harness.launch.supervisor import Exited, Supervisor
 
 pytestmark = pytest.mark.multiprocess
 

@@ -27,8 +27,8 @@ SUMMARY = """{
 }"""
 LAUNCHER = f"""
 import sys, types
-import harness.processes
-from harness.cli import main
+import harness.launch.processes
+from harness.cli.fly import main
 
 def python_module(module, *arguments):
     return [sys.executable, {str(Path(__file__).with_name("supervisor_stand_ins.py"))!r}, module, *arguments]
@@ -36,11 +36,11 @@ def python_module(module, *arguments):
 def finish(folder, scenario, outcome, *, draw=True):
     return {SUMMARY}
 
-harness.processes.python_module = python_module
+harness.launch.processes.python_module = python_module
 # the analysis needs records of a real flight, and seconds to import
 record = types.SimpleNamespace
 report = types.SimpleNamespace(finish=finish, Outcome=record, ProcessRecord=record)
-sys.modules["harness.report"] = harness.report = report
+sys.modules["harness.report.report"] = report
 sys.exit(main())
 """
 

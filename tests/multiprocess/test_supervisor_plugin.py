@@ -12,7 +12,7 @@ pytestmark = pytest.mark.multiprocess
 CONFTEST = f"""
 import sys
 import pytest
-import harness.processes
+import harness.launch.processes
 
 @pytest.fixture(autouse=True)
 def stand_ins(monkeypatch):
@@ -95,7 +95,7 @@ def test_process_that_is_left_fails_the_test(tmp_path: Path) -> None:
         tmp_path,
         """
         import socket
-        from harness.resources import bind
+        from harness.launch.resources import bind
 
         def test_untidy(swarm, monkeypatch):
             flight = swarm("small.toml")

@@ -14,13 +14,13 @@ import psutil
 import pytest
 from supervisor_stand_ins import FAILS_AT_LAST_M, FORMED_US, SEED_RADIO_DIES, STEP_US
 
-import harness.processes
-from harness.autopilot_settings import AutopilotConfig
-from harness.messages import Formed, VehicleLost
-from harness.resources import bind
-from harness.scenario import PortsConfig, RunConfig, Scenario
-from harness.supervisor import Exited
-from harness.swarm import SetupError, Swarm, SwarmError, SwarmTimeoutError
+import harness.launch.processes
+from harness.launch.resources import bind
+from harness.launch.supervisor import Exited
+from harness.launch.swarm import SetupError, Swarm, SwarmError, SwarmTimeoutError
+from harness.scenario.autopilot_settings import AutopilotConfig
+from harness.scenario.scenario import PortsConfig, RunConfig, Scenario
+from harness.simulator.messages import Formed, VehicleLost
 
 pytestmark = pytest.mark.multiprocess
 

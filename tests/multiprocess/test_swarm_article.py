@@ -11,9 +11,9 @@ import psutil
 import pyarrow.parquet as pq
 import pytest
 
-from harness import kernel_cache
-from harness.messages import Collision, Formed, VehicleLost
-from harness.swarm import Swarm
+from harness.launch import kernel_cache
+from harness.launch.swarm import Swarm
+from harness.simulator.messages import Collision, Formed, VehicleLost
 
 pytestmark = pytest.mark.multiprocess
 

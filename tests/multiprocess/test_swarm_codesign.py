@@ -9,9 +9,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from harness.faults import RadioAttenuation, RangingBias
-from harness.messages import FormationMoves
-from harness.one_process import OneProcessSwarm
+from harness.launch.one_process import OneProcessSwarm
+from harness.simulator.messages import FormationMoves
+from harness.world.faults import RadioAttenuation, RangingBias
 
 pytestmark = pytest.mark.multiprocess
 

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from harness.faults import MotorLoss
-from harness.one_process import OneProcessSwarm
-from harness.report import LOGS
-from harness.swarm import Swarm
+from harness.launch.one_process import OneProcessSwarm
+from harness.launch.swarm import Swarm
+from harness.report.report import LOGS
+from harness.world.faults import MotorLoss
 
 pytestmark = pytest.mark.multiprocess
 

@@ -16,10 +16,10 @@ import pyarrow.parquet as pq
 import pytest
 from pymavlink import mavutil  # noqa: TID251  the client that the tests are about
 
-from harness.messages import VehicleLost, VehicleSilent
-from harness.resources import PortError, bind
-from harness.scenario import load
-from harness.swarm import SwarmError, SwarmTimeoutError
+from harness.launch.resources import PortError, bind
+from harness.launch.swarm import SwarmError, SwarmTimeoutError
+from harness.scenario.scenario import load
+from harness.simulator.messages import VehicleLost, VehicleSilent
 
 pytestmark = pytest.mark.multiprocess
 

@@ -11,7 +11,7 @@ pytestmark = pytest.mark.multiprocess
 ARTICLE = Path(__file__).parents[2] / "scenarios" / "article.toml"
 FLY = """
 import sys
-from harness.one_process import OneProcessSwarm
+from harness.launch.one_process import OneProcessSwarm
 with OneProcessSwarm(sys.argv[1], agents=3, seed=5, out=sys.argv[2]) as swarm:
     swarm.run(until_s=16.0)  # up in the wind, in offboard, with beacons and distances, joining the formation
 assert {vehicle.armed for vehicle in swarm.truth.vehicles} == {True}

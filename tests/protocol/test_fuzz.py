@@ -17,8 +17,8 @@ from autopilot.mavlink.codec import Encoder, Parser
 from autopilot.mavlink.counters import Counters
 from autopilot.mavlink.hil import HilActuatorControls, HilParser, HilSensor
 from autopilot.services.service import COMPANION, GROUND_STATION, Addressed, Partner, is_addressed_to, reply
-from harness.lockstep import Voice
-from harness.validation.solo import STEP_US, Solo
+from harness.simulator.lockstep import Voice
+from studies.vehicle.solo import STEP_US, Solo
 
 BYTES_A_STEP = 16_000
 """Of each link."""

@@ -8,7 +8,7 @@ from autopilot.mavlink.codec import frame_bytes
 from autopilot.parameters.config import LinksConfig, OnboardConfig, VehicleConfig
 from autopilot.services.service import COMPANION, EVERYBODY, GROUND_STATION, Addressed, Partner
 from autopilot.services.shaper import BURST_US, MAX_WAITING, TRANSFER_SHARE, Shaper, Shapers
-from harness.validation.solo import STEP_US, Solo
+from studies.vehicle.solo import STEP_US, Solo
 
 BUDGET = 5_000
 ALL_HERE = Partner(GROUND_STATION)

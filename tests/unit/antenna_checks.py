@@ -1,7 +1,7 @@
 """What the tests of the antenna's validation share."""
 
-from harness.validation.antenna.plan import AntennaPlan
-from harness.validation.report import Section
+from studies.antenna.plan import AntennaPlan
+from studies.common.report import Section
 
 PLAN = AntennaPlan(
     formations=4, other_formations=2, witness_formations=1, samples=40, curve_samples=4, benchmark_s=0.0

@@ -6,7 +6,7 @@ import numpy as np
 
 from autopilot.control import ControlParams, FlightController
 from foundation.types import Array, AttitudeSetpoint, TrajectorySetpoint
-from harness.validation.rigid_body import DT_S, Iris, estimate
+from studies.vehicle.rigid_body import DT_S, Iris, estimate
 
 __all__ = ["DT_S", "Gusts", "Iris", "estimate", "fly", "hover_errors"]
 

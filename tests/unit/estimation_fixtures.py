@@ -1,11 +1,11 @@
-"""The estimator's tests fly on paper: see `harness.validation.sensor_flights`."""
+"""The estimator's tests fly on paper: see `studies.vehicle.sensor_flights`."""
 
 import numpy as np
 
 from autopilot.estimation.params import EstimatorParams
 from foundation.types import Array
-from harness.validation.estimation import MATCHED_PARAMS
-from harness.validation.sensor_flights import (
+from studies.vehicle.estimation import MATCHED_PARAMS
+from studies.vehicle.sensor_flights import (
     FIELD_NED_GAUSS,
     SITE,
     STEP_S,

@@ -6,10 +6,10 @@ import numpy as np
 from autopilot.parameters.config import Site
 from foundation.geometry.geodesy import geodetic_to_ned
 from foundation.geometry.rotations import quat_from_rotation_vector
-from harness.faults import AnyFault, Faults
-from harness.physics.truth import Truth
-from harness.sensors.config import SensorsConfig
-from harness.sensors.suite import SensorSuite
+from harness.world.faults import AnyFault, Faults
+from harness.world.physics.truth import Truth
+from harness.world.sensors.config import SensorsConfig
+from harness.world.sensors.suite import SensorSuite
 
 STEP_US = 4_000
 SITE = Site()

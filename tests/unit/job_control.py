@@ -17,7 +17,7 @@ LIMIT_S = 20.0
 LFLAG = 3
 JOB = """
 import os, sys
-from harness.keyboard import Keyboard
+from harness.cli.keyboard import Keyboard
 out, orders = map(int, sys.argv[1:])
 with Keyboard(lambda key: os.write(out, key.encode())):
     os.write(out, b"listening ")

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from harness.air import LONGEST_REST_US, Air, RadioSilent
+from harness.simulator.emulator_client import LONGEST_REST_US, Air, RadioSilent
 from netsim.wire.lockstep import LEAD_US, Advanced, unpack_rows
 
 STEP_US = 4_000

@@ -11,7 +11,8 @@ from antenna.model.config import AntennaConfig
 from antenna.model.geometry import ElementsTouch, grid
 from autopilot.onboard.formation.formation_plan import FormationPlan
 from autopilot.parameters.config import RacetrackMotion
-from harness.analysis import (
+from harness.records.flight import Flight
+from harness.report.analysis import (
     NoFeed,
     antenna_from_ned,
     antenna_snapshot,
@@ -20,7 +21,6 @@ from harness.analysis import (
     ideal_pattern,
     snapshot_at,
 )
-from harness.flight import Flight
 
 CONFIG = AntennaConfig(grid_deg=15.0)
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])

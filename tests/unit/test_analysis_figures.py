@@ -7,9 +7,9 @@ from matplotlib.image import imread
 from antenna.model.geometry import grid
 from autopilot.onboard.formation.formation_plan import FormationPlan
 from autopilot.parameters.config import RacetrackMotion
-from harness import figures
-from harness.flight import Flight
-from harness.formation_error import formation_error
+from harness.records.flight import Flight
+from harness.report import figures
+from harness.report.formation_error import formation_error
 
 
 def _flight(vehicles=8, instants=40):

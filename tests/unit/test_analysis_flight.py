@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from harness.flight import Flight
+from harness.records.flight import Flight
 
 
 def _arrays(instants=10, vehicles=3):

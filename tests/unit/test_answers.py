@@ -10,9 +10,9 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot.mavlink.codec import Encoder
 from autopilot.mavlink.hil import HilActuatorControls, pack
-from harness.answers import ANSWER_BYTES, Answers
-from harness.lockstep import Lockstep
-from harness.patience import Patience
+from harness.simulator.actuator_inbox import ANSWER_BYTES, Answers
+from harness.simulator.lockstep import Lockstep
+from harness.simulator.response_watchdog import Patience
 from netsim.wire.lockstep import BATCH_HANDED_OVER
 
 NOW_US = 4_000

@@ -7,8 +7,8 @@ import pytest
 from antenna_checks import PLAN, missed
 from msgspec.structs import replace
 
-from harness.validation.antenna import agreement, limits, near, power
-from harness.validation.antenna.checks import worst
+from studies.antenna import agreement, limits, near, power
+from studies.antenna.checks import worst
 
 LAMBDA_M = 10.0
 needs_nec2 = pytest.mark.nec2

@@ -14,17 +14,17 @@ from antenna.analysis.patterns import Pattern
 from antenna.model.config import AntennaConfig
 from antenna.model.geometry import ElementsTouch, grid
 from antenna.solvers.interface import BackendUnavailable
-from harness.validation.antenna import agreement, checks, cli, ideal, limits, sensitivity, speed
-from harness.validation.antenna.checks import worst
-from harness.validation.antenna.closed_form import (
+from studies.antenna import agreement, checks, cli, ideal, limits, sensitivity, speed
+from studies.antenna.checks import worst
+from studies.antenna.closed_form import (
     directivity_dbi,
     hertzian_coupling,
     isotropic_coupling,
     policy_voltages,
 )
-from harness.validation.antenna.plan import QUICK_ANTENNA, AntennaPlan
-from harness.validation.report import Check, Section, Table
-from harness.validation.runner import Subject
+from studies.antenna.plan import QUICK_ANTENNA, AntennaPlan
+from studies.common.report import Check, Section, Table
+from studies.common.runner import Subject
 
 LAMBDA_M = 10.0
 needs_nec2 = pytest.mark.nec2
@@ -330,7 +330,7 @@ def test_every_subject_has_jobs_for_other_processes_and_a_quick_plan_has_fewer()
             for plan in (QUICK_ANTENNA, AntennaPlan())
         )
         assert 0 < len(quick) <= len(full)
-        assert all(function.__module__.startswith("harness.validation.antenna") for function, _ in full)
+        assert all(function.__module__.startswith("studies.antenna") for function, _ in full)
 
 
 def test_an_unknown_subject_is_one_line():

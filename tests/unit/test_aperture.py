@@ -13,13 +13,14 @@ import pytest
 
 from antenna.analysis.dataset import read_dataset, settings_of
 from antenna.model.config import AntennaConfig
-from harness import aperture, deck_export
-from harness.deck_export import DeckRefused, deck_at
-from harness.flight import Flight
-from harness.one_process import fly
-from harness.report import LOGS
-from harness.run_folder import RunFolder
-from harness.scenario import load
+from harness.cli import export_deck
+from harness.cli.export_deck import DeckRefused, deck_at
+from harness.launch.one_process import fly
+from harness.records.flight import Flight
+from harness.records.run_folder import RunFolder
+from harness.report import antenna_report
+from harness.report.report import LOGS
+from harness.scenario.scenario import load
 
 ARTICLE = Path(__file__).parents[2] / "scenarios" / "article.toml"
 SMALL = (
@@ -107,7 +108,7 @@ def test_every_run_has_the_deck_of_its_median_instant(run):
 
 def test_a_deck_that_cannot_be_made_is_a_line_and_status_2(run, tmp_path, capsys):
     def refused(*arguments):
-        assert deck_export.main([str(argument) for argument in arguments]) == deck_export.BAD_INPUT
+        assert export_deck.main([str(argument) for argument in arguments]) == export_deck.BAD_INPUT
         line = capsys.readouterr().err
         assert line.count("\n") == 1
         return line
@@ -131,7 +132,7 @@ def test_a_deck_that_cannot_be_made_is_a_line_and_status_2(run, tmp_path, capsys
     manifest["scenario"]["antenna"]["wires"] = 1
     other.manifest.write_text(json.dumps(manifest))
     assert "of another version: scenario.antenna: unknown key `wires`" in refused(tmp_path, "--time", 5)
-    assert deck_export.main([str(run.path), "--time", "5"]) == deck_export.FINE
+    assert export_deck.main([str(run.path), "--time", "5"]) == export_deck.FINE
     assert capsys.readouterr().out == deck_at(run.path, 5.0)
 
 
@@ -183,13 +184,13 @@ def _standing(scenario, instants):
 def test_a_formation_that_is_no_antenna_costs_its_numbers_and_no_more(tmp_path, settings, note):
     """Every instant is missing, and says why; the summary's note says it of the ideal formation."""
     scenario = load(ARTICLE, settings)
-    found = aperture.measure(_standing(scenario, 3), scenario)
-    numbers = aperture.numbers(found)
+    found = antenna_report.measure(_standing(scenario, 3), scenario)
+    numbers = antenna_report.numbers(found)
     assert (numbers["ideal"], numbers["mean"], numbers["patterns"], numbers["missing"]) == (None, None, 0, 3)
     assert numbers["note"].startswith("the ideal formation: ")
     assert note in numbers["note"]
     folder = RunFolder(tmp_path)
-    aperture.write(folder, found, scenario.antenna)
+    antenna_report.write(folder, found, scenario.antenna)
     gains = pq.read_table(folder.gains)
     assert all(note in reason for reason in gains["missing"].to_pylist())
     assert gains["max_gain_dbi"].to_pylist() == gains["pointing_error_deg"].to_pylist() == [None] * 3
@@ -199,20 +200,22 @@ def test_a_formation_that_is_no_antenna_costs_its_numbers_and_no_more(tmp_path, 
 def test_without_the_solver_there_is_a_note_and_no_file(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     scenario = load(ARTICLE, ["antenna.backend=nec2c"])
-    found = aperture.measure(_standing(scenario, 3), scenario)
-    numbers = aperture.numbers(found)
+    found = antenna_report.measure(_standing(scenario, 3), scenario)
+    numbers = antenna_report.numbers(found)
     assert (numbers["ideal"], numbers["backend"], numbers["accuracy"]) == (None, None, None)
     assert "nec2c" in numbers["note"]
-    aperture.write(RunFolder(tmp_path), found, scenario.antenna)
+    antenna_report.write(RunFolder(tmp_path), found, scenario.antenna)
     assert not list(tmp_path.iterdir())
 
 
 def test_a_formation_that_was_not_reached_has_an_ideal_pattern_and_a_table_without_rows(tmp_path):
     scenario = load(ARTICLE)
-    found = aperture.measure(_standing(scenario, 0), scenario)
-    numbers = aperture.numbers(found)
+    found = antenna_report.measure(_standing(scenario, 0), scenario)
+    numbers = antenna_report.numbers(found)
     assert numbers["ideal"] == pytest.approx(13.262, abs=0.001)
     assert numbers["note"] == "the formation was not reached"
-    aperture.write(RunFolder(tmp_path), found, msgspec.structs.replace(AntennaConfig(), keep_patterns=True))
+    antenna_report.write(
+        RunFolder(tmp_path), found, msgspec.structs.replace(AntennaConfig(), keep_patterns=True)
+    )
     assert pq.read_table(tmp_path / "gains.parquet").num_rows == 0
     assert [path.name for path in tmp_path.iterdir()] == ["gains.parquet"]

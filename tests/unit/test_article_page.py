@@ -19,13 +19,16 @@ from typer.testing import CliRunner
 
 from antenna.solvers.nec2c import Nec2cFailed
 from antenna.solvers.parallel import WorkerError, compute_patterns
-from harness import analysis
-from harness.article import cli, page
-from harness.article import kept as kept_module
-from harness.article.draws import WIND_PHIS_DEG, draw, ideal_gains
-from harness.article.evidence import Evidence
-from harness.article.kept import VARIANTS, FigurePatterns, figure_patterns_of, kept_flights, separate
-from harness.article.plan import (
+from harness.campaign import CampaignError
+from harness.campaign.definition import expand
+from harness.records.flight import Flight
+from harness.report import analysis
+from studies.article import cli, page
+from studies.article import retained_flights as kept_module
+from studies.article.campaign_data import CSV_COLUMNS, csv_text, read_cells
+from studies.article.evidence import Evidence
+from studies.article.monte_carlo import WIND_PHIS_DEG, draw, ideal_gains
+from studies.article.plan import (
     ARTICLE,
     CHANGES,
     CROWDED,
@@ -37,12 +40,15 @@ from harness.article.plan import (
     Plan,
     campaigns,
 )
-from harness.article.readings import CSV_COLUMNS, csv_text, read_cells
-from harness.article.statements import STATEMENTS, judge_all
-from harness.campaign import CampaignError
-from harness.campaign.definition import expand
-from harness.flight import Flight
-from harness.validation.report import markdown
+from studies.article.retained_flights import (
+    VARIANTS,
+    FigurePatterns,
+    figure_patterns_of,
+    kept_flights,
+    separate,
+)
+from studies.article.statements import STATEMENTS, judge_all
+from studies.common.report import markdown
 
 SMALL = Plan(seeds=2, duration_s=6.0, wavelengths_m=(5.0, 10.0), winds_n=(0.0, 5.0), draws=20)
 

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from antenna.analysis.patterns import FLOOR_DBI, HALF_POWER_DB, Pattern, directions_deg, from_dbi
-from harness.article.kept import FLOWN, IN_PLACE, UPRIGHT, tilts_rad, variants
-from harness.article.patterns import (
+from harness.records.flight import Flight
+from studies.article.patterns import (
     LEVEL_DBI,
     difference_db,
     in_region,
@@ -21,7 +21,7 @@ from harness.article.patterns import (
     read_pattern,
     solid_angles_sr,
 )
-from harness.flight import Flight
+from studies.article.retained_flights import FLOWN, IN_PLACE, UPRIGHT, tilts_rad, variants
 
 
 def pattern(gain_of, step_deg=1.0):

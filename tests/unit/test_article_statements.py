@@ -9,14 +9,14 @@ from msgspec import structs
 from scipy.special import ndtri
 
 from antenna.analysis.statistics import GainStatistics
-from harness.article import gain_findings
-from harness.article.draws import BACKENDS, SIGMAS_M, Drawn
-from harness.article.evidence import Evidence
-from harness.article.kept import FLOWN, IN_PLACE, UPRIGHT, Separation
-from harness.article.patterns import PatternReading
-from harness.article.plan import ARTICLE, CROWDED, GPS, UNCROWDED
-from harness.article.readings import Cell, OneFlight
-from harness.article.statements import STATEMENTS, Verdict, count, judge, judge_all
+from studies.article import gain_findings
+from studies.article.campaign_data import Cell, OneFlight
+from studies.article.evidence import Evidence
+from studies.article.monte_carlo import BACKENDS, SIGMAS_M, Drawn
+from studies.article.patterns import PatternReading
+from studies.article.plan import ARTICLE, CROWDED, GPS, UNCROWDED
+from studies.article.retained_flights import FLOWN, IN_PLACE, UPRIGHT, Separation
+from studies.article.statements import STATEMENTS, Verdict, count, judge, judge_all
 
 WAVELENGTHS_M, WINDS_N = (5.0, 7.5, 10.0, 15.0, 20.0), (0.0, 2.0, 5.0)
 NORMAL = ndtri((np.arange(400) + 0.5) / 400)

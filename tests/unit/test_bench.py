@@ -11,13 +11,13 @@ from pymavlink.dialects.v20 import common as mavlink
 from typer.testing import CliRunner
 
 from autopilot.mavlink.hil import HilActuatorControls, HilParser, HilSensor
-from harness.bench import bench, floor
-from harness.bench.bench import Bench, Machine, Plan, summarise, to_json
-from harness.bench.cli import FAILED, INTERRUPTED, bench_app
-from harness.bench.flight_job import LAUNCHER, FlightCost, Span
-from harness.bench.floor_job import FloorCost, FloorJob, FloorSpeed
-from harness.bench.tables import markdown, sheets, terminal_table
-from harness.profiling import VEHICLES, KindProfile
+from harness.launch.profiling import VEHICLES, KindProfile
+from studies.bench import bench, floor
+from studies.bench.bench import Bench, Machine, Plan, summarise, to_json
+from studies.bench.cli import FAILED, INTERRUPTED, bench_app
+from studies.bench.flight_job import LAUNCHER, FlightCost, Span
+from studies.bench.floor_job import FloorCost, FloorJob, FloorSpeed
+from studies.bench.tables import markdown, sheets, terminal_table
 
 SENSOR = (4_000, *range(13), 0x1FFF)
 

@@ -11,10 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from harness.campaign import Campaign, CampaignError, Case, cli, load, run
+from harness.campaign import Campaign, CampaignError, Case, load, run
 from harness.campaign.definition import expand
 from harness.campaign.values import MOST_VALUES, flat, spread, toml_text
-from harness.scenario import load as load_scenario
+from harness.cli import campaign as cli
+from harness.scenario.scenario import load as load_scenario
 
 ROOT = Path(__file__).parents[2]
 ARTICLE = ROOT / "scenarios" / "article.toml"

@@ -10,10 +10,10 @@ from msgspec import structs
 from rich.console import Console
 
 from foundation.processes.child_protocol import Ready
-from harness.cli import BAD_INPUT, FINE, main
-from harness.messages import Collision, Formed, Progress, VehicleLost, VehicleSilent, VehicleTruth
-from harness.progress import LineDisplay, LiveDisplay, Pace, describe, fleet, headline, summary_table
-from harness.supervisor import Exited
+from harness.cli.fly import BAD_INPUT, FINE, main
+from harness.cli.progress import LineDisplay, LiveDisplay, Pace, describe, fleet, headline, summary_table
+from harness.launch.supervisor import Exited
+from harness.simulator.messages import Collision, Formed, Progress, VehicleLost, VehicleSilent, VehicleTruth
 
 
 @pytest.fixture

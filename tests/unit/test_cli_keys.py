@@ -6,13 +6,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from harness import cli
-from harness.cli import FASTEST, SLOWEST
-from harness.messages import Pause, Progress
-from harness.one_process import OneProcessSwarm
-from harness.processes import PHYSICS, SwarmError
-from harness.supervisor import Supervisor, SupervisorError
-from harness.swarm import Swarm
+from harness.cli import fly as cli
+from harness.cli.fly import FASTEST, SLOWEST
+from harness.launch.one_process import OneProcessSwarm
+from harness.launch.processes import PHYSICS, SwarmError
+from harness.launch.supervisor import Supervisor, SupervisorError
+from harness.launch.swarm import Swarm
+from harness.simulator.messages import Pause, Progress
 
 
 class Pressed:

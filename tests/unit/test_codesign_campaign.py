@@ -11,23 +11,15 @@ import pytest
 from msgspec.structs import replace
 from typer.testing import CliRunner
 
-from harness import one_process
-from harness.codesign import cli, flights, results
-from harness.codesign.book import Book
-from harness.codesign.cases import (
-    BASE,
-    GPS_ALONE,
-    LOSSY,
-    QUICK,
-    Plan,
-    all_pairs,
-    cut,
-)
-from harness.codesign.introduction import command, introduction
-from harness.codesign.measures import Measures
-from harness.codesign.results import CampaignError, Flown, Store, fly_tasks, known, make_tasks, sources_state
-from harness.processes import SwarmError, SwarmTimeoutError
-from harness.validation.command import BAD_INPUT, FINE, MISSED
+from harness.launch import one_process
+from harness.launch.processes import SwarmError, SwarmTimeoutError
+from studies.codesign import cli, flights, results
+from studies.codesign.book import Book
+from studies.codesign.cases import BASE, GPS_ALONE, LOSSY, QUICK, Plan, all_pairs, cut
+from studies.codesign.introduction import command, introduction
+from studies.codesign.measures import Measures
+from studies.codesign.results import CampaignError, Flown, Store, fly_tasks, known, make_tasks, sources_state
+from studies.common.command_line import BAD_INPUT, FINE, MISSED
 
 PLAN = Plan(seeds=10, duration_s=30.0)
 

@@ -12,8 +12,9 @@ from antenna.model.geometry import Snapshot, grid
 from antenna.solvers.interface import BackendUnavailable
 from antenna.solvers.selection import make_backend
 from autopilot.onboard.radio.scheduled_ranging import owner
-from harness import swarm
-from harness.codesign.cases import (
+from harness.launch import swarm
+from harness.world.faults import RadioAttenuation, RangingBias
+from studies.codesign.cases import (
     BASE,
     LIAR,
     LIAR_FROM_START,
@@ -25,12 +26,11 @@ from harness.codesign.cases import (
     liar_in_flight,
     wavelength,
 )
-from harness.codesign.measures import TRACK_PERIOD_S, Tables, measure
-from harness.codesign.sensitivity import expected_gain, per_axis_sigma_m, vertical_sigma_m
-from harness.codesign.simulated import simulate
-from harness.codesign.statistics import mean_interval, ratio_interval
-from harness.codesign.trouble import judge_cut, judge_liar, shape_errors_ne_m, shape_over_time_m
-from harness.faults import RadioAttenuation, RangingBias
+from studies.codesign.measures import TRACK_PERIOD_S, Tables, measure
+from studies.codesign.sensitivity import expected_gain, per_axis_sigma_m, vertical_sigma_m
+from studies.codesign.simulated import simulate
+from studies.codesign.statistics import mean_interval, ratio_interval
+from studies.codesign.trouble import judge_cut, judge_liar, shape_errors_ne_m, shape_over_time_m
 
 PLAN = Plan(seeds=10, duration_s=30.0)
 PLACES_NED_M = BASE.scenario(PLAN, 1).places_ned_m()

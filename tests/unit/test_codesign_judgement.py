@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from harness.codesign import cli, estimator_section
-from harness.codesign.book import Book
-from harness.codesign.cases import (
+from harness.world.faults import RangingBias
+from studies.codesign import cli, estimator_section
+from studies.codesign.book import Book
+from studies.codesign.cases import (
     BEACON_PERIODS_MS,
     LIAR,
     LIAR_FROM_START,
@@ -20,10 +21,9 @@ from harness.codesign.cases import (
     liar_in_flight,
     wavelength,
 )
-from harness.codesign.measures import TRACK_PERIOD_S, Measures
-from harness.codesign.results import Flown
-from harness.codesign.study import LocalisationResult
-from harness.faults import RangingBias
+from studies.codesign.measures import TRACK_PERIOD_S, Measures
+from studies.codesign.results import Flown
+from studies.codesign.study import LocalisationResult
 
 PLAN = Plan(seeds=10, duration_s=30.0)
 

@@ -9,9 +9,9 @@ from scipy.stats import chi2
 
 from autopilot.onboard.localisation.kernels import STATES
 from autopilot.onboard.localisation.localisation import CooperativeLocalisation, LocalisationModel
-from harness.codesign.bounds import aligned_error_m, posterior_bound, shape_basis
-from harness.codesign.simulated import GRID_US, Trouble, simulate
-from harness.codesign.study import localisation_study
+from studies.codesign.bounds import aligned_error_m, posterior_bound, shape_basis
+from studies.codesign.simulated import GRID_US, Trouble, simulate
+from studies.codesign.study import localisation_study
 
 PLACES = article_places_ned_m()
 LINE = np.array([(0.0, 8.5 * (k - 3.5), -10.0) for k in range(8)])

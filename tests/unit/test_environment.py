@@ -9,14 +9,14 @@ import pytest
 
 from autopilot.parameters.config import Site
 from foundation.geometry.rotations import quat_from_rotation_vector
-from harness.physics.environment import EnvironmentConfig, Surroundings
-from harness.physics.model import IRIS
-from harness.physics.rotors import ground_effect, kernel_model, wrenches
-from harness.physics.truth import TRUTH, Truth
-from harness.physics.world import GRAVITY_M_S2, World
-from harness.sensors.config import SensorsConfig
-from harness.sensors.suite import SensorSuite
-from harness.wind.turbulence import Turbulence, TurbulenceScales
+from harness.world.physics.environment import EnvironmentConfig, Surroundings
+from harness.world.physics.model import IRIS
+from harness.world.physics.rotors import ground_effect, kernel_model, wrenches
+from harness.world.physics.truth import TRUTH, Truth
+from harness.world.physics.world import GRAVITY_M_S2, World
+from harness.world.sensors.config import SensorsConfig
+from harness.world.sensors.suite import SensorSuite
+from harness.world.wind.turbulence import Turbulence, TurbulenceScales
 
 STEP_US = 4_000
 STEP_S = 0.004

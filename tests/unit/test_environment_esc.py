@@ -8,10 +8,10 @@ from fastcrc import crc16
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.hil import HilParser, HilSensor
-from harness import esc
-from harness.hil import SensorEncoder
-from harness.hil_frames import ESC_STATUS
-from harness.sensors.suite import GpsFixes, SensorFrame
+from harness.simulator.hil import SensorEncoder
+from harness.simulator.hil_frames import ESC_STATUS
+from harness.world import esc
+from harness.world.sensors.suite import GpsFixes, SensorFrame
 
 SPEEDS = np.array([[806.7, 0.0, 1100.0, 403.35], [806.7] * 4])
 

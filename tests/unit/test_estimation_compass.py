@@ -27,7 +27,7 @@ from vehicle_world import Flight, vehicle_config
 from autopilot.estimation.estimator import Estimator
 from autopilot.estimation.health import COMPASS_RECOVERY_US, field_disturbed
 from autopilot.mavlink.modes import FlightMode
-from harness.validation.estimation import wrong_compass
+from studies.vehicle.estimation import wrong_compass
 
 GOOD_GPS = Noise(gps_bias_m=0.0, gps_pos_m=0.1)
 

@@ -6,7 +6,7 @@ The campaigns of seeds 1, 2 and 3, each of 20 flights of 60 s, serve all tests o
 import numpy as np
 import pytest
 
-from harness.validation.estimation import (
+from studies.vehicle.estimation import (
     MEASUREMENTS,
     STATES,
     Consistency,

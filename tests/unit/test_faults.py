@@ -23,13 +23,13 @@ from pymavlink.dialects.v20 import common
 from autopilot.estimation import atmosphere
 from autopilot.mavlink.codec import Parser
 from autopilot.navigation.site_frame import SiteFrame
-from harness.faults import AnyFault, kind
-from harness.hil import SensorEncoder
-from harness.messages import FaultChanged
-from harness.physics.model import IRIS
-from harness.physics.world import World
-from harness.progress import describe
-from harness.recording import EVENT_KINDS
+from harness.cli.progress import describe
+from harness.simulator.hil import SensorEncoder
+from harness.simulator.messages import FaultChanged
+from harness.simulator.truth_record import EVENT_KINDS
+from harness.world.faults import AnyFault, kind
+from harness.world.physics.model import IRIS
+from harness.world.physics.world import World
 
 AFFECTED = {
     "gps_loss": {"gps_lost"},

@@ -8,9 +8,9 @@ import pytest
 from faults_fixtures import BEGIN_US, N, fault_of, faults_of, fly
 
 from autopilot.mavlink.codec import Parser
-from harness import faults as catalogue
-from harness.faults import AnyFault, validated
-from harness.hil import SensorEncoder
+from harness.simulator.hil import SensorEncoder
+from harness.world import faults as catalogue
+from harness.world.faults import AnyFault, validated
 from netsim.wire.lockstep import Advance
 
 

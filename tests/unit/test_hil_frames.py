@@ -7,8 +7,8 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink import dialect
 from autopilot.mavlink.frame import checksum
-from harness import hil_frames
-from harness.hil_frames import InertialFrames, Kind
+from harness.simulator import hil_frames
+from harness.simulator.hil_frames import InertialFrames, Kind
 
 KINDS = {
     common.MAVLINK_MSG_ID_HIL_SENSOR: hil_frames.HIL_SENSOR,

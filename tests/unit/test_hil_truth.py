@@ -7,9 +7,9 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.hil import HilParser, HilSensor
 from autopilot.parameters.config import Site
 from foundation.geometry.geodesy import geodetic_to_ned
-from harness.hil import SensorEncoder
-from harness.physics.truth import Truth
-from harness.sensors.suite import SensorFrame
+from harness.simulator.hil import SensorEncoder
+from harness.world.physics.truth import Truth
+from harness.world.sensors.suite import SensorFrame
 from netsim.wire.lockstep import BATCH_DELIVERED
 
 SITE = Site(latitude_deg=60.2, longitude_deg=24.8, altitude_m=30.0)

@@ -9,7 +9,7 @@ from autopilot.parameters.config import OnboardConfig, VehicleConfig
 from autopilot.services.service import GROUND_STATION, Addressed, Partner
 from autopilot.vehicle.host import Host
 from autopilot.vehicle.vehicle import DECISION_PERIOD_US
-from harness.validation.bench import record_flight
+from studies.vehicle.bench import record_flight
 
 FLIGHT_S = 24.0
 STEP_US = 4_000

@@ -19,9 +19,9 @@ from antenna.solvers.ports import feed
 from antenna.solvers.selection import make_backend
 from antenna.solvers.warm_up import rehearse
 from foundation.kernels import cache_folder
-from harness import kernel_cache
-from harness.kernel_cache import KEPT_S, KEPT_STATES, VARIABLE, CompileError, digest, forget_old
-from harness.one_process import OneProcessSwarm
+from harness.launch import kernel_cache
+from harness.launch.kernel_cache import KEPT_S, KEPT_STATES, VARIABLE, CompileError, digest, forget_old
+from harness.launch.one_process import OneProcessSwarm
 
 ARTICLE = Path(__file__).parents[2] / "scenarios" / "article.toml"
 
@@ -206,7 +206,7 @@ def test_the_rehearsal_of_the_physics_calls_every_kernel():
     """But for those of the validation, which no flight calls."""
     needed = kernels(Path(kernel_cache.__file__).parent, without="validation")
     assert len(needed) >= 20
-    assert needed - called_by_rehearsal("harness.physics") == set()
+    assert needed - called_by_rehearsal("harness.world.physics") == set()
 
 
 def test_after_the_rehearsal_of_the_antenna_nothing_is_left_to_be_compiled():

@@ -6,7 +6,7 @@ from pathlib import Path
 
 CHILD = """
 import os, sys, termios, threading
-from harness.keyboard import Keyboard
+from harness.cli.keyboard import Keyboard
 before = termios.tcgetattr(0)
 heard, done = [], threading.Event()
 def on_key(key):
@@ -63,7 +63,7 @@ def test_a_run_in_the_background_leaves_the_terminal_to_the_shell_and_hears_keys
 
 def test_what_is_no_terminal_is_left_alone():
     script = (
-        "from harness.keyboard import Keyboard\n"
+        "from harness.cli.keyboard import Keyboard\n"
         "with Keyboard(print) as keyboard:\n    print(keyboard.listening, end='')"
     )
     for stdin in (subprocess.PIPE, subprocess.DEVNULL):

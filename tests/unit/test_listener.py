@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import psutil
 import pytest
 
-from harness.listener import Listener
+from harness.launch.descriptor_watcher import Listener
 
 WALL_LIMIT_S = 20.0
 

@@ -22,11 +22,11 @@ from autopilot.__main__ import SimulatorUnreachable, connect_simulator
 from autopilot.mavlink.codec import Encoder, Parser
 from autopilot.parameters.config import VehiclePorts
 from foundation.processes.child_protocol import Stop
-from harness.lockstep import CLOSED, OWN, PX4, ConnectTimeout, Lockstep
-from harness.messages import RunUntil, SetAttenuation
-from harness.patience import COMPUTING_LIMIT_S, LOOK_AFTER_S, REPORT_AFTER_S, Patience
-from harness.physics_server import obey
-from harness.resources import HAS_NAMED_SOCKETS, bind_local
+from harness.launch.resources import HAS_NAMED_SOCKETS, bind_local
+from harness.simulator.lockstep import CLOSED, OWN, PX4, ConnectTimeout, Lockstep
+from harness.simulator.messages import RunUntil, SetAttenuation
+from harness.simulator.response_watchdog import COMPUTING_LIMIT_S, LOOK_AFTER_S, REPORT_AFTER_S, Patience
+from harness.simulator.server import obey
 
 by_name = pytest.mark.skipif(not HAS_NAMED_SOCKETS, reason="Unix sockets' names are files' here")
 

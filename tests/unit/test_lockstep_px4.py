@@ -10,8 +10,8 @@ from px4_stand_in import Manners, StandIn
 from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot.mavlink.codec import Encoder
-from harness.lockstep import FREE_STEP_S, OWN, PX4, Lockstep
-from harness.patience import Patience
+from harness.simulator.lockstep import FREE_STEP_S, OWN, PX4, Lockstep
+from harness.simulator.response_watchdog import Patience
 
 STEP_US = 4_000
 LATE_AFTER_S = PX4.late_after_s

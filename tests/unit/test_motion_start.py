@@ -10,14 +10,14 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import stamp
 from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
-from harness.answers import Answers
-from harness.messages import FormationMoves
-from harness.motion_start import agreed, flown_start_us, since_start_s, start_us
-from harness.recording import EVENT_KINDS
-from harness.report import Outcome, finish
-from harness.run_folder import PhysicsConfig, RunFolder
-from harness.scenario import load
-from harness.simulation import Simulation
+from harness.records.run_folder import PhysicsConfig, RunFolder
+from harness.report.report import Outcome, finish
+from harness.scenario.scenario import load
+from harness.simulator.actuator_inbox import Answers
+from harness.simulator.messages import FormationMoves
+from harness.simulator.motion_start import agreed, flown_start_us, since_start_s, start_us
+from harness.simulator.simulation import Simulation
+from harness.simulator.truth_record import EVENT_KINDS
 
 EASTWARDS = 'formation.motion={kind="track", speed_m_s=5.0, acceleration_m_s2=3.0, course_deg=90.0}'
 SCENARIO = load(Path(__file__).parents[2] / "scenarios" / "ring.toml", ["agents=3", EASTWARDS])

@@ -11,7 +11,7 @@ from autopilot.onboard.localisation.kernels import STATES
 from autopilot.onboard.localisation.members import new_members
 from autopilot.onboard.localisation.model import LocalisationModel
 from autopilot.onboard.localisation.receivers import Receivers
-from harness.codesign.bounds import aligned_error_m
+from studies.codesign.bounds import aligned_error_m
 
 MODEL = LocalisationModel()
 RANGE_STD_M = np.hypot(0.03, MODEL.range_floor_std_m)

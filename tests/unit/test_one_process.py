@@ -25,17 +25,18 @@ import pytest
 from autopilot.logs.vehicle_record import VEHICLE_RECORD
 from autopilot.vehicle.vehicle import Vehicle
 from foundation.records.record_log import BLOCK_ROWS
-from harness import aperture, kernel_cache, report
-from harness.air import Air
-from harness.analysis import gain_series
-from harness.cli import FINE, main
-from harness.local import LocalLine, LocalRadio
-from harness.messages import Progress, VehicleLost
-from harness.one_process import OneProcessSwarm, fly
-from harness.processes import SwarmError
-from harness.run_folder import RunFolder
-from harness.scenario import load
-from harness.tables import flight_of, read_flight
+from harness.cli.fly import FINE, main
+from harness.launch import kernel_cache
+from harness.launch.one_process import OneProcessSwarm, fly
+from harness.launch.processes import SwarmError
+from harness.records.run_folder import RunFolder
+from harness.records.tables import flight_of, read_flight
+from harness.report import antenna_report, report
+from harness.report.analysis import gain_series
+from harness.scenario.scenario import load
+from harness.simulator.emulator_client import Air
+from harness.simulator.in_process_links import LocalLine, LocalRadio
+from harness.simulator.messages import Progress, VehicleLost
 from netsim.emulator.service import HostedEmulator
 from netsim.model.config import RadioConfig, ServerConfig
 from netsim.wire.lockstep import Advance, pack_rows
@@ -279,8 +280,8 @@ def test_a_flight_takes_one_processor_for_its_gains_as_well_and_a_swarm_all(tmp_
         threads.append(workers)
         return gain_series(*arguments)
 
-    monkeypatch.setattr(aperture, "gain_series", count)
-    monkeypatch.setattr(aperture.os, "cpu_count", lambda: 5)
+    monkeypatch.setattr(antenna_report, "gain_series", count)
+    monkeypatch.setattr(antenna_report.os, "cpu_count", lambda: 5)
     fly(scenario(), tmp_path / "fly", until_s=0.1)
     with OneProcessSwarm(scenario(), out=tmp_path / "swarm") as swarm:
         swarm.run(until_s=0.1)
@@ -434,9 +435,9 @@ def test_motion_that_makes_no_sense_and_times_that_cannot_be_are_refused():
 def test_kernels_that_were_imported_before_are_taken_from_the_runs_cache(tmp_path):
     """Numba fixes a kernel's cache at its import, here beside the sources, where it might be stale."""
     program = (
-        "import harness.physics.rotors as rotors, autopilot.control.attitude, sys\n"
+        "import harness.world.physics.rotors as rotors, autopilot.control.attitude, sys\n"
         "from numba.core.dispatcher import Dispatcher\n"
-        "from harness import kernel_cache, one_process\n"
+        "from harness.launch import kernel_cache, one_process\n"
         "def caches():\n"
         "    return {value._cache.cache_path for name, module in sys.modules.items()\n"
         "            if name.partition('.')[0] in kernel_cache.PACKAGES\n"

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import pytest
 
 from foundation.processes.child_protocol import Stop
-from harness.messages import AnyCommand, Pause, Paused, Progress, Resume, RunUntil, SetSpeed
-from harness.physics_server import MOST_LAG_S, NAP_S, PROGRESS_PERIOD_S, Pacer, obey
+from harness.simulator.messages import AnyCommand, Pause, Paused, Progress, Resume, RunUntil, SetSpeed
+from harness.simulator.server import MOST_LAG_S, NAP_S, PROGRESS_PERIOD_S, Pacer, obey
 
 STEP_US = 4_000
 
@@ -56,7 +56,7 @@ class World:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
-    monkeypatch.setattr("harness.physics_server.time", clock)
+    monkeypatch.setattr("harness.simulator.server.time", clock)
     return clock
 
 

@@ -8,8 +8,8 @@ import math
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from harness.physics.model import IRIS
-from harness.physics.world import World
+from harness.world.physics.model import IRIS
+from harness.world.physics.world import World
 
 STEP_S = 0.004
 HUBS_FLU_M = np.array(

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from foundation.geometry.rotations import quat_rotate
-from harness.physics.bodies import BODY, near_something
-from harness.physics.bullet import Bullet
-from harness.physics.free_flight import MOST_RATE, coast
-from harness.physics.model import IRIS
-from harness.physics.world import GRAVITY_M_S2, LASTING, World
+from harness.world.physics.bodies import BODY, near_something
+from harness.world.physics.bullet import Bullet
+from harness.world.physics.free_flight import MOST_RATE, coast
+from harness.world.physics.model import IRIS
+from harness.world.physics.world import GRAVITY_M_S2, LASTING, World
 
 INERTIA = np.array(IRIS.inertia_diagonal_kg_m2)
 HALF_DIAGONAL_M = 0.5 * float(np.linalg.norm(IRIS.box_m))

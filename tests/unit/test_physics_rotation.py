@@ -9,7 +9,7 @@ from foundation.geometry.rotations import (
     quat_rotate,
     quat_rotate_inverse,
 )
-from harness.physics.rotation import in_frd, in_ned, turned
+from harness.world.physics.rotation import in_frd, in_ned, turned
 
 RNG = np.random.default_rng(3)
 QUATERNIONS = [q / np.linalg.norm(q) for q in RNG.standard_normal((50, 4))]

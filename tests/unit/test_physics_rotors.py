@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from foundation.geometry.rotations import quat_rotate, quat_rotate_inverse
-from harness.physics.environment import Surroundings
-from harness.physics.model import IRIS
-from harness.physics.rotors import kernel_model, rotor_speeds, wrenches
+from harness.world.physics.environment import Surroundings
+from harness.world.physics.model import IRIS
+from harness.world.physics.rotors import kernel_model, rotor_speeds, wrenches
 
 STEP_S = 0.004
 MODEL = kernel_model(IRIS, step_s=STEP_S)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from foundation.geometry.rotations import quat_from_rotation_vector, quat_multiply, quat_rotate
-from harness.physics.model import IRIS
-from harness.physics.world import GRAVITY_M_S2, World
+from harness.world.physics.model import IRIS
+from harness.world.physics.world import GRAVITY_M_S2, World
 
 STEP_US = 4_000
 STEP_S = 0.004

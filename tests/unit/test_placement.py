@@ -10,7 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from harness.placement import OTHERS_MAX, Placement, Times, counted, homes, leaves_room, own_processors
+from harness.launch.cpu_affinity import (
+    OTHERS_MAX,
+    Placement,
+    Times,
+    counted,
+    homes,
+    leaves_room,
+    own_processors,
+)
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are placed on Linux only")
 UAVS = [f"uav {i}" for i in range(9)]

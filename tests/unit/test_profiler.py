@@ -21,8 +21,8 @@ from foundation.profiling.profiler import (
     profiled,
     shares_s,
 )
-from harness import parts as physics_parts
-from harness.profiling import VEHICLES, by_kind, profile_table
+from harness.launch.profiling import VEHICLES, by_kind, profile_table
+from harness.simulator import profile_groups as physics_parts
 from netsim.transport import profile_groups as radio_parts
 
 PARTS = {"swarm": "all", "swarm.flight": "flight", "swarm.flight.codec": "codec"}

@@ -9,13 +9,14 @@ from msgspec.structs import replace
 from autopilot.estimation.atmosphere import pressure_pa
 from autopilot.mavlink.codec import Parser
 from autopilot.parameters.config import VehicleConfig
-from harness import esc, px4_seat
-from harness.hil import RC_PERIOD_US, SensorEncoder
-from harness.physics.truth import Truth
-from harness.px4_seat import Px4Error
-from harness.scenario import ScenarioError, load
-from harness.sensors.config import PROFILES, SensorsConfig
-from harness.sensors.suite import SensorSuite
+from harness.launch import px4
+from harness.launch.px4 import Px4Error
+from harness.scenario.scenario import ScenarioError, load
+from harness.simulator.hil import RC_PERIOD_US, SensorEncoder
+from harness.world import esc
+from harness.world.physics.truth import Truth
+from harness.world.sensors.config import PROFILES, SensorsConfig
+from harness.world.sensors.suite import SensorSuite
 
 STEP_US = 4_000
 EPOCH_US = 1_767_225_600_000_000
@@ -49,14 +50,14 @@ def test_px4_without_a_build_is_one_line(tmp_path):
 def test_a_build_without_its_program_is_refused_before_anything_starts(scenario, build):
     (build / "bin" / "px4").unlink()
     with pytest.raises(Px4Error, match=r"^autopilot\.px4_build: there is no .*/bin/px4; expected[^\n]*$"):
-        px4_seat.check_start(scenario())
+        px4.check_start(scenario())
 
 
 def test_coflights_own_vehicles_need_nothing_of_it(tmp_path):
     path = tmp_path / "some.toml"
     path.write_text("agents = 3\n", encoding="ascii")
-    assert px4_seat.instances(load(path)) == ()
-    px4_seat.check_start(load(path, ["ports.simulator_tcp=0"]))
+    assert px4.instances(load(path)) == ()
+    px4.check_start(load(path, ["ports.simulator_tcp=0"]))
 
 
 @pytest.mark.parametrize(
@@ -78,7 +79,7 @@ def test_what_no_px4_could_be_started_with_is_refused_with_the_fields_path(scena
 
 def test_px4_has_parameters_that_coflights_own_autopilot_does_not_know(scenario, tmp_path):
     swarm = scenario("autopilot.params.EKF2_IMU_POS_X=0.1", "autopilot.px4_vehicles=[0, 1, 2]")
-    seat = px4_seat.seat(swarm, 0, run_folder=tmp_path, simulator_port=4560)
+    seat = px4.seat(swarm, 0, run_folder=tmp_path, simulator_port=4560)
     assert seat.environment["PX4_PARAM_EKF2_IMU_POS_X"] == "0.1"
     with pytest.raises(ScenarioError, match="EKF2_IMU_POS_X"):  # of vehicle 2, which is no PX4
         scenario("autopilot.params.EKF2_IMU_POS_X=0.1", "autopilot.px4_vehicles=[0, 1]")
@@ -86,8 +87,8 @@ def test_px4_has_parameters_that_coflights_own_autopilot_does_not_know(scenario,
 
 def test_the_command_is_the_one_that_the_issue_names(scenario, build, tmp_path):
     swarm = scenario()
-    for i in px4_seat.instances(swarm):
-        seat = px4_seat.seat(swarm, i, run_folder=tmp_path, simulator_port=4560 + i)
+    for i in px4.instances(swarm):
+        seat = px4.seat(swarm, i, run_folder=tmp_path, simulator_port=4560 + i)
         assert seat.command == (
             f"{build}/bin/px4", "-i", str(i), "-d", f"{build}/etc", "-w", seat.folder,
         )  # fmt: skip
@@ -102,7 +103,7 @@ def test_a_user_can_wrap_it(scenario, build, tmp_path):
         "autopilot.px4_command=['nice', '{build}/bin/px4', '-i', '{i}', '{sysid}:{tcp}:{host}']",
         "autopilot.px4_env={PX4_SIM_MODEL='iris', PORTS='{companion_local}>{companion_remote}'}",
     )
-    seat = px4_seat.seat(swarm, 2, run_folder=tmp_path, simulator_port=4999)
+    seat = px4.seat(swarm, 2, run_folder=tmp_path, simulator_port=4999)
     assert seat.command == ("nice", f"{build}/bin/px4", "-i", "2", "3:4999:127.0.0.1")
     assert seat.environment["PORTS"] == "14582>14542"
     assert seat.environment["PX4_SIM_MODEL"] == "iris"
@@ -117,7 +118,7 @@ def test_parameters_go_along_less_coflights_own_and_whole_ones_as_integers(scena
     told = [
         {
             name.removeprefix("PX4_PARAM_"): value
-            for name, value in px4_seat.seat(
+            for name, value in px4.seat(
                 swarm, i, run_folder=tmp_path, simulator_port=4560
             ).environment.items()
             if name.startswith("PX4_PARAM_") and "DRIFT" not in name
@@ -145,11 +146,11 @@ def drift_rms_m_s(model, std_m, rng):
 def test_px4_is_told_of_a_receiver_that_drifts_more_than_it_would_take(scenario, tmp_path):
     model = PROFILES["consumer"].gps
     rng = np.random.default_rng(3)
-    told = px4_seat.seat(scenario(), 0, run_folder=tmp_path, simulator_port=4560).environment
+    told = px4.seat(scenario(), 0, run_folder=tmp_path, simulator_port=4560).environment
     for axis, std_m in (("H", model.horizontal_bias_std_m), ("V", model.vertical_bias_std_m)):
         limit_m_s = float(told[f"PX4_PARAM_EKF2_REQ_{axis}DRIFT"])
         assert limit_m_s == pytest.approx(5 * drift_rms_m_s(model, std_m, rng), rel=0.1)
-    still = px4_seat.seat(
+    still = px4.seat(
         scenario("sensors.profile=gazebo"), 1, run_folder=tmp_path, simulator_port=4560
     ).environment
     assert not any("DRIFT" in name for name in still)
@@ -159,22 +160,22 @@ def test_px4_is_told_of_a_receiver_that_drifts_more_than_it_would_take(scenario,
 def test_ports_that_px4_would_not_have_are_refused_unless_they_are_handed_over(scenario, field):
     placeholder = {"simulator_tcp": "tcp"}.get(field, field.removesuffix("_udp"))
     handed = f"autopilot.px4_command=['{{build}}/bin/px4', '{{{placeholder}}}']"
-    px4_seat.check_start(scenario())
+    px4.check_start(scenario())
     for base in (0, 21_000):
         with pytest.raises(Px4Error, match=rf"^ports\.{field}: a PX4 listens on [^\n]*$"):
-            px4_seat.check_start(scenario(f"ports.{field}={base}"))
-    px4_seat.check_start(scenario(f"ports.{field}=21000", handed))
+            px4.check_start(scenario(f"ports.{field}={base}"))
+    px4.check_start(scenario(f"ports.{field}=21000", handed))
 
 
 def test_the_truth_cannot_be_told_to_an_application_beside_a_px4(scenario):
     with pytest.raises(Px4Error, match=r"onboard\.localisation"):
-        px4_seat.check_start(scenario("onboard.localisation=truth"))
+        px4.check_start(scenario("onboard.localisation=truth"))
 
 
 def test_applications_are_bound_to_the_ports_that_px4s_call(scenario):
-    assert px4_seat.application_ports(scenario()) == [14540, 14541, 14542]
-    assert px4_seat.application_ports(scenario("autopilot.px4_vehicles=[1]")) == [14541]
-    assert px4_seat.application_ports(scenario("onboard.enabled=false")) == []
+    assert px4.application_ports(scenario()) == [14540, 14541, 14542]
+    assert px4.application_ports(scenario("autopilot.px4_vehicles=[1]")) == [14541]
+    assert px4.application_ports(scenario("onboard.enabled=false")) == []
 
 
 def test_the_vehicles_settings_are_read_by_its_application_process(scenario):

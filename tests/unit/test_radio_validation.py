@@ -10,29 +10,7 @@ from scipy.optimize import brentq
 from typer.testing import CliRunner
 
 from autopilot.onboard.radio.beacon import HEADER_BYTES, RANGE_BYTES
-from harness.scenario import load
-from harness.validation.command import BAD_INPUT, FINE
-from harness.validation.radio import (
-    broadcast_section,
-    error_section,
-    mesh_section,
-    ranging_section,
-    saturation_section,
-)
-from harness.validation.radio.article_traffic import record
-from harness.validation.radio.bench import _play_empty, _scheduling, bench_saturated, play
-from harness.validation.radio.bench_cli import ARTICLE, bench_radio_app
-from harness.validation.radio.cli import ORDER, SUBJECTS, validate_radio_app
-from harness.validation.radio.peers import (
-    BIANCHI_PACKET_BYTES,
-    BIANCHI_UDP_BYTES,
-    bianchi,
-    ns3_broadcasts,
-    ns3_error_curves,
-    ns3_saturation,
-)
-from harness.validation.radio.plan import QUICK_RADIO, RadioPlan
-from harness.validation.radio.statistics import crossing_db, mean_of
+from harness.scenario.scenario import load
 from netsim.lab.broadcast import BroadcastResult
 from netsim.lab.ranging import FtmResultSummary, MeshResult
 from netsim.lab.saturation import SaturationResult
@@ -40,6 +18,22 @@ from netsim.model.event_queue import EventQueue
 from netsim.phy.frames import DATA_OVERHEAD_BYTES, UDP_OVERHEAD_BYTES
 from netsim.phy.modes import phy_mode, response_mode
 from netsim.wire.messages import Broadcast, FtmRequest
+from studies.common.command_line import BAD_INPUT, FINE
+from studies.radio import broadcast_section, error_section, mesh_section, ranging_section, saturation_section
+from studies.radio.article_traffic import record
+from studies.radio.bench import _play_empty, _scheduling, bench_saturated, play
+from studies.radio.bench_cli import ARTICLE, bench_radio_app
+from studies.radio.cli import ORDER, SUBJECTS, validate_radio_app
+from studies.radio.peers import (
+    BIANCHI_PACKET_BYTES,
+    BIANCHI_UDP_BYTES,
+    bianchi,
+    ns3_broadcasts,
+    ns3_error_curves,
+    ns3_saturation,
+)
+from studies.radio.plan import QUICK_RADIO, RadioPlan
+from studies.radio.statistics import crossing_db, mean_of
 
 PLAN = RadioPlan(seeds=1, phase_seeds=1)
 
@@ -319,7 +313,7 @@ def test_every_subject_has_jobs_for_other_processes_and_a_quick_plan_has_fewer()
             for plan in (QUICK_RADIO, RadioPlan())
         )
         assert 0 < len(quick) <= len(full)
-        assert all(function.__module__.startswith("harness.validation.radio") for function, _ in full)
+        assert all(function.__module__.startswith("studies.radio") for function, _ in full)
 
 
 def test_an_unknown_subject_is_one_line():

@@ -6,14 +6,19 @@ import sys
 
 import pytest
 
-from harness.processes import HANGAR, PHYSICS, RADIO
-from harness.resources import DESCRIPTORS_BESIDE, DESCRIPTORS_OF_CHILD, allow_descriptors, open_descriptors
+from harness.launch.processes import HANGAR, PHYSICS, RADIO
+from harness.launch.resources import (
+    DESCRIPTORS_BESIDE,
+    DESCRIPTORS_OF_CHILD,
+    allow_descriptors,
+    open_descriptors,
+)
 
 CHILDREN = 64 + len((PHYSICS, RADIO, HANGAR))
 NARROW = """
 import resource, subprocess, sys
 resource.setrlimit(resource.RLIMIT_NOFILE, ({soft}, {hard}))
-from harness.resources import ResourceError, allow_descriptors
+from harness.launch.resources import ResourceError, allow_descriptors
 try:
     allow_descriptors({children})
 except ResourceError as error:

@@ -8,7 +8,7 @@ import pytest
 
 from autopilot.onboard.formation.formation_plan import FormationPlan
 from autopilot.vehicle.vehicle import Vehicle
-from harness.scenario import Scenario, ScenarioError, load
+from harness.scenario.scenario import Scenario, ScenarioError, load
 
 ROOT = Path(__file__).parents[2]
 ARTICLE = ROOT / "scenarios" / "article.toml"

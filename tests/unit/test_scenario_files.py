@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from harness.scenario import Scenario, ScenarioError, load
+from harness.scenario.scenario import Scenario, ScenarioError, load
 
 ROOT = Path(__file__).parents[2]
 ARTICLE = ROOT / "scenarios" / "article.toml"

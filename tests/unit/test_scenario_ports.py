@@ -2,7 +2,7 @@
 
 import pytest
 
-from harness.scenario import PortsConfig
+from harness.scenario.scenario import PortsConfig
 
 
 def test_ports_are_raised_together_and_those_that_are_not_given_stay_so():

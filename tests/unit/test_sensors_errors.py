@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from harness.gauss_markov import STEPS_AHEAD
-from harness.sensors.config import PROFILES, ErrorModel, InertialErrorModel
-from harness.sensors.errors import SensorError
+from harness.world.gauss_markov import STEPS_AHEAD
+from harness.world.sensors.config import PROFILES, ErrorModel, InertialErrorModel
+from harness.world.sensors.errors import SensorError
 
 
 def series(model, *, samples, interval_s, vehicles=1, seed=0):

@@ -9,9 +9,9 @@ import pytest
 from autopilot.estimation import atmosphere
 from autopilot.parameters.config import Site
 from foundation.geometry.geodesy import geodetic_to_ned
-from harness.physics.truth import Truth
-from harness.sensors.config import GpsOverrides, SensorsConfig
-from harness.sensors.suite import SensorSuite
+from harness.world.physics.truth import Truth
+from harness.world.sensors.config import GpsOverrides, SensorsConfig
+from harness.world.sensors.suite import SensorSuite
 
 STEP_US = 4_000
 SITE = Site()

@@ -9,11 +9,11 @@ import pytest
 
 from autopilot.mavlink.hil import HilActuatorControls
 from foundation.records.record_log import read
-from harness.answers import Answers
-from harness.recording import TRUTH_RECORD
-from harness.run_folder import PhysicsConfig, RunFolder
-from harness.scenario import load
-from harness.simulation import Simulation
+from harness.records.run_folder import PhysicsConfig, RunFolder
+from harness.scenario.scenario import load
+from harness.simulator.actuator_inbox import Answers
+from harness.simulator.simulation import Simulation
+from harness.simulator.truth_record import TRUTH_RECORD
 
 ARMED = 128
 """MAV_MODE_FLAG_SAFETY_ARMED"""

@@ -15,17 +15,17 @@ from typer.testing import CliRunner
 
 from autopilot.control.allocation import effectiveness
 from autopilot.control.params import AllocationParams
-from harness.sensors.config import PROFILES
-from harness.validation import campaign, estimation_section
-from harness.validation.allocation import RANGE_N, _is_achievable, check_allocation
-from harness.validation.bench import _PARTS, _StopWatch, measure, record_flight
-from harness.validation.campaign import SUBJECTS
-from harness.validation.cli import BAD_INPUT, validate_app
-from harness.validation.estimation import EPOCH_S, MEASUREMENTS, STATES, Consistency, WrongCompass, pooled
-from harness.validation.hover import Hover, fly_hover
-from harness.validation.hover_section import untold_tilt_deg
-from harness.validation.plan import QUICK
-from harness.validation.report import Check, Section, Table, markdown
+from harness.world.sensors.config import PROFILES
+from studies.common.report import Check, Section, Table, markdown
+from studies.vehicle import campaign, estimation_section
+from studies.vehicle.allocation import RANGE_N, _is_achievable, check_allocation
+from studies.vehicle.bench import _PARTS, _StopWatch, measure, record_flight
+from studies.vehicle.campaign import SUBJECTS
+from studies.vehicle.cli import BAD_INPUT, validate_app
+from studies.vehicle.estimation import EPOCH_S, MEASUREMENTS, STATES, Consistency, WrongCompass, pooled
+from studies.vehicle.hover import Hover, fly_hover
+from studies.vehicle.hover_section import untold_tilt_deg
+from studies.vehicle.plan import QUICK
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "validate_vehicle.py"
 
@@ -93,7 +93,7 @@ def test_every_subject_is_judged_by_the_results_that_it_asks_for(tmp_path):
     for subject in SUBJECTS.values():
         jobs = [job for group in subject.jobs(QUICK).values() for job in group]
         assert jobs
-        assert all(function.__module__.startswith("harness.validation") for function, _ in jobs)
+        assert all(function.__module__.startswith("studies.vehicle") for function, _ in jobs)
 
 
 def drawn_campaign(seed, *, thinks_better_by=1.0, runs=20, epochs=90):

@@ -6,17 +6,10 @@ import numpy as np
 import pytest
 
 from autopilot.control import ControlParams
-from harness.physics.world import World
-from harness.sensors.config import SensorsConfig
-from harness.validation.hover import (
-    HEIGHT_M,
-    TRACE_EVERY,
-    Hover,
-    fly_hover,
-    measure,
-    track_hover,
-)
-from harness.validation.moves import (
+from harness.world.physics.world import World
+from harness.world.sensors.config import SensorsConfig
+from studies.vehicle.hover import HEIGHT_M, TRACE_EVERY, Hover, fly_hover, measure, track_hover
+from studies.vehicle.moves import (
     TRACE_S,
     Move,
     VelocityStep,
@@ -27,9 +20,9 @@ from harness.validation.moves import (
     minimum_time_s,
     respond,
 )
-from harness.validation.solo import PLAIN, STEP_S, FlightError, Solo, Track, solo_config
-from harness.validation.upsets import LIMIT_S, UPRIGHT_DEG, recover, throw
-from harness.validation.upsets import TRACE_EVERY as UPSET_TRACE_EVERY
+from studies.vehicle.solo import PLAIN, STEP_S, FlightError, Solo, Track, solo_config
+from studies.vehicle.upsets import LIMIT_S, UPRIGHT_DEG, recover, throw
+from studies.vehicle.upsets import TRACE_EVERY as UPSET_TRACE_EVERY
 
 
 def solo(seed=1, **kwargs):

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from harness.wind import VERTICAL_GUST_RATIO, GustyWind, WindConfig
+from harness.world.wind import VERTICAL_GUST_RATIO, GustyWind, WindConfig
 
 
 def record(config, *, vehicles=2, seconds=4000.0, dt_s=0.1, seed=1):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import welch
 
-from harness.wind import Wind, WindConfig
-from harness.wind.turbulence import Turbulence, TurbulenceScales, low_altitude_scales
+from harness.world.wind import Wind, WindConfig
+from harness.world.wind.turbulence import Turbulence, TurbulenceScales, low_altitude_scales
 
 SCALES = TurbulenceScales(std_m_s=(2.0, 1.5, 1.0), length_m=(20.0, 12.0, 10.0))
 SPEED_M_S = 5.0

@@ -3,7 +3,7 @@
 import numpy as np
 
 from autopilot.parameters.config import AutopilotConfig, OnboardConfig, VehicleConfig
-from harness.validation.solo import STEP_US, Solo
+from studies.vehicle.solo import STEP_US, Solo
 
 __all__ = ["STEP_US", "Flight", "vehicle_config"]
 

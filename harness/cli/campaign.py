@@ -1,0 +1,181 @@
+"""The command line of campaigns.
+
+Exit status: 0 all runs have ended as flights do, 1 some failed or the cluster did, 2 bad input, 130 broken
+off: the same command goes on. An error is one line on stderr.
+"""
+
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+from rich.console import Console
+from rich.table import Table as Shown
+
+from harness.campaign.cluster import check_address
+from harness.campaign.definition import KEPT, Campaign, Run, expand, load
+from harness.campaign.display import Display
+from harness.campaign.running import known, run
+from harness.campaign.store import FAILED, CampaignError, ClusterError, Flown, Store
+from harness.campaign.table import Table
+from harness.campaign.values import toml_text
+from harness.campaign.worker import sources_state
+from harness.launch import kernel_cache
+from harness.launch.interrupts import interruptible
+
+FINE, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+DASHBOARD = "127.0.0.1:8787"
+WIDTH = 120
+"""Columns where there is no terminal to ask."""
+
+campaign_app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+class BrokenOff(Exception):
+    """Ctrl-C, which the library of the command line would turn into a status without a word."""
+
+
+@campaign_app.command()
+def campaign(
+    file: Annotated[Path, typer.Argument(help="TOML file that says what is flown.", metavar="CAMPAIGN")],
+    *,
+    out: Annotated[Path | None, typer.Option(help="Folder for runs and table; default runs/NAME.")] = None,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes that fly; default one per processor.", min=1, max=1024)
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="Fly on the workers of this dask scheduler.", metavar="tcp://HOST:PORT"),
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="Override a field of the scenario in all runs.", metavar="PATH=VALUE"),
+    ] = None,
+    keep: Annotated[
+        list[str] | None,
+        typer.Option(help=f"Keep a series of every run: {', '.join(KEPT)}.", metavar="SERIES"),
+    ] = None,
+    retry: Annotated[bool, typer.Option("--retry", help="Fly those again that failed.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="List what would be flown.")] = False,
+    dashboard: Annotated[
+        bool, typer.Option("--dashboard", help=f"Show the workers at http://{DASHBOARD} (needs bokeh).")
+    ] = False,
+    json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+) -> int:
+    """Fly every combination that a campaign file asks for, and make one table of it."""
+    try:
+        plan = load(file, settings or (), keep or ())
+        out = out or Path("runs") / plan.name
+        if scheduler is not None and (workers is not None or dashboard):
+            raise CampaignError("--scheduler: it has workers and a page of its own")
+        check_address(scheduler)
+        if dry_run:
+            _tell_plan(plan, out, retry=retry, json=json)
+            return FINE
+        messages = Console(stderr=True, highlight=False)
+        runs, _, missing = _planned(plan, out, retry=retry)
+        total = len({each.digest for each in runs})
+        messages.print(f"{total} flights, {len(missing)} of them to be flown; into {out}", soft_wrap=True)
+        with Display(messages, plan, total=total, kept=total - len(missing)) as display:
+            table = run(
+                plan,
+                out=out,
+                runs=runs,
+                workers=workers,
+                scheduler=scheduler,
+                retry=retry,
+                dashboard=DASHBOARD if dashboard else None,
+                progress=display.on_landed,
+                note=display.note,
+            )
+    except KeyboardInterrupt:
+        raise BrokenOff from None
+    fine = _tell_table(table, flown_now=len(missing), json=json)
+    return FINE if fine and not display.failed else SOME_FAILED
+
+
+def _planned(plan: Campaign, out: Path, *, retry: bool) -> tuple[list[Run], dict[str, Flown], list[Run]]:
+    """Give all runs, and what of them is there and what is not; makes no folder."""
+    runs = expand(plan, state=sources_state())
+    if not out.exists():
+        return runs, {}, list({each.digest: each for each in runs}.values())
+    return runs, *known(plan, runs, Store(out), retry=retry)
+
+
+def _tell_table(table: Table, *, flown_now: int, json: bool) -> bool:
+    """Say what has come of it; returns whether no run has failed."""
+    counts = Counter(table.column("status"))
+    if json:
+        result = {
+            "runs": len(table.runs),
+            "flown": flown_now,
+            **{status: counts.get(status, 0) for status in ("completed", "not_formed", FAILED)},
+            "parquet": str(table.parquet),
+            "csv": str(table.csv),
+        }
+        _print_json(result)
+    else:
+        ends = ", ".join(f"{count} {status.replace('_', ' ')}" for status, count in sorted(counts.items()))
+        sys.stdout.write(f"{len(table.runs)} runs: {ends}\n{table.parquet}\n{table.csv}\n")
+    return not counts.get(FAILED)
+
+
+def _tell_plan(plan: Campaign, out: Path, *, retry: bool, json: bool) -> None:
+    runs, flown, missing = _planned(plan, out, retry=retry)
+    if json:
+        listed = [
+            {
+                "case": each.case, **dict(zip(plan.sweep, each.swept, strict=True)), "seed": each.seed,
+                "digest": each.digest, "status": _status(each, flown),
+            }
+            for each in runs
+        ]  # fmt: skip
+        _print_json({"runs": listed, "to_be_flown": len(missing)})
+        return
+    shown = Shown("case", *plan.sweep, "seed", "status")
+    for each in runs:
+        shown.add_row(each.case, *map(toml_text, each.swept), str(each.seed), _status(each, flown))
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else WIDTH)
+    console.print(shown)
+    console.print(f"{len(runs)} runs, {len(missing)} to be flown")
+
+
+def _status(each: Run, flown: dict[str, Flown]) -> str:
+    return flown[each.digest].status if each.digest in flown else "to be flown"
+
+
+def _print_json(content: object) -> None:
+    sys.stdout.write(msgspec.json.encode(content).decode() + "\n")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    try:
+        with interruptible():
+            status = campaign_app(
+                args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False
+            )
+    except BaseException as error:  # noqa: BLE001  every end has its status and its line
+        status, line = _ending(error)
+        if line:
+            sys.stderr.write(f"campaign: {line}\n")
+    return status if isinstance(status, int) else FINE
+
+
+def _ending(error: BaseException) -> tuple[int, str]:
+    match error:
+        case ClusterError() | kernel_cache.CompileError():
+            return SOME_FAILED, str(error)
+        case CampaignError():
+            return BAD_INPUT, str(error)
+        case typer.TyperException():
+            return BAD_INPUT, error.format_message()
+        case BrokenOff() | KeyboardInterrupt() | typer.Abort():
+            return INTERRUPTED, "broken off: the same command goes on from here"
+        case SystemExit():  # whoever read the output has had enough of it
+            return SOME_FAILED, ""
+        case _:
+            return SOME_FAILED, f"{type(error).__name__}: {error}".rstrip(": ").splitlines()[0]

@@ -1,0 +1,112 @@
+"""The swarm's antenna at any instant of a run as a NEC deck, which nec2c reads and xnec2c opens.
+
+Exit status: 0 fine, 2 bad input or no antenna at that time, with one line on stderr.
+"""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import numpy as np
+import typer
+
+from antenna.model.array_deck import deck_of
+from antenna.model.geometry import ElementsTouch
+from antenna.solvers.interface import BackendUnavailable
+from antenna.solvers.nec2c import Nec2cFailed
+from antenna.solvers.selection import make_backend
+from harness.records.run_folder import RunFolder
+from harness.records.tables import read_flight
+from harness.report.analysis import NoFeed, describe_touch, living, snapshot_at
+from harness.scenario.scenario import Scenario
+from harness.scenario.validation_errors import explain
+
+FINE, BAD_INPUT = 0, 2
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+class DeckRefused(Exception):
+    """There is no deck; the text is one line that says why."""
+
+
+class _Manifest(msgspec.Struct, frozen=True, kw_only=True):
+    scenario: Scenario
+
+
+@app.command()
+def export(
+    run: Annotated[Path, typer.Argument(help="Folder of a run that has ended.", metavar="RUN")],
+    *,
+    time: Annotated[float, typer.Option(help="Simulated seconds since the start.", metavar="S")],
+    out: Annotated[Path | None, typer.Option(help="File; stdout without it.", metavar="FILE")] = None,
+) -> None:
+    """Write the antenna as it was at the recorded instant nearest to a time, with its feeds, as a deck."""
+    deck = deck_at(run, time)
+    if out is None:
+        sys.stdout.write(deck)
+    else:
+        out.write_text(deck, encoding="ascii")
+
+
+def deck_at(run: Path, time_s: float) -> str:
+    """Make the deck of the recorded instant nearest to a simulated time; raises DeckRefused, OSError.
+
+    Elements are those of the living vehicles, in their order.
+    """
+    folder = RunFolder(run)
+    scenario = _scenario(folder)
+    try:
+        flight = read_flight(folder, scenario)
+    except (KeyError, ValueError):
+        raise DeckRefused(f"{folder.flight}: not the flight of this manifest's scenario") from None
+    times_s = flight.time_us * 1e-6
+    if not len(flight) or not times_s[0] <= time_s <= times_s[-1]:
+        there = f"has t = {times_s[0]:.3f} to {times_s[-1]:.3f} s" if len(flight) else "has no instant"
+        raise DeckRefused(f"--time {time_s:g}: the run {there}")
+    t = int(np.abs(times_s - time_s).argmin())
+    vehicles = living(flight, t)
+    try:
+        snapshot = snapshot_at(flight, t, scenario.antenna)
+        (pattern,) = make_backend(scenario.antenna).patterns([snapshot])
+        if isinstance(pattern, ElementsTouch):
+            raise pattern
+    except ElementsTouch as touch:
+        raise DeckRefused(f"t = {times_s[t]:.3f} s: {describe_touch(touch, vehicles)}") from None
+    except (NoFeed, BackendUnavailable, Nec2cFailed) as error:
+        raise DeckRefused(f"t = {times_s[t]:.3f} s: {error}") from None
+    at = f"{scenario.name}, t = {times_s[t]:.3f} s, UAVs {', '.join(map(str, vehicles))}"
+    return deck_of(snapshot, scenario.antenna, pattern, comments=[at])
+
+
+def _scenario(folder: RunFolder) -> Scenario:
+    try:
+        content = folder.manifest.read_bytes()
+    except (FileNotFoundError, NotADirectoryError):
+        raise DeckRefused(f"{folder.path}: no run that has ended: it has no manifest.json") from None
+    try:
+        return msgspec.json.decode(content, type=_Manifest).scenario
+    except msgspec.ValidationError as error:
+        raise DeckRefused(f"{folder.manifest}: of another version: {explain(error, {})}") from None
+    except msgspec.DecodeError as error:
+        raise DeckRefused(f"{folder.manifest}: not JSON: {error}") from None
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    try:
+        app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
+    except typer.TyperException as error:
+        return _refuse(error.format_message())
+    except DeckRefused as error:
+        return _refuse(str(error))
+    except OSError as error:
+        return _refuse(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+    return FINE
+
+
+def _refuse(line: str) -> int:
+    sys.stderr.write(f"coflight: {line}\n")
+    return BAD_INPUT

@@ -1,0 +1,288 @@
+"""The command line: fly a scenario, show it, and report it.
+
+Exit status: 0 fine, 1 the run failed, 2 bad input, 130 broken off by Ctrl-C. An error is one line on stderr.
+"""
+
+import contextlib
+import sys
+import traceback
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import typer
+from rich.console import Console
+
+from harness.cli.keyboard import Keyboard
+from harness.cli.progress import Display, display_for, summary_table
+from harness.launch.interrupts import interruptible
+from harness.launch.processes import SetupError, SwarmError
+from harness.launch.profiling import profile_table
+from harness.launch.swarm import Swarm, SwarmTimeoutError
+from harness.scenario.scenario import Scenario, ScenarioError, load
+from harness.world.faults import MOST_TIME_S
+
+FINE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+SLOWEST, FASTEST = 1.0 / 64.0, 64.0
+"""Speeds that keys lead to: at the first a step takes 0.25 s; few machines keep the other."""
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+class Failure(Exception):
+    """The run ends with this status and line."""
+
+    def __init__(self, status: int, line: str) -> None:
+        super().__init__(line)
+        self.status = status
+
+
+def _speed(text: str) -> float | Literal["max"]:
+    if text == "max":
+        return "max"
+    try:
+        factor = float(text)
+    except ValueError:
+        factor = 0.0
+    if not 0.0 < factor < float("inf"):
+        raise typer.BadParameter(f"{text!r}: expected a factor above 0, or 'max'")
+    return factor
+
+
+@app.command()
+def fly(
+    scenario: Annotated[Path, typer.Argument(help="TOML file that says what is flown.", metavar="SCENARIO")],
+    speed: Annotated[
+        str | None,
+        typer.Option(
+            help="Simulated against wall time; 'max', the default, is as fast as it goes.",
+            metavar="max|FACTOR",
+        ),
+    ] = None,
+    duration: Annotated[float | None, typer.Option(help="Simulated seconds in formation.")] = None,
+    hold: Annotated[  # noqa: FBT002
+        bool,
+        typer.Option(
+            "--hold",
+            help="Form nothing: everybody waits on the ground for a ground station, until Ctrl-C, or for"
+            " --duration, at speed 1 unless told otherwise.",
+        ),
+    ] = False,
+    seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
+    agents: Annotated[
+        int | None, typer.Option(help="Number of UAVs: the first places of the formation.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for what comes out; default runs/NAME-DATE-TIME.")
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="Override a field of the scenario.", metavar="PATH=VALUE"),
+    ] = None,
+    port_offset: Annotated[
+        int, typer.Option(help="Added to every port, for a second swarm on one machine: 1000, 2000 ...")
+    ] = 0,
+    one_process: Annotated[  # noqa: FBT002
+        bool,
+        typer.Option(
+            "--one-process",
+            help="Fly it all in this process, on one processor: the same results byte for byte, but nobody"
+            " from outside can connect: no ground station, companion or guest of the radio.",
+        ),
+    ] = False,
+    profile: Annotated[  # noqa: FBT002
+        bool,
+        typer.Option("--profile", help="Tell where the processor time went, by process and part."),
+    ] = False,
+    json: Annotated[bool, typer.Option("--json", help="The summary alone on stdout.")] = False,  # noqa: FBT002
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,  # noqa: FBT002
+) -> None:
+    """Fly a swarm, with its radio, and report what came out."""
+    messages = Console(stderr=True, highlight=False)
+    named = {
+        "run.duration_s": duration,
+        "run.seed": seed,
+        "agents": agents,
+        "onboard.hold": "true" if hold else None,
+    }
+    overrides = [f"{path}={value}" for path, value in named.items() if value is not None]
+    display: Display | None = None
+    try:
+        plan = load(scenario, [*(settings or []), *overrides])
+        out = out or _default_folder(plan.name)
+        waits = _waits(plan, one_process=one_process)
+        factor = _speed(speed or ("1" if waits else "max"))
+        display = display_for(messages)
+        before = _files(out)
+        swarm = _swarm(plan, factor, out, port_offset, display, one_process=one_process, profile=profile)
+        broken_off = _fly(swarm, display, until_interrupted=waits and duration is None)
+        display.close()
+        _report(
+            swarm,
+            broken_off,
+            messages,
+            before=before,
+            as_json=json,
+            interruption_is_fine=waits and duration is None,
+        )
+    except BaseException as error:  # noqa: BLE001  every end has its status
+        if display is not None:
+            display.close()
+        if debug:
+            traceback.print_exc()
+        raise _failure(error) from None
+
+
+def _swarm(
+    plan: Scenario,
+    speed: float | Literal["max"],
+    out: Path,
+    port_offset: int,
+    display: Display,
+    *,
+    one_process: bool,
+    profile: bool,
+) -> Swarm:
+    if one_process and profile:
+        raise Failure(BAD_INPUT, "--profile has processes sample themselves, each its own, not one process")
+    if one_process:
+        from harness.launch.one_process import OneProcessSwarm  # noqa: PLC0415  loads the physics, which prints a line
+
+        return OneProcessSwarm(plan, speed=speed, out=out, on_message=display.on_message)
+    return Swarm(
+        plan,
+        speed=speed,
+        out=out,
+        ports="scenario",
+        port_offset=port_offset,
+        on_message=display.on_message,
+        profile_from_s=0.0 if profile else None,
+    )
+
+
+def _waits(plan: Scenario, *, one_process: bool = False) -> bool:
+    """Whether the UAVs wait for a ground station."""
+    waits = plan.onboard.enabled and plan.onboard.hold
+    if waits and one_process:
+        raise Failure(BAD_INPUT, "--hold waits for a ground station, and none can connect to one process")
+    return waits
+
+
+def _on_key(key: str, swarm: Swarm, display: Display) -> None:
+    """Pause, go on, or change the speed, as the user wants."""
+    with contextlib.suppress(SwarmError):  # it may have just ended
+        if key == " ":
+            (swarm.resume if swarm.stands else swarm.pause)()
+            display.note(f"paused at t = {swarm.simulated_s:.2f} s" if swarm.stands else "going on")
+        elif key in "+-" and swarm.speed != "max":
+            speed = swarm.speed
+            # not past what keys are for, but from beyond it only towards it
+            faster, slower = max(speed, min(2.0 * speed, FASTEST)), min(speed, max(0.5 * speed, SLOWEST))
+            swarm.set_speed(faster if key == "+" else slower)
+            display.note(f"speed {swarm.speed:g}")
+
+
+def _fly(swarm: Swarm, display: Display, *, until_interrupted: bool) -> SwarmError | KeyboardInterrupt | None:
+    """Start, form, hold and stop. Returns what broke it off, if there are records all the same."""
+    run = swarm.scenario.run
+    display.note(f"{swarm.scenario.name}: {swarm.scenario.agents} UAVs, seed {run.seed}, into {swarm.path}")
+    swarm.start()
+    processes = "one process is" if len(swarm.pids) == 1 else f"{len(swarm.pids)} processes are"
+    display.note(f"{processes} ready")
+    waits = _waits(swarm.scenario)
+    for line in swarm.addresses if waits else ():
+        display.note(line)
+    try:
+        with Keyboard(lambda key: _on_key(key, swarm, display)) as keyboard:  # there is something to tell now
+            if keyboard.listening:
+                display.note("space pauses and goes on; + and - change the speed")
+            if swarm.scenario.onboard.enabled and not waits:  # else the ground station flies
+                swarm.run_until_formed(timeout_s=run.reach_timeout_s)
+            swarm.run_for(MOST_TIME_S if until_interrupted else run.duration_s)
+    except (SwarmError, KeyboardInterrupt) as error:
+        return error
+    finally:
+        swarm.stop()
+        for line in swarm.forced:
+            display.note(line)
+    return None
+
+
+def _report(
+    swarm: Swarm,
+    broken_off: SwarmError | KeyboardInterrupt | None,
+    messages: Console,
+    *,
+    before: dict[str, int],
+    as_json: bool,
+    interruption_is_fine: bool,
+) -> None:
+    """Turn the records into results and show them; raises ``broken_off`` in the end.
+
+    ``before`` are the `_files` that its folder held before. Ctrl-C is how a run ends that goes on until then.
+    """
+    interrupted = isinstance(broken_off, KeyboardInterrupt)
+    messages.print("writing down what was flown" if interrupted else "computing patterns and figures")
+    try:
+        summary = swarm.summary(draw=not interrupted, interrupted=interrupted)
+    except Exception as error:  # what broke the run off is what its user has to hear
+        if broken_off is None:
+            raise
+        messages.print(f"no summary: {error}")
+    else:
+        if as_json:
+            sys.stdout.write(msgspec.json.format(msgspec.json.encode(summary), indent=2).decode() + "\n")
+        else:
+            Console(highlight=False).print(summary_table(summary))
+            if swarm.profile:
+                step_us = swarm.scenario.run.step_us
+                Console(highlight=False).print(profile_table(swarm.profile, step_us=step_us))
+    written = [name for name, written_ns in _files(swarm.path).items() if before.get(name) != written_ns]
+    messages.print(f"written to {swarm.path}: {', '.join(written)}", soft_wrap=True)
+    if isinstance(broken_off, SwarmError):
+        raise broken_off
+    if swarm.records_lost is not None:
+        raise SwarmError(swarm.records_lost)
+    if broken_off is not None and not interruption_is_fine:
+        raise broken_off
+
+
+def _failure(error: BaseException) -> Failure:
+    """Tell the exit status and line of whatever went wrong."""
+    match error:
+        case Failure():
+            return error
+        case ScenarioError() | SetupError():
+            return Failure(BAD_INPUT, str(error))
+        case typer.TyperException():
+            return Failure(BAD_INPUT, error.format_message())
+        case SwarmTimeoutError() | SwarmError():
+            return Failure(FAILED, str(error))
+        case KeyboardInterrupt():
+            return Failure(INTERRUPTED, "broken off: every process is stopped, the records are kept")
+        case _:
+            return Failure(FAILED, f"{type(error).__name__}: {error}".rstrip(": "))
+
+
+def _default_folder(name: str) -> Path:
+    return Path("runs") / f"{name}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+
+
+def _files(folder: Path) -> dict[str, int]:
+    """Files of a run that are in its folder, by name, figures last, and when each was written, ns."""
+    paths = [path for path in sorted(folder.glob("*")) if path.is_file()] + sorted(folder.glob("figures/*"))
+    return {path.relative_to(folder).as_posix(): path.stat().st_mtime_ns for path in paths}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    try:
+        with interruptible():
+            status = app(args=list(sys.argv[1:] if arguments is None else arguments), standalone_mode=False)
+    except BaseException as error:  # noqa: BLE001  every end has its status and its line
+        failure = _failure(error)
+        print(f"coflight: {failure}", file=sys.stderr)
+        return failure.status
+    return status if isinstance(status, int) else FINE

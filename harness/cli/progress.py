@@ -1,0 +1,231 @@
+"""What a run's user sees: live on a terminal, a plain line now and then elsewhere, and a table at the end.
+
+Fed with what the processes say (`harness.launch.processes.Message`); its wall times come from there too.
+"""
+
+import contextlib
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from foundation.processes.child_protocol import Warned
+from harness.launch.processes import Message, Notice, uav
+from harness.launch.supervisor import Exited
+from harness.simulator.messages import (
+    Collision,
+    FaultChanged,
+    FormationMoves,
+    Formed,
+    Progress,
+    VehicleLost,
+    VehicleSilent,
+    VehicleTruth,
+)
+
+LINE_PERIOD_S = 3.0
+"""Wall time between two plain lines."""
+PACE_WINDOW_S = 2.0
+"""Wall time over which the present speed is taken."""
+_EVEN_IF_UNSEEN = contextlib.suppress(OSError)
+"""A run does not fail of a terminal that was closed: the signal that says so ends it in good order."""
+
+
+class Display(Protocol):
+    """Shows a run while it lasts."""
+
+    def on_message(self, message: Message) -> None:
+        """Take in what a process said."""
+
+    def note(self, line: str) -> None:
+        """Show a line that stays."""
+
+    def close(self) -> None:
+        """End the live part; harmless when repeated."""
+
+
+def display_for(console: Console) -> Display:
+    """Live on a terminal, plain lines elsewhere."""
+    return LiveDisplay(console) if console.is_terminal else LineDisplay(console)
+
+
+def describe(message: Message) -> str | None:
+    """One line for what a user wants to know at once; None for the rest."""
+    match message:
+        case Formed():
+            return f"{_at(message.time_us)}: formation reached"
+        case FormationMoves():
+            return f"{_at(message.time_us)}: formation moves at {message.start_us * 1e-6:.3f} s"
+        case VehicleLost():
+            return f"{_at(message.time_us)}: {uav(message.instance)} lost: {message.reason}"
+        case VehicleSilent():
+            silence = f"has not answered for {message.wall_silence_s:.1f} s of wall time"
+            return f"{_at(message.time_us)}: {uav(message.instance)} {silence}"
+        case Collision():
+            return f"{_at(message.time_us)}: {uav(message.first)} and {uav(message.second)} touched"
+        case FaultChanged():
+            who = "every uav" if message.instance is None else uav(message.instance)
+            what = message.what if message.motor is None else f"{message.what} {message.motor}"
+            return f"{_at(message.time_us)}: fault {message.number} ({what}) of {who} {message.change}"
+        case Warned():
+            return f"{_at(message.time_us)}: {message.name}: {message.text}"
+        case Notice():
+            return message.text
+        case Exited() if message.returncode:
+            return message.describe() + (f": {message.last_words}" if message.last_words else "")
+        case _:
+            return None
+
+
+class Pace:
+    """Speed of simulated against wall time over the last seconds."""
+
+    def __init__(self) -> None:
+        self._marks: deque[tuple[int, float]] = deque()
+
+    def update(self, time_us: int, wall_s: float) -> float | None:
+        """Take in a pair of times; returns the factor, None before there are two."""
+        self._marks.append((time_us, wall_s))
+        while len(self._marks) > 2 and wall_s - self._marks[0][1] > PACE_WINDOW_S:
+            self._marks.popleft()
+        first_us, first_wall_s = self._marks[0]
+        return (time_us - first_us) * 1e-6 / (wall_s - first_wall_s) if wall_s > first_wall_s else None
+
+
+class LineDisplay:
+    """A line per few seconds of wall time."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._pace = Pace()
+        self._wall_next_s = 0.0
+
+    def on_message(self, message: Message) -> None:
+        """Print what is noteworthy, and now and then where the run is."""
+        if (line := describe(message)) is not None:
+            self.note(line)
+        if not isinstance(message, Progress):
+            return
+        factor = self._pace.update(message.time_us, message.wall_s)
+        if message.wall_s >= self._wall_next_s:
+            self._wall_next_s = message.wall_s + LINE_PERIOD_S
+            self.note(f"{headline(message, factor)}, {fleet(message.vehicles)}")
+
+    def note(self, line: str) -> None:
+        """Print a line, however long, as one."""
+        with _EVEN_IF_UNSEEN:
+            self._console.print(Text(line), soft_wrap=True)
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+class LiveDisplay:
+    """A table that is drawn over itself, below the lines that stay."""
+
+    def __init__(self, console: Console) -> None:
+        self._pace = Pace()
+        self._live = Live(Text("starting"), console=console, refresh_per_second=5, transient=True)
+        self._live.start()
+
+    def on_message(self, message: Message) -> None:
+        """Redraw, and print what is noteworthy above."""
+        if (line := describe(message)) is not None:
+            self.note(line)
+        if isinstance(message, Progress):
+            factor = self._pace.update(message.time_us, message.wall_s)
+            self._live.update(Group(Text(headline(message, factor)), _vehicle_table(message.vehicles)))
+
+    def note(self, line: str) -> None:
+        """Print a line above the table."""
+        with _EVEN_IF_UNSEEN:
+            self._live.console.print(Text(line), soft_wrap=True)
+
+    def close(self) -> None:
+        """Take the table away."""
+        with _EVEN_IF_UNSEEN:
+            self._live.stop()
+
+
+def headline(progress: Progress, factor: float | None) -> str:
+    """Where the run is, how fast, how far behind the speed asked for, and how full its channel."""
+    speed = "-" if factor is None else f"{factor:.1f}"
+    pace = "paused" if progress.paused else f"{speed} x real time"
+    lag = f" ({progress.lag_s:.1f} s behind)" if progress.lag_s > 0.0 else ""
+    busy = f"{progress.channel_busy_fraction:.1%}"
+    return f"{_at(progress.time_us)}, {pace}{lag}, channel {busy} busy"
+
+
+def fleet(vehicles: Sequence[VehicleTruth]) -> str:
+    """All vehicles in a phrase: how many are in which phase, and the largest error among those alive."""
+    alive = [vehicle for vehicle in vehicles if vehicle.alive]
+    phases = Counter(vehicle.phase or vehicle.mode or "starting" for vehicle in alive)
+    parts = [f"{count} {phase}" for phase, count in sorted(phases.items())]
+    if len(alive) < len(vehicles):
+        parts.append(f"{len(vehicles) - len(alive)} lost")
+    if alive:
+        parts.append(f"largest error {max(vehicle.error_m for vehicle in alive):.2f} m")
+    return ", ".join(parts)
+
+
+def _vehicle_table(vehicles: Sequence[VehicleTruth]) -> Table:
+    table = Table("uav", "mode", "phase", box=None, pad_edge=False)
+    table.add_column("height m", justify="right")
+    table.add_column("error m", justify="right")
+    for i, vehicle in enumerate(vehicles):
+        height, error = f"{-vehicle.pos_ned_m[2]:.2f}", f"{vehicle.error_m:.2f}"
+        if vehicle.alive:
+            mode = vehicle.mode if vehicle.armed else f"{vehicle.mode} (disarmed)"
+            table.add_row(str(i), mode, vehicle.phase, height, error)
+        else:
+            table.add_row(str(i), "lost", "", height, error, style="red")
+    return table
+
+
+def summary_table(summary: Mapping[str, Any]) -> Table:
+    """Lay out the figures of ``summary.json`` that a user looks for first."""
+    formation, frames, ftm = summary["formation_rms_m"], summary["frames"], summary["ftm"]
+    gain = summary["max_gain_dbi"]
+    lost = [
+        f"{uav(vehicle['uav'])} ({vehicle['lost']})" for vehicle in summary["vehicles"] if vehicle["lost"]
+    ]
+    title = f"{summary['scenario']}, seed {summary['seed']}: {summary['status']}"
+    formation_rms = [f"{_number(formation[kind], '.3f', 'm')} {kind}" for kind in ("absolute", "shape")]
+    frame_counts = [
+        f"{frames[kind]} {kind.replace('_', ' ')}" for kind in ("sent", "collided", "lost_to_noise")
+    ]
+    ftm_error = [f"{_number(ftm[f'error_{kind}_m'], '.3f', 'm')} {kind}" for kind in ("mean", "std")]
+    gains = [f"{_number(gain[kind], '.2f', 'dBi')} {kind}" for kind in ("mean", "ideal")]
+    rows = {
+        "simulated": _number(summary["simulated_s"], ".1f", "s"),
+        "wall time": _number(summary["wall_s"], ".1f", "s"),
+        "real-time factor": _number(summary["real_time_factor"], ".2f"),
+        "formation reached at": _number(summary["formed_s"], ".1f", "s"),
+        "formation error, rms": ", ".join(formation_rms),
+        "frames": ", ".join(frame_counts),
+        "channel busy": _number(summary["channel_busy_fraction"], ".1%"),
+        "FTM sessions": f"{ftm['completed']} of {ftm['requested']} completed",
+        "FTM error": ", ".join(ftm_error),
+        "maximum gain": f"{', '.join(gains)}, {_number(gain['std'], '.2f', 'dB')} std",
+        "computed by": ": ".join(filter(None, (gain.get("backend"), gain.get("accuracy")))) or "-",
+        "collisions": str(summary["collisions"]),
+        **({"lost": "; ".join(lost)} if lost else {}),
+        "deterministic": "yes" if summary["deterministic"] else "no",
+        "log sha256": str(summary["log_sha256"])[:16],
+    }
+    table = Table(title=title, show_header=False)
+    for name, value in rows.items():
+        table.add_row(name, value)
+    return table
+
+
+def _at(time_us: int) -> str:
+    return f"t = {time_us * 1e-6:.2f} s"
+
+
+def _number(value: float | None, form: str, unit: str = "") -> str:
+    return "-" if value is None else f"{value:{form}} {unit}".rstrip()

@@ -1,0 +1,328 @@
+"""A whole swarm in one process, for campaigns: no sockets, no Zenoh, no pipes, and the same bytes.
+
+    summary = fly(load("scenarios/article.toml", ["run.seed=7"]), Path("runs/seed-7"))
+
+    with OneProcessSwarm("scenarios/article.toml", agents=4) as swarm:
+        swarm.run_until_formed(timeout_s=120)
+        swarm.degrade_channel(20.0)
+        swarm.run_for(10)
+
+`OneProcessSwarm` is a `Swarm` whose processes are parts of this one: the same simulation, the same vehicles
+and emulator, which hand each other the same messages by calls. Equal scenarios, seeds and interventions give
+equal logs, byte for byte, whichever of the two flies them. A flight takes one processor, so as many go on
+side by side as there are processors, in processes of their own:
+
+    with ProcessPoolExecutor() as pool:
+        summaries = pool.map(fly, scenarios, folders)
+
+Ground stations, companions and guests of the radio cannot connect.
+"""
+
+import contextlib
+import gc
+import os
+import queue
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numba
+from numba.core.dispatcher import Dispatcher
+
+from autopilot.parameters.config import VehicleConfig
+from foundation.processes.child_protocol import Finished, Ready, Stop
+from harness.launch import kernel_cache
+from harness.launch.processes import (
+    PHYSICS,
+    RADIO,
+    Message,
+    Processes,
+    SetupError,
+    SwarmError,
+    SwarmTimeoutError,
+    uav,
+)
+from harness.launch.supervisor import Exited, Supervisor
+from harness.launch.swarm import Speed, Swarm
+from harness.records.run_folder import PhysicsConfig, RunFolder
+from harness.scenario.scenario import Scenario
+from harness.simulator.emulator_client import Air
+from harness.simulator.in_process_links import LocalLine, LocalRadio, LocalVehicles
+from harness.simulator.messages import AnyCommand
+from harness.simulator.server import obey
+from harness.simulator.simulation import Simulation
+from netsim.emulator.service import HostedEmulator
+from netsim.model.config import ServerConfig
+
+NAME = "one process"
+"""What it is called in manifest and logs."""
+RUN_ID = "one-process"
+"""Keys of the radio begin with it; here nobody uses them."""
+STOP_LIMIT_S = 10.0
+"""Wall time that the flight has to end its step and write what it has."""
+
+
+class _Flight:
+    """The swarm's parts, put together; `fly` obeys commands until Stop. Made and used in one thread.
+
+    ``emit`` is given what a part says, under its name.
+    """
+
+    def __init__(
+        self,
+        physics: PhysicsConfig,
+        radio: ServerConfig,
+        vehicles: Sequence[VehicleConfig],
+        *,
+        emit: Callable[[str, msgspec.Struct], None],
+        stack: contextlib.ExitStack,
+    ) -> None:
+        self._config = physics
+        self._emit = emit
+        self._emulator = stack.enter_context(contextlib.closing(HostedEmulator(radio)))
+        self._emulator.open_logs()
+        radios = [LocalRadio(self._emulator, config.instance) for config in vehicles]
+        line = LocalLine(self._emulator, radios)
+        period_us = physics.scenario.onboard.loop_period_us
+        air = Air(line, period_us=period_us, free=bool(radio.radio.guests))
+
+        def meet(simulation: Simulation) -> LocalVehicles:
+            self.vehicles = LocalVehicles(
+                vehicles, radios, on_message=simulation.on_message, on_lost=simulation.on_lost, emit=emit
+            )
+            return self.vehicles
+
+        self._simulation = stack.enter_context(
+            contextlib.closing(Simulation(physics, meet=meet, air=air, emit=self._say))
+        )
+
+    def fly(self, inbox: "queue.SimpleQueue[AnyCommand]") -> None:
+        """Do as commanded until Stop."""
+        simulation, config = self._simulation, self._config
+        obey(simulation, inbox, connect_timeout_s=config.connect_timeout_s, emit=self._say)
+        details = {
+            "time_us": simulation.time_us,
+            "formed": simulation.formed,
+            RADIO: {"counters": self._emulator.counters},
+            **{seat.host.name: seat.host.vehicle.troubles() for seat in self.vehicles.seats},
+        }
+        self._say(Finished(name=PHYSICS, details=details))
+
+    def _say(self, event: msgspec.Struct) -> None:
+        self._emit(PHYSICS, event)
+
+
+class _Inside(Supervisor):
+    """A supervisor whose one child is a thread of this process: a whole flight."""
+
+    def __init__(self, log_folder: Path) -> None:
+        super().__init__(log_folder)
+        self._inbox: queue.SimpleQueue[AnyCommand] = queue.SimpleQueue()
+        self._thread: threading.Thread | None = None
+        self._flight: _Flight | None = None
+        self.error: Exception | None = None
+        """What ended the flight"""
+
+    def launch(self, physics: PhysicsConfig, radio: ServerConfig, vehicles: Sequence[VehicleConfig]) -> None:
+        """Put the flight together and let it wait for commands."""
+        self._thread = threading.Thread(
+            target=self._live, args=(physics, radio, vehicles), name="flight", daemon=True
+        )
+        self._thread.start()
+
+    def _live(self, physics: PhysicsConfig, radio: ServerConfig, vehicles: Sequence[VehicleConfig]) -> None:
+        code, last_words = 1, ""
+        try:
+            with contextlib.ExitStack() as stack:
+                self._flight = _Flight(physics, radio, vehicles, emit=self._say, stack=stack)
+                self._say(PHYSICS, Ready(name=PHYSICS, pid=os.getpid()))
+                self._flight.fly(self._inbox)
+            code = 0
+        except Exception as error:  # noqa: BLE001  as a process would end, with its traceback in its log
+            self.error, last_words = error, f"{type(error).__name__}: {error}".rstrip(": ")
+            with contextlib.suppress(OSError):  # a full disk has no room for it
+                self.log_path(NAME).write_text(traceback.format_exc(), encoding="utf-8")
+        finally:  # whatever else goes wrong, who waits for the flight hears of its end
+            self._flight = None
+            ended = Exited(
+                name=NAME, pid=os.getpid(), returncode=code, log_tail=last_words, last_words=last_words
+            )
+            self._heard.put((PHYSICS, ended))
+
+    def _say(self, name: str, event: Any) -> None:  # noqa: ANN401  whatever a child says
+        self._heard.put((name, event))
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """This process's id."""
+        return {} if self._thread is None else {NAME: os.getpid()}
+
+    def send(self, name: str, command: AnyCommand) -> None:  # noqa: ARG002  there is but one
+        """Give the flight a command."""
+        self._inbox.put(command)
+
+    def kill(self, name: str) -> None:
+        """End a vehicle at once; the others notice in their next step."""
+        if self._flight is not None:
+            self._flight.vehicles.kill(name)
+
+    def end(self, names: Iterable[str], *, grace_s: float = 0.0) -> list[str]:
+        """End the flight, if it is among them; returns a line if it does not end in time."""
+        if PHYSICS not in names or self._thread is None:
+            return []
+        self._inbox.put(Stop())
+        self._thread.join(grace_s or STOP_LIMIT_S)
+        return ["the flight did not stop when asked"] if self._thread.is_alive() else []
+
+    def stop(self) -> list[str]:
+        """End the flight for good."""
+        return self.end([PHYSICS])
+
+
+class _Processes(Processes):
+    """The processes of a run, all in this one."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        folder: RunFolder,
+        *,
+        wall_limit_s: float | None,
+        on_message: Callable[[Message], None] | None,
+    ) -> None:
+        self._inside = _Inside(folder.logs)
+        super().__init__(
+            scenario, folder, wall_limit_s=wall_limit_s, on_message=on_message, supervisor=self._inside
+        )
+
+    def _start(self) -> None:
+        scenario = self._scenario
+        if self._px4:
+            raise SetupError("autopilot.kind: a PX4 is a process of its own, so one process cannot hold it")
+        use_kernel_cache()
+        kernel_cache.prepare(self._note)
+        folder = RunFolder.create(self._folder.path)
+        radio = _read(folder.write_radio_config(scenario, run_id=RUN_ID), ServerConfig)
+        physics = _read(folder.write_physics_config(scenario, run_id=RUN_ID), PhysicsConfig)
+        vehicles = []
+        for i in range(scenario.agents):
+            path = folder.write_vehicle_config(
+                scenario, i, run_id=RUN_ID, simulator_port=0, radio_endpoint=None
+            )
+            vehicles.append(_read(path, VehicleConfig))
+        # what lives by now is no garbage of the flight's
+        gc.collect()
+        gc.freeze()
+        self._inside.launch(physics, radio, vehicles)
+        self._await_ready([PHYSICS])
+
+    def next(self, wall_limit_s: float, complaint: str) -> Message:
+        """See `Processes.next`; the cause of a SwarmError is what ended the flight."""
+        try:
+            return super().next(wall_limit_s, complaint)
+        except SwarmError as error:
+            raise error from self._inside.error
+
+    def stop(self) -> None:
+        """See `Processes.stop`; what lives is looked at by the garbage collection again."""
+        running = self._running
+        super().stop()
+        if running:
+            gc.unfreeze()
+
+
+def _read(path: Path, kind: type[Any]) -> Any:  # noqa: ANN401  of that kind
+    """Settings as a process of its own would read them."""
+    return msgspec.json.decode(path.read_bytes(), type=kind)
+
+
+def use_kernel_cache() -> None:
+    """Have this process's kernels loaded from the cache that all processes of a run use.
+
+    Numba fixes a kernel's cache when its module is imported, which may be long ago.
+    """
+    folder = str(kernel_cache.folder())
+    os.environ[kernel_cache.VARIABLE] = folder
+    config = vars(numba.config)
+    if config["CACHE_DIR"] == folder:
+        return
+    config["CACHE_DIR"] = folder
+    for name, module in list(sys.modules.items()):
+        if name.partition(".")[0] in kernel_cache.PACKAGES:
+            for value in vars(module).values():
+                if isinstance(value, Dispatcher) and value.__module__ == name:
+                    value.enable_caching()
+
+
+class OneProcessSwarm(Swarm):
+    """A swarm within this process: see `Swarm`, whose methods and promises it has.
+
+    Only `mavlink` is not to be had. What flies is a thread, so a process with several of these has them take
+    turns.
+    """
+
+    _make_processes = _Processes
+
+    def __init__(
+        self,
+        scenario: str | Path | Scenario,
+        *,
+        agents: int | None = None,
+        seed: int | None = None,
+        overrides: Sequence[str] = (),
+        speed: Speed = "max",
+        out: str | Path | None = None,
+        wall_limit_s: float | None = None,
+        on_message: Callable[[Message], None] | None = None,
+    ) -> None:
+        super().__init__(
+            scenario,
+            agents=agents,
+            seed=seed,
+            overrides=overrides,
+            speed=speed,
+            out=out,
+            wall_limit_s=wall_limit_s,
+            on_message=on_message,
+        )
+
+    def mavlink(self, instance: int) -> Any:  # noqa: ANN401  see `Swarm.mavlink`
+        """Raise SwarmError: the vehicles have no links to the outside."""
+        raise SwarmError(f"{uav(instance)} has no link to the outside in a swarm of one process")
+
+
+def fly(scenario: Scenario, out: Path, *, until_s: float | None = None, draw: bool = False) -> dict[str, Any]:
+    """Fly a scenario on one processor and return the summary of `harness.report.report.finish`.
+
+    Until formed and then for ``run.duration_s``, as the command line does, or up to a simulated time. A
+    formation that is not reached in time is a result; its ``status`` says so. Raises SwarmError for a run
+    that fails, but OSError or MemoryError where it is the machine that has no room, such as a full disk.
+    """
+    try:
+        with OneProcessSwarm(scenario, out=out) as swarm:
+            return _flown(swarm, scenario, until_s, draw=draw)
+    except SwarmError as error:
+        if isinstance(error.__cause__, OSError | MemoryError):
+            raise error.__cause__ from None
+        raise
+
+
+def _flown(swarm: Swarm, scenario: Scenario, until_s: float | None, *, draw: bool) -> dict[str, Any]:
+    if until_s is not None:
+        swarm.run(until_s=until_s)
+    else:
+        with contextlib.suppress(SwarmTimeoutError):
+            if scenario.onboard.enabled:  # else nobody forms anything
+                swarm.run_until_formed(timeout_s=scenario.run.reach_timeout_s)
+            swarm.run_for(scenario.run.duration_s)
+    from harness.report import antenna_report  # noqa: PLC0415  the analysis is slow to import: not before the flight
+
+    with antenna_report.on_threads(1):
+        summary = swarm.summary(draw=draw)
+    if summary["status"] == "failed":  # a timeout may be of the machine's
+        raise SwarmError(summary["reason"])
+    return summary

@@ -1,0 +1,94 @@
+"""Where the time of a run went: what its processes found out about themselves, by kind of process and part.
+
+The processes sample themselves (`foundation.profiling.profiler`) and tell in their last event; a process that
+was killed tells nothing.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import msgspec
+from msgspec import Struct
+from rich.table import Table
+
+from foundation.profiling.profiler import KEY, Profile
+from harness.launch.processes import PHYSICS, RADIO
+
+VEHICLES = "vehicles"
+KINDS = {PHYSICS: "physics server", RADIO: "802.11 emulator", VEHICLES: "vehicles"}
+"""Kinds of process that tell, as they are called in results and to people."""
+_MANY = {"uav": VEHICLES, "application": "applications"}
+"""Kinds of those that are numbered"""
+
+
+class KindProfile(Struct, frozen=True, kw_only=True):
+    """What all processes of one kind did."""
+
+    processes: int
+    """That told"""
+    cpu_s_per_simulated_s: float
+    """Of all together"""
+    parts_cpu_s_per_simulated_s: dict[str, float]
+    """Which sum up to that, the largest first"""
+    waiting_fraction: float
+    """Of wall time, a process's mean, in which it had nothing to do"""
+    queueing_fraction: float
+    """In which others had the processors; part of waiting where the operating system does not tell"""
+    samples: int
+
+
+def by_kind(finished: Mapping[str, Mapping[str, Any]]) -> dict[str, KindProfile]:
+    """Profiles by kind of process, from the details of every process's last event by its name."""
+    told: dict[str, list[Profile]] = {kind: [] for kind in KINDS}
+    for name, details in finished.items():
+        if KEY in details:
+            told.setdefault(kind_of(name), []).append(msgspec.convert(details[KEY], Profile))
+    return {kind: _together(profiles) for kind, profiles in told.items() if profiles}
+
+
+def kind_of(name: str) -> str:
+    """Kind of the process of that name."""
+    return _MANY.get(name.partition(" ")[0], name)
+
+
+def _together(profiles: list[Profile]) -> KindProfile:
+    parts: dict[str, float] = {}
+    for profile in profiles:
+        for part, spent_s in profile.parts_cpu_s.items():
+            parts[part] = parts.get(part, 0.0) + spent_s / profile.simulated_s
+    return KindProfile(
+        processes=len(profiles),
+        cpu_s_per_simulated_s=sum(parts.values()),
+        parts_cpu_s_per_simulated_s=dict(sorted(parts.items(), key=lambda item: -item[1])),
+        waiting_fraction=_mean(profile.waiting_s / profile.wall_s for profile in profiles),
+        queueing_fraction=_mean(profile.queueing_s / profile.wall_s for profile in profiles),
+        samples=sum(profile.samples for profile in profiles),
+    )
+
+
+def _mean(values: Iterable[float]) -> float:
+    numbers = list(values)
+    return sum(numbers) / len(numbers)
+
+
+def profile_table(profile: Mapping[str, KindProfile], *, step_us: int) -> Table:
+    """Lay out a profile: a row per part, below one per kind of process."""
+    table = Table(title="where the processor time went")
+    table.add_column("")
+    for column in ("ms per simulated s", "us per step", "share"):
+        table.add_column(column, justify="right")
+    whole = sum(kind.cpu_s_per_simulated_s for kind in profile.values())
+
+    def row(name: str, spent: float, style: str | None = None) -> None:
+        figures = f"{1e3 * spent:.1f}", f"{step_us * spent:.0f}", f"{spent / whole:.1%}"
+        table.add_row(name, *figures, style=style)
+
+    for name, kind in profile.items():
+        processes = f" ({kind.processes})" if name == VEHICLES else ""
+        row(f"{KINDS.get(name, name)}{processes}", kind.cpu_s_per_simulated_s, "bold")
+        for part, spent in kind.parts_cpu_s_per_simulated_s.items():
+            row(f"  {part}", spent)
+        waits = f"waits {kind.waiting_fraction:.0%}, queues {kind.queueing_fraction:.0%} of wall time"
+        table.add_row(f"  {waits}", "", "", "", style="dim")
+    row("all", whole, "bold")
+    return table

@@ -1,0 +1,147 @@
+"""A real PX4 in a vehicle's seat: what a scenario says of it, and the command that starts it.
+
+PX4 derives its ports from its instance number, so they are the scenario's only if the scenario has PX4's own,
+or if the command hands them over. In ``autopilot.px4_command`` and ``autopilot.px4_env`` stand
+
+    {build}  ``autopilot.px4_build``, as an absolute path
+    {i}      the vehicle's number, {sysid} its MAVLink system: one more
+    {work}   a folder of its own in the run folder, where it is started
+    {host}   where the simulator listens, {tcp} its port for this vehicle
+    {gcs_local} {gcs_remote} {companion_local} {companion_remote}    the UDP ports of its links
+
+so that a user can wrap it: ["taskset", "-c", "2", "{build}/bin/px4", "-i", "{i}", ...].
+
+Parameters of the scenario go along as PX4_PARAM_NAME, which PX4's start-up script sets, less coflight's own
+(CF_...). Unless they say otherwise, PX4 is told how old the simulated receiver's fixes are, and how fast they
+drift: it takes no receiver for good that drifts as a consumer's does.
+"""
+
+import math
+import string
+from collections.abc import Mapping
+from pathlib import Path
+
+from autopilot.parameters.config import AutopilotConfig, VehiclePorts
+from harness.launch.external_process import KeptConfig
+from harness.scenario.scenario import Scenario
+from harness.world.sensors.config import GpsModel
+
+OWN_PARAMETERS = "CF_"
+"""Parameters that begin so are of coflight's own autopilot."""
+_PORTS = {
+    "simulator_tcp": (4560, "tcp"),
+    "gcs_local_udp": (18570, "gcs_local"),
+    "companion_local_udp": (14580, "companion_local"),
+}
+"""Ports that a PX4 of instance 0 chooses itself, each raised by the instance; and their placeholders."""
+_MS_PER_S = 1e3
+_DRIFT_FILTER_S = 10.0
+"""Time constant over which PX4's estimator takes the mean of a fix's drift on the ground."""
+_DRIFT_SIGMAS = 5.0
+_LEAST_DRIFT_M_S, _MOST_DRIFT_M_S = {"H": 0.1, "V": 0.2}, {"H": 1.0, "V": 1.5}
+"""PX4's default and upper end of EKF2_REQ_HDRIFT and EKF2_REQ_VDRIFT."""
+_TRUTH = "onboard.localisation: 'truth' is told over the simulator's link, and that is PX4's own"
+
+
+class Px4Error(ValueError):
+    """A PX4 that cannot be started as asked; the text is one line for the user."""
+
+
+def instances(scenario: Scenario) -> tuple[int, ...]:
+    """Vehicles that a PX4 flies."""
+    return tuple(i for i in range(scenario.agents) if scenario.autopilot.is_px4(i))
+
+
+def application_ports(scenario: Scenario) -> list[int]:
+    """UDP ports that the applications beside PX4s are bound to, less those that take any free one."""
+    if not scenario.onboard.enabled:
+        return []
+    ports = [_ports(scenario, i).companion_remote_udp for i in instances(scenario)]
+    return [port for port in ports if port]
+
+
+def check_start(scenario: Scenario) -> None:
+    """Look at what this machine has to have before anything starts. Raises Px4Error."""
+    if not instances(scenario):
+        return
+    program = _build(scenario.autopilot) / "bin" / "px4"
+    if not program.is_file():
+        raise Px4Error(f"autopilot.px4_build: there is no {program}; expected the folder of a PX4 SITL build")
+    if scenario.onboard.enabled and scenario.onboard.localisation == "truth":
+        raise Px4Error(_TRUTH)
+    named = _named(scenario.autopilot)
+    for field, (base, placeholder) in _PORTS.items():
+        port = getattr(scenario.ports, field)
+        handed_over = placeholder in named and (port or field == "simulator_tcp")
+        if port != base and not handed_over:
+            raise Px4Error(
+                f"ports.{field}: a PX4 listens on {base} plus its number, not on {port or 'a free one'}; "
+                f"fly on the scenario's ports without an offset, or hand over {{{placeholder}}} in "
+                "autopilot.px4_command"
+            )
+
+
+def seat(scenario: Scenario, instance: int, *, run_folder: Path, simulator_port: int) -> KeptConfig:
+    """Say how one is started. Raises OSError if its folder cannot be made."""
+    config, ports = scenario.autopilot, _ports(scenario, instance)
+    work = (run_folder / "px4" / f"uav-{instance}").absolute()
+    work.mkdir(parents=True)
+    values: dict[str, object] = {
+        "build": _build(config),
+        "i": instance,
+        "sysid": instance + 1,
+        "work": work,
+        "host": ports.host,
+        "tcp": simulator_port,
+        "gcs_local": ports.gcs_local_udp,
+        "gcs_remote": ports.gcs_remote_udp,
+        "companion_local": ports.companion_local_udp,
+        "companion_remote": ports.companion_remote_udp,
+    }
+    parameters = _receiver(scenario.sensors.gps_model()) | config.for_uav(instance).params
+    return KeptConfig(
+        name=f"uav {instance}",
+        command=tuple(part.format_map(values) for part in config.px4_command),
+        environment={name: value.format_map(values) for name, value in config.px4_env.items()}
+        | _environment(parameters),
+        folder=str(work),
+        details={"gcs_local_udp": ports.gcs_local_udp, "companion_local_udp": ports.companion_local_udp},
+    )
+
+
+def _receiver(model: GpsModel) -> dict[str, float]:
+    """Parameters that follow from the simulated receiver.
+
+    PX4 accepts no fixes that drift on the ground, by the mean of their change over T = 10 s: of a first-order
+    Gauss-Markov error of std σ and time constant τ that mean has a std of σ / T sqrt(T / (T + τ)).
+    """
+    parameters = {"EKF2_GPS_DELAY": model.delay_s * _MS_PER_S}
+    share = _DRIFT_FILTER_S / (_DRIFT_FILTER_S + model.bias_time_constant_s)
+    for axis, std_m in (("H", model.horizontal_bias_std_m), ("V", model.vertical_bias_std_m)):
+        most_m_s = _DRIFT_SIGMAS * std_m / _DRIFT_FILTER_S * math.sqrt(share)
+        if most_m_s > _LEAST_DRIFT_M_S[axis]:
+            parameters[f"EKF2_REQ_{axis}DRIFT"] = min(round(most_m_s, 3), _MOST_DRIFT_M_S[axis])
+    return parameters
+
+
+def _environment(parameters: Mapping[str, float]) -> dict[str, str]:
+    """Parameters as PX4's start-up script takes them: what is whole without a point, as integers must be."""
+    return {
+        f"PX4_PARAM_{name}": f"{value:.9g}"
+        for name, value in parameters.items()
+        if not name.startswith(OWN_PARAMETERS)
+    }
+
+
+def _build(config: AutopilotConfig) -> Path:
+    return Path(config.px4_build or "").expanduser().absolute()
+
+
+def _ports(scenario: Scenario, instance: int) -> VehiclePorts:
+    return scenario.vehicle(instance, run_id="", radio_endpoint=None, log_path=None).ports
+
+
+def _named(config: AutopilotConfig) -> set[str]:
+    """Placeholders in command and environment."""
+    texts = (*config.px4_command, *config.px4_env.values())
+    return {name for text in texts for _, name, _, _ in string.Formatter().parse(text) if name is not None}

@@ -1,0 +1,71 @@
+"""pytest plugin: the `swarm` fixture flies real multi-process swarms in tests.
+
+Every test run where coflight is installed loads this module, so it imports nothing but pytest until a test
+asks for a swarm. A test calls the fixture once per swarm:
+
+    def test_hover(swarm):
+        flight = swarm("scenarios/article.toml", agents=3)
+        flight.run_until_formed(timeout_s=60)
+
+What it adds to `harness.launch.swarm.Swarm`: a deadline of wall time, the ends of the processes' logs in the
+report of a test that failed, and a failure if a process or a bound port is left when the test is over.
+"""
+
+import contextlib
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from harness.launch.swarm import Swarm
+    from harness.scenario.scenario import Scenario
+
+DEADLINE_S = 120.0
+"""Wall time that a swarm of the fixture may take in all, unless the test says otherwise."""
+LOG_TAIL_LINES = 20
+
+SwarmFactory = Callable[..., "Swarm"]
+_flown: "pytest.StashKey[list[Swarm]]" = pytest.StashKey()
+
+
+@pytest.fixture
+def swarm(request: pytest.FixtureRequest) -> Generator[SwarmFactory, None, None]:
+    """Give a factory of running swarms: ``swarm(scenario, **options of Swarm)``.
+
+    A relative path is taken from pytest's root directory. ``wall_limit_s`` is `DEADLINE_S` unless given.
+    All swarms are stopped when the test ends, and it fails if one of them left a process or a port behind.
+    """
+    flown: list[Swarm] = request.node.stash.setdefault(_flown, [])
+
+    def start(scenario: "str | Path | Scenario", **options: Any) -> "Swarm":  # noqa: ANN401  Swarm's own signature checks them
+        from harness.launch.swarm import Swarm  # noqa: PLC0415  heavy, and most tests of most projects never fly
+
+        if isinstance(scenario, str | Path):
+            scenario = request.config.rootpath / scenario
+        options.setdefault("wall_limit_s", DEADLINE_S)
+        flight = Swarm(scenario, **options)
+        flown.append(flight)
+        flight.start()
+        return flight
+
+    with contextlib.ExitStack() as stack:  # all are stopped, whatever one stop raises
+        yield start
+        for flight in flown:
+            stack.callback(flight.stop)
+    left = [line for flight in flown for line in flight.leftovers()]
+    if left:
+        pytest.fail("the swarm left behind: " + "; ".join(left), pytrace=False)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Put the ends of the processes' logs into the report of a test that failed."""
+    report = yield
+    if report.failed:
+        for flight in item.stash.get(_flown, []):
+            for name, tail in flight.log_tails(LOG_TAIL_LINES).items():
+                if tail:
+                    report.sections.append((f"log of {name}", tail))
+    return report

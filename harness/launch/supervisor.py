@@ -1,0 +1,439 @@
+"""Child processes: started, heard, watched, and stopped so that nothing is left behind.
+
+Knows nothing of swarms. A child is a command with a name; it speaks the protocol of
+`foundation.processes.child_protocol`: JSON events on its stdout, commands on its stdin, and an end when stdin
+ends. All that the children say, and how they end, is heard by one thread and comes out of one queue. A child
+may be a forker (`harness.launch.prefork_client`), and others be forked by it.
+
+Ctrl-C cannot fall between a process's start and its being known, nor cut a stop short.
+"""
+
+import collections
+import contextlib
+import os
+import queue
+import signal
+import subprocess
+import threading
+import time
+import uuid
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import IO
+
+import msgspec
+import psutil
+from msgspec import Struct
+
+from foundation.processes.child_protocol import Finished, Influenced, Ready, Stop, Warned
+from foundation.processes.prefork import Fork
+from harness.launch.descriptor_watcher import Listener
+from harness.launch.interrupts import interrupts_deferred
+from harness.launch.prefork_client import Forker, ForkError, process_of
+from harness.simulator.messages import AnyCommand, AnyEvent
+
+MARK = "COFLIGHT_CHILD"
+"""Environment variable of every child and whatever it starts: ``<supervisor's token>/<child's name>``."""
+INPUT_GRACE_S = 1.0
+"""Wall time that a child has to end once its stdin has."""
+TERM_GRACE_S = 2.0
+"""Wall time between SIGTERM and SIGKILL."""
+KILL_GRACE_S = 5.0
+"""Wall time within which the kernel must have ended a process after SIGKILL."""
+LAST_WORDS_S = 0.2
+"""Wall time for which the stdout of dead children is still read, if what one started holds it open."""
+PIPE_BYTES = 65_536
+"""As much as a pipe holds."""
+TAIL_LINES = 8
+TAIL_BYTES = 64 * 1024
+
+
+class Exited(Struct, frozen=True, kw_only=True):
+    """A child has ended; nothing more comes from it."""
+
+    name: str
+    pid: int
+    returncode: int | None
+    """Exit status, or minus the signal that killed it; None if its forker, which would know, died before."""
+    log_tail: str
+    """Last lines of its log, for one that failed."""
+    last_words: str = ""
+    """Last line of these that it did not print: on stdout libraries talk, for instance at their import."""
+
+    def describe(self) -> str:
+        """One line: who, and how it ended."""
+        return f"{self.name} (pid {self.pid}) {ending(self.returncode)}"
+
+
+ChildMessage = Ready | Finished | Influenced | Warned | AnyEvent
+Heard = tuple[str, ChildMessage | Exited]
+"""Child's name, and what it said or how it ended."""
+_decoder = msgspec.json.Decoder(ChildMessage)
+_encoder = msgspec.json.Encoder()
+
+
+class SupervisorError(Exception):
+    """A child could not be started, or not be ended; one line."""
+
+
+def ending(returncode: int | None) -> str:
+    """How a process ended, in words."""
+    if returncode is None:
+        return "ended, nobody knows how"
+    if returncode >= 0:
+        return f"ended with status {returncode}"
+    try:
+        return f"was killed by {signal.Signals(-returncode).name}"
+    except ValueError:
+        return f"was killed by signal {-returncode}"
+
+
+class _Child:
+    """One process with its pipes and what it said last. ``forker``: who forked it, and tells how it ends."""
+
+    def __init__(self, name: str, pid: int, stdin: IO[bytes], stdout: IO[bytes], forker: str | None) -> None:
+        self.name = name
+        self.pid = pid
+        self.forker = forker
+        self.process = process_of(pid)
+        self.stdin = stdin
+        self.stdout = stdout
+        self.gone = threading.Event()
+        """It has ended, and its last words are in the queue."""
+        self.silent = threading.Event()
+        """Its stdout has ended."""
+        self.printed: collections.deque[bytes] = collections.deque(maxlen=TAIL_LINES)
+        """The last lines of its stdout that were no events."""
+        self._unfinished = b""
+        """The line that it is about to say."""
+        self._stdin_lock = threading.Lock()
+        for pipe in (self.stdin, self.stdout):  # whatever a child does, its launcher goes on
+            os.set_blocking(pipe.fileno(), False)
+
+    def __str__(self) -> str:
+        return f"{self.name} (pid {self.pid})"
+
+    def write(self, line: bytes) -> None:
+        """Write a line of at most PIPE_BUF bytes to its stdin; one that is gone is noticed elsewhere."""
+        with self._stdin_lock:
+            if self.stdin.closed:
+                return
+            try:
+                os.write(self.stdin.fileno(), line)
+            except BrokenPipeError:
+                pass
+            except BlockingIOError:
+                raise SupervisorError(f"{self} takes no commands any more") from None
+
+    def end_input(self) -> None:
+        with self._stdin_lock:
+            self.stdin.close()
+
+    def read_lines(self) -> list[bytes]:
+        """Lines that it has finished, as far as one pipe holds; `silent` is set when there are no more."""
+        if self.silent.is_set():
+            return []
+        try:
+            data = os.read(self.stdout.fileno(), PIPE_BYTES)
+        except BlockingIOError:
+            return []
+        if not data:
+            self.silent.set()
+        *lines, self._unfinished = (self._unfinished + data).split(b"\n")
+        return lines if data or not self._unfinished else [self._unfinished]
+
+    def signal(self, number: signal.Signals) -> None:
+        with contextlib.suppress(psutil.NoSuchProcess):
+            if self.process is not None:
+                self.process.send_signal(number)
+
+
+class Supervisor:
+    """The children of one run. Its methods may be called from any thread.
+
+    ``log_folder`` gets ``<name>.log`` of each child: its stderr, and what it printed that is no event.
+    ``environment`` is added to what the children inherit.
+    """
+
+    def __init__(self, log_folder: Path, *, environment: Mapping[str, str] | None = None) -> None:
+        self.log_folder = log_folder
+        self.token = uuid.uuid4().hex
+        self._environment = dict(environment or {})
+        self._heard: queue.SimpleQueue[Heard] = queue.SimpleQueue()
+        self._children: dict[str, _Child] = {}
+        self._forkers: dict[str, Forker] = {}
+        self._listener = Listener("hear children")
+        self._lock = threading.Lock()
+        self._stopping = False
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """Process id of every child ever started, by name."""
+        return {name: child.pid for name, child in self._children.items()}
+
+    def alive(self, name: str) -> bool:
+        """Whether that child was started and has not ended."""
+        return name in self._children and not self._children[name].gone.is_set()
+
+    def start(self, name: str, command: Sequence[str], *, pass_fds: Iterable[int] = ()) -> int:
+        """Start a child in a process group of its own and return its process id.
+
+        Ctrl-C does not reach it then. It stays in this session, for Linux (autogroup) shares processors out
+        among sessions first, and what a process yields goes to others of its own.
+        ``pass_fds`` are the only file descriptors that it inherits, under the same numbers.
+        Raises SupervisorError if the command cannot be run, or if the children are being stopped.
+        """
+        with self._starting(name) as log:
+            try:
+                popen = subprocess.Popen(
+                    list(command),
+                    bufsize=0,
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=log,
+                    process_group=0,
+                    pass_fds=tuple(pass_fds),
+                    env=os.environ | self._environment | self._mark(name),
+                )
+            except OSError as error:
+                raise SupervisorError(f"{name}: cannot be started: {error}") from None
+            assert popen.stdin is not None and popen.stdout is not None  # noqa: PT018, S101  as asked for
+            try:
+                pidfd = os.pidfd_open(popen.pid)
+            except OSError as error:
+                popen.kill()
+                popen.wait()
+                raise SupervisorError(f"{name}: cannot be watched: {error}") from None
+            child = self._add(_Child(name, popen.pid, popen.stdin, popen.stdout, None))
+            self._listener.call(lambda: self._watch_end(child, popen, pidfd))
+            return child.pid
+
+    def start_forker(self, name: str, command: Sequence[str]) -> int:
+        """Start a child that others can be forked from; it gets ``--fork-fd``. Raises as `start`."""
+        forker = Forker(self._listener)
+        try:
+            with forker.theirs as line:
+                pid = self.start(name, [*command, "--fork-fd", str(line.fileno())], pass_fds=[line.fileno()])
+        except SupervisorError:
+            forker.close()
+            raise
+        forker.listen()
+        self._forkers[name] = forker
+        return pid
+
+    def fork(self, name: str, arguments: Sequence[str], *, forker: str) -> int:
+        """Have a child forked by another, in a process group of its own, and return its process id.
+
+        ``arguments`` are the command line that it gets. Raises SupervisorError if it cannot be forked, or if
+        the children are being stopped.
+        """
+        with self._starting(name) as log, contextlib.ExitStack() as theirs:
+            (stdin, our_stdin), (our_stdout, stdout) = os.pipe(), os.pipe()
+            for fd in (stdin, stdout):
+                theirs.callback(os.close, fd)
+            ours = os.fdopen(our_stdin, "wb", buffering=0), os.fdopen(our_stdout, "rb", buffering=0)
+            request = Fork(name=name, arguments=tuple(arguments), environment=self._mark(name))
+            try:
+                forked = self._forkers[forker].fork(request, (stdin, stdout, log.fileno()))
+            except ForkError as error:
+                for pipe in ours:
+                    pipe.close()
+                raise SupervisorError(f"{name}: cannot be forked by {forker}: {error}") from None
+            child = self._add(_Child(name, forked.pid, *ours, forker))
+            forked.ending.add_done_callback(
+                lambda ending: self._listener.call(lambda: self._on_end(child, ending.result()))
+            )
+            return child.pid
+
+    @contextlib.contextmanager
+    def _starting(self, name: str) -> Iterator[IO[bytes]]:
+        """While a child is being started, with its log; no signal and no stop come between."""
+        with interrupts_deferred(), self._lock:
+            if self._stopping:
+                raise SupervisorError(f"{name}: not started, for the run is being stopped")
+            with self.log_path(name).open("ab", buffering=0) as log:  # appended to: both write into it
+                yield log
+
+    def _mark(self, name: str) -> dict[str, str]:
+        return {MARK: f"{self.token}/{name}"}
+
+    def _add(self, child: _Child) -> _Child:
+        """Know a new child and hear it."""
+        self._children[child.name] = child
+        stdout = child.stdout.fileno()
+        self._listener.call(lambda: self._listener.watch(stdout, lambda: self._hear(child)))
+        return child
+
+    def _hear(self, child: _Child) -> None:
+        """Queue each line that is an event; native libraries print too, and that belongs in the log."""
+        if child.silent.is_set():
+            return
+        for line in child.read_lines():
+            try:
+                self._heard.put((child.name, _decoder.decode(line)))
+            except (msgspec.DecodeError, UnicodeDecodeError):
+                child.printed.append(line)
+                # a full disk must not stop the events
+                with contextlib.suppress(OSError), self.log_path(child.name).open("ab") as log:
+                    log.write(line + b"\n")
+        if child.silent.is_set():
+            self._listener.forget(child.stdout.fileno())
+            child.stdout.close()
+
+    def _watch_end(self, child: _Child, process: "subprocess.Popen[bytes]", pidfd: int) -> None:
+        """Take note when a child of this process ends."""
+
+        def look() -> None:
+            returncode = process.poll()
+            if returncode is not None:
+                self._listener.forget(pidfd)
+                os.close(pidfd)
+                self._on_end(child, returncode)
+
+        self._listener.watch(pidfd, look)
+
+    def _on_end(self, child: _Child, returncode: int | None) -> None:
+        """Queue a child's end after its last event, which is in the pipe if it has not been heard yet."""
+        child.end_input()
+        self._hear(child)
+        log_tail = self.log_tail(child.name) if returncode else ""
+        printed = {line.decode(errors="replace").rstrip() for line in child.printed}
+        said = [line for line in log_tail.splitlines() if line.rstrip() not in printed]
+        exited = Exited(
+            name=child.name,
+            pid=child.pid,
+            returncode=returncode,
+            log_tail=log_tail,
+            last_words=said[-1] if said else "",
+        )
+        self._heard.put((child.name, exited))
+        child.gone.set()
+
+    def hear(self, timeout_s: float) -> Heard | None:
+        """Oldest message that has not been taken; None if there is none within the time."""
+        try:
+            return self._heard.get(timeout=max(0.0, timeout_s))
+        except queue.Empty:
+            return None
+
+    def send(self, name: str, command: AnyCommand) -> None:
+        """Write a command to a child's stdin. If it has ended, that is what comes out of `hear`.
+
+        Raises SupervisorError for a child that was never started.
+        """
+        child = self._children.get(name)
+        if child is None:
+            raise SupervisorError(f"{name} has not been started")
+        child.write(_encoder.encode(command) + b"\n")
+
+    def kill(self, name: str) -> None:
+        """SIGKILL a child and return when it is gone."""
+        child = self._children[name]
+        child.signal(signal.SIGKILL)
+        self._wake([child])
+        if not child.gone.wait(KILL_GRACE_S):
+            raise SupervisorError(f"{child} does not end on SIGKILL")
+
+    def end(self, names: Iterable[str], *, grace_s: float = 0.0) -> list[str]:
+        """End these children, all at once, and return a line for each that had to be forced.
+
+        They are told to stop and have ``grace_s`` to write what they have; then their input ends, and
+        SIGTERM and SIGKILL follow, after `INPUT_GRACE_S` and `TERM_GRACE_S`. Who is stopped goes on, to obey.
+        """
+        with interrupts_deferred():
+            children = [self._children[name] for name in names if self.alive(name)]
+            self._wake(children)
+            for child in children:
+                with contextlib.suppress(SupervisorError):
+                    child.write(_encoder.encode(Stop()) + b"\n")
+            _wait_gone(children, grace_s)
+            forced = []
+            if grace_s:
+                forced = [f"{child} did not stop when asked" for child in children if not child.gone.is_set()]
+            for child in children:
+                child.end_input()
+            _wait_gone(children, INPUT_GRACE_S)
+            for number, patience_s in ((signal.SIGTERM, TERM_GRACE_S), (signal.SIGKILL, KILL_GRACE_S)):
+                late = [child for child in children if not child.gone.is_set()]
+                for child in late:
+                    forced.append(f"{child} did not end in time: {number.name}")
+                    child.signal(number)
+                _wait_gone(late, patience_s)
+            return forced
+
+    def _wake(self, children: Iterable[_Child]) -> None:
+        """Have these go on if they were stopped (SIGSTOP), and their forkers, who tell how they end."""
+        for name in {name for child in children for name in (child.name, child.forker) if name}:
+            self._children[name].signal(signal.SIGCONT)
+
+    def stop(self) -> list[str]:
+        """End every child at once, and whatever these started, for good: none can be started afterwards.
+
+        Returns a line for each process that had to be forced.
+        """
+        with interrupts_deferred():
+            with self._lock:
+                self._stopping = True
+            forced = self.end(self._children) + self._end_strays()
+            deadline = time.monotonic() + LAST_WORDS_S
+            for child in self._children.values():
+                child.silent.wait(max(0.0, deadline - time.monotonic()))
+            self._listener.close()
+            for child in self._children.values():
+                child.stdout.close()
+            for forker in self._forkers.values():
+                forker.close()
+            return forced
+
+    def _end_strays(self) -> list[str]:
+        lines = []
+        for stray, name in self.strays():
+            with contextlib.suppress(psutil.NoSuchProcess):
+                lines.append(f"{name} left {stray.name()} (pid {stray.pid}) behind: SIGKILL")
+                stray.kill()
+        deadline = time.monotonic() + KILL_GRACE_S
+        # polled, for a process that is not a child of this one can be waited for in no other way
+        while lines and self.strays() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return lines
+
+    def strays(self) -> list[tuple[psutil.Process, str]]:
+        """Living processes that came from these children, with the child's name, found by their environment.
+
+        A process that left its parent, group and session still carries the mark; only one that changed its
+        environment or its user does not. What was forked shows its forker's.
+        """
+        found, names = [], {child.pid: child.name for child in list(self._children.values())}
+        for process in psutil.process_iter():
+            try:
+                token, _, name = process.environ().get(MARK, "").partition("/")
+                if token == self.token and process.status() != psutil.STATUS_ZOMBIE:
+                    found.append((process, names.get(process.pid, name)))
+            except (psutil.Error, OSError):
+                continue
+        return found
+
+    def log_path(self, name: str) -> Path:
+        """Where that child's log is, or would be."""
+        return self.log_folder / f"{name.replace(' ', '-')}.log"
+
+    def log_tail(self, name: str, lines: int = TAIL_LINES) -> str:
+        """Last lines of a child's log."""
+        return tail(self.log_path(name), lines)
+
+
+def tail(path: Path, lines: int) -> str:
+    """Last lines of a text file of any size; empty if there is none."""
+    try:
+        with path.open("rb") as log:
+            log.seek(max(0, log.seek(0, os.SEEK_END) - TAIL_BYTES))
+            last = collections.deque(log, maxlen=lines)
+    except OSError:
+        return ""
+    return b"".join(last).decode(errors="replace").rstrip()
+
+
+def _wait_gone(children: Iterable[_Child], timeout_s: float) -> None:
+    deadline = time.monotonic() + timeout_s
+    for child in children:
+        child.gone.wait(max(0.0, deadline - time.monotonic()))

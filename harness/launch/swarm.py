@@ -1,0 +1,454 @@
+"""The Python API: a swarm of real processes that flies while it is told to.
+
+    with Swarm("scenarios/article.toml", agents=3, speed="max") as swarm:
+        swarm.run_until_formed(timeout_s=60)
+        swarm.cut_channel()
+        swarm.run_for(10)
+        assert swarm.truth.error_m.max() < 5.0
+
+Simulated time passes only inside the ``run`` methods, so whatever is done between them is done at an exact
+simulated time, and the same program with the same seed gives the same flight. A swarm belongs to one thread
+at a time, which need not be the main one; any number of swarms may fly at once.
+"""
+
+import contextlib
+import shutil
+import sys
+import tempfile
+import time
+import weakref
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any, ClassVar, Literal, Self
+
+import msgspec
+
+from harness.launch import ground_links, profiling
+from harness.launch.processes import (
+    Happening,
+    Message,
+    Processes,
+    SetupError,
+    SwarmError,
+    SwarmTimeoutError,
+    uav,
+)
+from harness.launch.truth import Truth
+from harness.records.run_folder import RunFolder
+from harness.scenario.scenario import Scenario, load
+from harness.simulator.messages import (
+    InjectFault,
+    Pause,
+    Paused,
+    Resume,
+    RunUntil,
+    SetAttenuation,
+    SetSpeed,
+    VehicleLost,
+)
+from harness.world.faults import MOST_ATTENUATION_DB, AnyFault, validated
+
+__all__ = ["SetupError", "Swarm", "SwarmError", "SwarmTimeoutError", "Truth"]
+
+SILENCE_LIMIT_S = 180.0
+"""Wall time without a word of the running physics server, which bounds its own waits well below this."""
+CUT_DB = 200.0
+"""Attenuation that no frame survives: a link budget has some 100 dB between transmitter and noise."""
+
+Speed = float | Literal["max"]
+Ports = Literal["free", "scenario"]
+
+
+class Swarm:
+    """One run: its processes, its simulated time, its folder.
+
+    ``scenario``: a file, changed by ``agents``, ``seed``, ``overrides`` (``"wind.mean_n=2"``); or a Scenario.
+    ``speed``: simulated against wall time, or ``"max"``.
+    ``out``: the run's folder; without it a temporary one, which goes when this object does.
+    ``ports``: ``"free"`` takes any free ones, and calls no ground station; ``"scenario"`` takes the
+    scenario's, each raised by ``port_offset``.
+    ``wall_limit_s``: a run method raises SwarmTimeoutError once so much wall time has passed since the start.
+    ``on_message`` is given all that the processes say and how they end, on the thread that runs the swarm.
+    ``profile_from_s``: simulated time from which the processes look where their time goes, for `profile`.
+
+    Raises ScenarioError for a scenario that cannot be used.
+    """
+
+    _make_processes: ClassVar[type[Processes]] = Processes
+
+    def __init__(
+        self,
+        scenario: str | Path | Scenario,
+        *,
+        agents: int | None = None,
+        seed: int | None = None,
+        overrides: Sequence[str] = (),
+        speed: Speed = "max",
+        out: str | Path | None = None,
+        ports: Ports = "free",
+        port_offset: int = 0,
+        wall_limit_s: float | None = None,
+        on_message: Callable[[Message], None] | None = None,
+        profile_from_s: float | None = None,
+    ) -> None:
+        if isinstance(scenario, Scenario):
+            if agents is not None or seed is not None or overrides:
+                raise ValueError(
+                    "agents, seed and overrides change a scenario file; change a Scenario yourself"
+                )
+        else:
+            named = {"agents": agents, "run.seed": seed}
+            settings = [f"{path}={value}" for path, value in named.items() if value is not None]
+            scenario = load(scenario, [*overrides, *settings])
+        self.scenario = _with_ports(scenario, ports, port_offset)
+        self._speed = _factor(speed)
+        if out is None:
+            self.path = Path(tempfile.mkdtemp(prefix="coflight-"))
+            weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+        else:
+            self.path = Path(out)
+        step_us = self.scenario.run.step_us
+        # not before the first step is done: until then vehicles start
+        from_us = None if profile_from_s is None else max(round(profile_from_s * 1e6), 2 * step_us)
+        self._folder = RunFolder(self.path, profile_from_us=from_us)
+        self._processes = self._make_processes(
+            self.scenario, self._folder, wall_limit_s=wall_limit_s, on_message=on_message
+        )
+        self._truth: Truth | None = None
+        self._links = contextlib.ExitStack()
+        self._interventions: list[str] = []
+        self._killed: set[int] = set()
+        self._stands = False
+        self._started_utc = ""
+        self._wall_running_s = 0.0
+        self._not_formed: str | None = None
+        self._broken_off: str | None = None
+        self._summary: dict[str, Any] | None = None
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self.stop()
+        except KeyboardInterrupt:
+            self.stop()  # Ctrl-C came before the stop could defer it
+            raise
+
+    def start(self) -> None:
+        """Start every process and have every vehicle connect.
+
+        Simulated time is then that of the first step, ``run.step_us``: 0 would be a clock that is not set.
+
+        Raises SetupError, or SwarmError if a process does not get ready; then all are stopped again.
+        """
+        if self._started_utc:
+            raise SwarmError("a swarm is started once")
+        self._started_utc = datetime.now(UTC).isoformat(timespec="seconds")
+        try:
+            self._processes.start()
+            self._run(RunUntil(time_us=0))  # simulates nothing, but has every vehicle connect
+            self._wall_running_s = 0.0
+        except BaseException as error:
+            self._processes.failure = str(error) or type(error).__name__
+            self.stop()
+            raise
+
+    def stop(self) -> None:
+        """End every process; harmless when repeated. The records are kept: `summary` reports them.
+
+        Ctrl-C in the meantime takes effect when all are gone.
+        """
+        try:
+            self._links.close()
+        finally:
+            self._processes.stop()
+
+    # --- simulated time
+
+    @property
+    def truth(self) -> Truth:
+        """All vehicles as they really were when the last run method returned."""
+        if self._truth is None:
+            raise SwarmError("the swarm has not been started")
+        return self._truth
+
+    def run(self, *, until_s: float) -> Truth:
+        """Fly up to a simulated time. Raises SwarmError if that cannot be reached."""
+        return self._run(RunUntil(time_us=round(until_s * 1e6), speed=self._speed))
+
+    def run_for(self, duration_s: float) -> Truth:
+        """Fly for a simulated time. Raises SwarmError."""
+        return self._run(RunUntil(time_us=self._after_us(duration_s), speed=self._speed))
+
+    def run_until_formed(self, *, timeout_s: float) -> Truth:
+        """Fly until every living vehicle says that it is on its place. Raises SwarmTimeoutError."""
+        truth = self._run(
+            RunUntil(time_us=self._after_us(timeout_s), stop_when_formed=True, speed=self._speed)
+        )
+        if self._processes.formed_us is None:
+            self._not_formed = f"the formation was not reached within {timeout_s:g} s"
+            raise SwarmTimeoutError(self._not_formed)
+        self._not_formed = None
+        return truth
+
+    def run_until(
+        self, condition: Callable[[Truth], bool], *, timeout_s: float, every_s: float = 0.02
+    ) -> Truth:
+        """Fly until the condition holds; returns the truth that it held for. Raises SwarmTimeoutError.
+
+        It is asked at once, and then at every simulated time that is a multiple of ``every_s``, itself a
+        multiple of the step: when it is met depends on the flight alone.
+        """
+        every_us, step_us = round(every_s * 1e6), self.scenario.run.step_us
+        if every_us <= 0 or every_us % step_us:
+            raise ValueError(f"every_s {every_s:g}: expected a multiple of the step, {step_us} us")
+        truth, deadline_us = self.truth, self._after_us(timeout_s)
+        while not condition(truth):
+            if truth.time_us >= deadline_us:
+                raise SwarmTimeoutError(f"the condition was not met within {timeout_s:g} s")
+            next_us = (truth.time_us // every_us + 1) * every_us
+            truth = self._run(RunUntil(time_us=min(next_us, deadline_us), speed=self._speed))
+        return truth
+
+    def pause(self) -> None:
+        """Let simulated time stand, from any thread: in the run that lasts, or in the next.
+
+        Ground stations go on hearing heartbeats, and their commands are answered at the time that stands. The
+        logs come out as if there had been no pause. Raises SwarmError if the swarm is not running.
+        """
+        self._processes.send(Pause())
+        self._stands = True
+
+    def resume(self) -> None:
+        """Let simulated time go on after `pause`, from any thread. Raises SwarmError."""
+        self._processes.send(Resume())
+        self._stands = False
+
+    @property
+    def stands(self) -> bool:
+        """Whether it was paused, and not resumed."""
+        return self._stands
+
+    @property
+    def simulated_s(self) -> float:
+        """Simulated time as it was last heard of, also while it passes."""
+        return self._processes.simulated_us * 1e-6
+
+    @property
+    def speed(self) -> Speed:
+        """Simulated against wall time, as asked for."""
+        return self._speed or "max"
+
+    def set_speed(self, speed: Speed) -> None:
+        """Fly at another speed from now on, from any thread. Raises SwarmError."""
+        self._speed = _factor(speed)
+        self._processes.send(SetSpeed(speed=self._speed))
+
+    def _after_us(self, duration_s: float) -> int:
+        return self.truth.time_us + round(duration_s * 1e6)
+
+    def _run(self, command: RunUntil) -> Truth:
+        processes = self._processes
+        processes.drain()
+        if processes.failure is not None:
+            raise SwarmError(processes.failure)
+        processes.send(command)
+        wall_begin_s = time.monotonic()
+        processes.wall_paused_s = 0.0
+        try:
+            paused = self._await_paused()
+        except BaseException as error:
+            # where simulated time stands is the machine's doing: nothing can be flown on from here
+            self._broken_off = f"a run was broken off: {str(error) or type(error).__name__}"
+            processes.note_failure(self._broken_off)
+            raise
+        finally:
+            # where it was broken off, as the physics server told last
+            self._wall_running_s += time.monotonic() - wall_begin_s - processes.wall_paused_s
+        self._truth = Truth(time_us=paused.time_us, vehicles=paused.vehicles)
+        if paused.reason == "no_vehicles":
+            left = f"no vehicle is left at {self._truth.t_s:.3f} s"
+            raise processes.fatal(SwarmError("; ".join([left, *processes.deaths()[-1:]])))
+        if paused.reason == "vehicle_lost":
+            losses = (event for event in processes.happenings if isinstance(event, VehicleLost))
+            lost = "; ".join(f"{uav(event.instance)} was lost: {event.reason}" for event in losses)
+            raise processes.fatal(SwarmError(f"{lost}; run.on_vehicle_loss is 'end'"))
+        return self._truth
+
+    def _await_paused(self) -> Paused:
+        while True:
+            message = self._processes.next(SILENCE_LIMIT_S, "the physics server is silent")
+            if isinstance(message, Paused):
+                return message
+
+    # --- interventions
+
+    def kill(self, instance: int) -> None:
+        """SIGKILL a vehicle's process, now; returns when it is gone."""
+        self._intervene(f"kill uav {instance}")
+        self._killed.add(instance)
+        self._processes.kill(instance)
+
+    def cut_channel(self) -> None:
+        """Let no frame through from the next round of the applications' loop on, when the air goes on."""
+        self._intervene("cut the channel")
+        self._processes.send(SetAttenuation(extra_attenuation_db=CUT_DB))
+
+    def degrade_channel(self, attenuation_db: float) -> None:
+        """Attenuate every link by this in place of ``radio.extra_attenuation_db``; as from `cut_channel` on.
+
+        Raises ValueError for what no link can have: 0 to `harness.world.faults.MOST_ATTENUATION_DB`.
+        """
+        if not 0.0 <= attenuation_db <= MOST_ATTENUATION_DB:  # neither is what is not a number
+            raise ValueError(f"attenuation_db {attenuation_db:g}: expected 0 to {MOST_ATTENUATION_DB:g} dB")
+        self._intervene(f"attenuate the channel by {attenuation_db:g} dB")
+        self._processes.send(SetAttenuation(extra_attenuation_db=attenuation_db))
+
+    def restore_channel(self) -> None:
+        """Give the channel back the scenario's own attenuation, as from `cut_channel` on."""
+        self._intervene("restore the channel")
+        self._processes.send(SetAttenuation(extra_attenuation_db=None))
+
+    def inject(self, fault: AnyFault) -> None:
+        """Have something fail from the next step on, or ``fault.start_s`` after it; radios as `cut_channel`.
+
+        Raises ValueError for a fault that cannot be.
+        """
+        fault = validated(fault, self.scenario.agents)
+        self._intervene(f"inject {msgspec.json.encode(fault).decode()}")
+        self._processes.send(InjectFault(fault=fault))
+
+    def _intervene(self, what: str) -> None:
+        self._interventions.append(f"{self.truth.t_s:.3f} s: {what}")
+
+    def mavlink(self, instance: int) -> Any:  # noqa: ANN401  pymavlink has no types
+        """Open a pymavlink connection (`mavutil`) to a vehicle, as a ground station; closed with the swarm.
+
+        The vehicle answers whoever has spoken to it, so a first heartbeat is sent along; it does so whether
+        simulated time passes or not, but streams go on with time. Such a run depends on more than scenario
+        and seed; its manifest says so. It signs if the scenario has a key.
+        """
+        port = self._processes.ready[uav(instance)].details["gcs_local_udp"]
+        link = ground_links.connect(self.scenario.links, port)
+        self._links.callback(link.close)
+        return link
+
+    # --- what happened
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """Process ids by name: ``physics``, ``radio``, ``uav 0`` ..."""
+        return self._processes.pids
+
+    @property
+    def addresses(self) -> tuple[str, ...]:
+        """A line for each vehicle: where it speaks MAVLink, once the swarm is started."""
+        said = [self._processes.ready[uav(i)].details for i in range(self.scenario.agents)]
+        return ground_links.link_lines(self.scenario, said)
+
+    @property
+    def events(self) -> tuple[Happening, ...]:
+        """What has happened, in order: vehicles lost, collisions, the formation reached, processes ended."""
+        self._processes.drain()
+        return tuple(self._processes.happenings)
+
+    @property
+    def forced(self) -> tuple[str, ...]:
+        """After the stop, a line for each process that had to be made to end."""
+        return self._processes.forced
+
+    @property
+    def records_lost(self) -> str | None:
+        """After the stop, why what physics or the radio wrote down is not whole; None: it is."""
+        return self._processes.records_lost
+
+    def log_tails(self, lines: int) -> dict[str, str]:
+        """Last lines of each process's log, by name."""
+        return self._processes.log_tails(lines)
+
+    @property
+    def profile(self) -> dict[str, profiling.KindProfile]:
+        """After the stop, where the time went, by kind of process; empty unless that was asked for."""
+        return profiling.by_kind(self._processes.finished)
+
+    def leftovers(self) -> list[str]:
+        """After the stop, a line for each process of this swarm that lives and each port held: none."""
+        return self._processes.leftovers()
+
+    def summary(self, *, draw: bool = True, interrupted: bool = False) -> dict[str, Any]:
+        """Stop, and turn the records into tables, manifest, summary and, to ``draw``, figures; the summary.
+
+        ``interrupted`` marks a run that its user broke off. Raises OSError if the folder cannot be written.
+        """
+        if self._summary is None:
+            self.stop()
+            self._summary = self._report(draw=draw, interrupted=interrupted)
+        return self._summary
+
+    def _report(self, *, draw: bool, interrupted: bool) -> dict[str, Any]:
+        from harness.report import report  # noqa: PLC0415  the analysis is slow to import: not before the flight
+
+        processes = self._processes
+        lost = processes.records_lost
+        if interrupted and lost is None:
+            status = "interrupted"
+        elif processes.failure is not None:
+            status = "failed"
+        else:
+            status = "completed" if self._not_formed is None else "not_formed"
+        reasons = (processes.failure, lost) if processes.failure is not None else (self._not_formed,)
+        ground_messages = sum(said.get("ground_messages", 0) for said in processes.finished.values())
+        nondeterminism = processes.nondeterminism(self._killed)
+        if interrupted:
+            nondeterminism.append("its user broke it off")
+        elif self._broken_off is not None:
+            nondeterminism.append(self._broken_off)
+        outcome = report.Outcome(
+            status=status,
+            reason="; ".join(dict.fromkeys(filter(None, reasons))) or None,
+            command=tuple(sys.argv),
+            speed=self._speed,
+            started_utc=self._started_utc,
+            wall_s=self._wall_running_s,
+            simulated_us=processes.finished.get("physics", {}).get("time_us", processes.simulated_us),
+            formed_us=processes.formed_us,
+            processes=tuple(
+                report.ProcessRecord(
+                    name=name,
+                    pid=exited.pid,
+                    ending=exited.describe(),
+                    details=processes.finished.get(name, {}),
+                )
+                for name, exited in sorted(processes.exited.items(), key=lambda item: item[1].pid)
+            ),
+            ground_messages=ground_messages,
+            interventions=tuple(self._interventions),
+            nondeterminism=tuple(nondeterminism),
+            profile=self.profile,
+        )
+        return report.finish(self._folder, self.scenario, outcome, draw=draw)
+
+
+def _factor(speed: Speed) -> float:
+    """Speed as the physics server takes it, 0 being as fast as it goes. Raises ValueError."""
+    if speed == "max":
+        return 0.0
+    if not 0.0 < speed < float("inf"):
+        raise ValueError(f"speed {speed}: expected a factor above 0, or 'max'")
+    return float(speed)
+
+
+def _with_ports(scenario: Scenario, ports: Ports, offset: int) -> Scenario:
+    """Put the scenario on free ports, or on its own raised by the offset. Raises SetupError."""
+    try:
+        own = scenario.ports
+        changed = own.raised(offset, scenario.agents) if ports == "scenario" else own.free()
+    except ValueError as error:
+        raise SetupError(str(error)) from None
+    return msgspec.structs.replace(scenario, ports=changed)

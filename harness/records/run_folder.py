@@ -1,0 +1,128 @@
+"""The folder of one run: which file is where, and the settings files that its processes read.
+
+manifest.json summary.json events.jsonl      what ran, what came out, what happened
+flight.parquet radio.parquet ftm.parquet      truth and estimates, every frame, every ranging session
+air.parquet                                   channel occupancy over time
+gains.parquet antenna.nec patterns.nc         antenna: gains over time, median instant as NEC deck, patterns
+figures/*.png  logs/*.log  config/*.json       pictures, the processes' messages, their settings
+uav-0.params uav-0.ulg ...                    parameters that a ground station had saved, its log
+raw/                                          binary logs while the run lasts
+"""
+
+from pathlib import Path
+
+import msgspec
+from msgspec import Struct
+
+from harness.scenario.scenario import Scenario
+from netsim.model.config import ServerConfig
+
+
+class PhysicsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the launcher tells the physics server."""
+
+    run_id: str
+    scenario: Scenario
+    truth_log_path: str
+    air_log_path: str
+    event_log_path: str
+    connect_timeout_s: float = 120.0
+    profile_from_us: int | None = None
+    """Simulated time from which the process looks where its processor time goes; None: never."""
+
+
+class RunFolder:
+    """Paths of a run, below ``path``; made with its subfolders by `create`.
+
+    The processes' settings have them profile themselves from the simulated time ``profile_from_us`` on.
+    """
+
+    def __init__(self, path: Path, *, profile_from_us: int | None = None) -> None:
+        self.path = path
+        self._profile_from_us = profile_from_us
+        self.raw, self.config, self.logs, self.figures = (
+            path / name for name in ("raw", "config", "logs", "figures")
+        )
+        self.manifest, self.summary = path / "manifest.json", path / "summary.json"
+        self.events = path / "events.jsonl"
+        self.flight, self.radio = path / "flight.parquet", path / "radio.parquet"
+        self.ftm, self.air = path / "ftm.parquet", path / "air.parquet"
+        self.gains, self.deck = path / "gains.parquet", path / "antenna.nec"
+        self.patterns = path / "patterns.nc"
+        self.raw_truth, self.raw_air = self.raw / "truth.bin", self.raw / "air.bin"
+        self.capture = path / "radio.pcapng"
+        self.raw_frames, self.raw_sessions = self.raw / "frames.bin", self.raw / "sessions.bin"
+
+    @classmethod
+    def create(cls, path: Path) -> "RunFolder":
+        """Make the folder; raises FileExistsError if it holds a run already, or another OSError."""
+        folder = cls(path)
+        if path.exists() and not path.is_dir():
+            raise NotADirectoryError(f"{path} is a file, and a run needs a folder")
+        path.mkdir(parents=True, exist_ok=True)
+        if folder.config.exists():
+            raise FileExistsError(f"{path} holds a run already")
+        for part in (folder.raw, folder.config, folder.logs, folder.figures):
+            part.mkdir(parents=True, exist_ok=True)
+        return folder
+
+    def raw_vehicle(self, instance: int) -> Path:
+        """Binary log of one vehicle's estimates."""
+        return self.raw / f"uav-{instance}.bin"
+
+    def write_radio_config(self, scenario: Scenario, *, run_id: str) -> Path:
+        """Settings of the 802.11 emulator's process."""
+        config = ServerConfig(
+            run_id=run_id,
+            host=scenario.ports.host,
+            port=scenario.ports.radio_tcp,
+            stations=scenario.agents,
+            companions=tuple(filter(scenario.autopilot.is_px4, range(scenario.agents))),
+            seed=scenario.run.seed,
+            radio=scenario.radio,
+            frame_log_path=str(self.raw_frames),
+            session_log_path=str(self.raw_sessions),
+            capture_path=str(self.capture) if scenario.radio.capture else None,
+            profile_from_us=self._profile_from_us,
+        )
+        return self._write("radio", config)
+
+    def write_physics_config(self, scenario: Scenario, *, run_id: str) -> Path:
+        """Settings of the physics server's process."""
+        config = PhysicsConfig(
+            run_id=run_id,
+            scenario=scenario,
+            truth_log_path=str(self.raw_truth),
+            air_log_path=str(self.raw_air),
+            event_log_path=str(self.events),
+            profile_from_us=self._profile_from_us,
+        )
+        return self._write("physics", config)
+
+    def write_vehicle_config(
+        self,
+        scenario: Scenario,
+        instance: int,
+        *,
+        run_id: str,
+        simulator_port: int,
+        radio_endpoint: str | None,
+        simulator_unix: str | None = None,
+    ) -> Path:
+        """Settings of one UAV's process, with the port and the name that the simulator really listens on."""
+        config = scenario.vehicle(
+            instance, run_id=run_id, radio_endpoint=radio_endpoint, log_path=str(self.raw_vehicle(instance))
+        )
+        ports = msgspec.structs.replace(
+            config.ports, simulator_tcp=simulator_port, simulator_unix=simulator_unix
+        )
+        params_path = str(self.path / f"uav-{instance}.params")
+        config = msgspec.structs.replace(
+            config, ports=ports, params_path=params_path, profile_from_us=self._profile_from_us
+        )
+        return self._write(f"uav-{instance}", config)
+
+    def _write(self, name: str, config: msgspec.Struct) -> Path:
+        path = self.config / f"{name}.json"
+        path.write_bytes(msgspec.json.format(msgspec.json.encode(config), indent=2))
+        return path

@@ -1,0 +1,182 @@
+"""From the processes' binary logs to the run's columnar files, and from these to what the analysis takes.
+
+A structured record's field of several components becomes one column each, named after its frame:
+``pos_ned_m`` gives ``pos_ned_m.n``, ``.e`` and ``.d``. Rows are in order of time, then vehicle; equal runs
+give equal bytes.
+"""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from antenna.analysis.statistics import pointing_errors_deg
+from antenna.solvers.ports import MAIN_LOBE_DEG
+from autopilot.logs.vehicle_record import VEHICLE_RECORD
+from autopilot.onboard.formation.formation_plan import FormationPlan
+from foundation.records.record_log import read
+from harness.records.flight import Flight
+from harness.records.run_folder import RunFolder
+from harness.report.analysis import GainSeries
+from harness.scenario.scenario import Scenario
+from harness.simulator.motion_start import flown_start_us, since_start_s
+from harness.simulator.truth_record import AIR_RECORD, TRUTH_RECORD
+from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
+
+
+def write_tables(
+    folder: RunFolder, agents: int, desired: Callable[[NDArray[np.int64]], NDArray[np.float64]]
+) -> NDArray[Any]:
+    """Make the Parquet files from the raw logs.
+
+    ``desired`` gives the places (T, agents, 3), site NED, at T times in us.
+
+    Returns the flight: records (instants, agents) of `FLIGHT_RECORD`.
+    """
+    flight = merge(
+        read(folder.raw_truth, TRUTH_RECORD),
+        [read(folder.raw_vehicle(i), VEHICLE_RECORD) for i in range(agents)],
+    )
+    flight["desired_pos_ned_m"] = desired(flight["time_us"][:, 0])
+    _write(folder.flight, flight.ravel())
+    for target, raw, dtype in (
+        (folder.radio, folder.raw_frames, FRAME_LOG),
+        (folder.ftm, folder.raw_sessions, SESSION_LOG),
+        (folder.air, folder.raw_air, AIR_RECORD),
+    ):
+        _write(target, read(raw, dtype))
+    return flight
+
+
+def flight_of(records: NDArray[Any], plan: FormationPlan, *, start_us: int | None) -> Flight:
+    """Give the analysis what it wants of (T, N) records with the fields `_ANALYSED`.
+
+    ``start_us``: when the formation began to move; None if it never did.
+    """
+    time_us = records["time_us"][:, 0]
+    return Flight(
+        time_us=time_us,
+        pos_ned_m=records["pos_ned_m"],
+        q_ned_frd=records["q_ned_frd"],
+        desired_pos_ned_m=records["desired_pos_ned_m"],
+        heading_rad=plan.headings(since_start_s(time_us, start_us)),
+        alive=records["alive"],
+        believed_pos_ned_m=records["onboard_pos_ned_m"],
+    )
+
+
+def make_flight(columns: pa.Table, scenario: Scenario, *, start_us: int | None) -> Flight:
+    """Make a flight of a run's table of that name, wherever it was kept; ``start_us`` as in `flight_of`.
+
+    Raises KeyError or ValueError for a table that is not of this scenario.
+    """
+    kind = np.dtype([(name, FLIGHT_RECORD[name]) for name in _ANALYSED])
+    records = np.empty(columns.num_rows, dtype=kind)
+    for name in _ANALYSED:
+        for column, values in _columns(name, records[name]):
+            values[:] = columns.column(column).to_numpy()
+    return flight_of(records.reshape(-1, scenario.agents), scenario.plan(), start_us=start_us)
+
+
+def read_flight(folder: RunFolder, scenario: Scenario) -> Flight:
+    """Read a run that has been reported, as the analysis takes it; raises OSError, and as `make_flight`."""
+    return make_flight(pq.read_table(folder.flight), scenario, start_us=flown_start_us(folder.events))
+
+
+def write_gains(path: Path, series: GainSeries) -> None:
+    """Write the aperture's maximum gain over time, a row for each instant.
+
+    ``max_theta_deg`` and ``max_phi_deg`` are its direction in the antenna's frame, ``pointing_error_deg`` the
+    angle from there to +y. Where there is no pattern these are null, and ``missing`` says why.
+    """
+    names = ("max_gain_dbi", "max_theta_deg", "max_phi_deg")
+    errors_deg = pointing_errors_deg(series.patterns, *MAIN_LOBE_DEG).tolist()
+    rows: dict[int, tuple[float | str | None, ...]] = {
+        time_us: (*(getattr(pattern, name) for name in names), error_deg, None)
+        for time_us, pattern, error_deg in zip(
+            series.time_us.tolist(), series.patterns, errors_deg, strict=True
+        )
+    }
+    rows |= {instant.time_us: (None, None, None, None, instant.reason) for instant in series.missing}
+    times_us = sorted(rows)
+    columns = {"time_us": pa.array(times_us, pa.int64())}
+    for k, name in enumerate((*names, "pointing_error_deg", "missing")):
+        kind = pa.string() if name == "missing" else pa.float64()
+        columns[name] = pa.array([rows[time_us][k] for time_us in times_us], kind)
+    pq.write_table(pa.table(columns), path, compression="zstd")
+
+
+def merge(truth: NDArray[Any], vehicles: list[NDArray[Any]]) -> NDArray[Any]:
+    """Truth (instants x vehicles rows) beside what each vehicle recorded at the same times.
+
+    NaN or 0 where it did not, and for the desired places, which neither knows.
+
+    Returns (instants, vehicles) records of `FLIGHT_RECORD`. An instant that was cut short is left out.
+    """
+    n = len(vehicles)
+    truth = truth[: len(truth) // n * n].reshape(-1, n)
+    flight = np.zeros(truth.shape, dtype=FLIGHT_RECORD)
+    for name in TRUTH_RECORD.fields or ():
+        flight[name] = truth[name]
+    times_us = truth["time_us"][:, 0]
+    for i, rows in enumerate(vehicles):
+        rows = rows[np.isin(rows["time_us"], times_us)]
+        at = np.searchsorted(times_us, rows["time_us"])
+        for name in _vehicle_fields():
+            if np.issubdtype(flight[name].dtype, np.floating):
+                flight[name][:, i] = np.nan
+            flight[name][at, i] = rows[name]
+    return flight
+
+
+def _vehicle_fields() -> list[str]:
+    """Fields of the vehicle's record that the truth does not have under the same name."""
+    return [name for name in VEHICLE_RECORD.names or () if name not in (TRUTH_RECORD.names or ())]
+
+
+FLIGHT_RECORD = np.dtype(
+    [(name, TRUTH_RECORD[name]) for name in TRUTH_RECORD.names or ()]
+    + [(name, VEHICLE_RECORD[name]) for name in _vehicle_fields()]
+    + [("desired_pos_ned_m", np.dtype(("f8", 3)))]
+)
+"""Truth, estimates, and where the vehicle should have been, by the formation's plan."""
+_ANALYSED = ("time_us", "pos_ned_m", "q_ned_frd", "desired_pos_ned_m", "alive", "onboard_pos_ned_m")
+"""Fields that make a `Flight`"""
+
+
+def _write(path: Path, records: NDArray[Any]) -> None:
+    arrays = {
+        column: _array(np.ascontiguousarray(values))
+        for name in records.dtype.names or ()
+        for column, values in _columns(name, records[name])
+    }
+    pq.write_table(pa.table(arrays), path, compression="zstd")
+
+
+def _columns(name: str, values: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Give the columns of a field, (rows,) or (rows, components), by their names, as views."""
+    if values.ndim == 1:
+        yield name, values
+        return
+    for k, label in enumerate(_labels(name, values.shape[1])):
+        yield f"{name}.{label}", values[:, k]
+
+
+def _array(values: NDArray[Any]) -> pa.Array:
+    if values.dtype.kind == "S":  # short names, such as a frame's kind
+        return pa.array(np.char.decode(values, "ascii").tolist(), pa.string()).dictionary_encode()
+    return pa.array(values)
+
+
+def _labels(name: str, count: int) -> tuple[str, ...]:
+    if name.startswith("q_") or "_q_" in name:
+        return ("w", "x", "y", "z")
+    if "frd" in name:
+        return ("f", "r", "d")
+    if count == 3:
+        return ("n", "e", "d")
+    return tuple(str(k) for k in range(count))

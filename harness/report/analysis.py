@@ -1,0 +1,212 @@
+"""The synthetic aperture that was flown: its snapshots in the antenna's frame, and its gain over time."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from msgspec import structs
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from antenna.analysis.patterns import Pattern
+from antenna.model.clearance import GROUND
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import ElementsTooNear, ElementsTouch, Snapshot
+from antenna.solvers.parallel import compute_patterns
+from antenna.solvers.ports import feed
+from harness.records.flight import Array, Flight
+
+ELEMENT_TO_FRD = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+"""An element's axes on its vehicle: x to the right, y forward, z up, as the antenna's when all is upright."""
+FIGURE_GRID_DEG = 1.5
+"""Grid of patterns that are looked at: a wider one breaks lines of low gain into beads."""
+
+
+class NoFeed(Exception):
+    """The array cannot be fed as its settings say; the text is one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class MissingPattern:
+    """An instant of the flight that has no pattern, and why."""
+
+    time_us: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GainSeries:
+    """The aperture over the flight, at the K instants that have a pattern."""
+
+    time_us: NDArray[np.int64]
+    """(K,)"""
+    max_gain_dbi: Array
+    """(K,)"""
+    snapshots: tuple[Snapshot, ...]
+    """K of them, in the antenna's frame."""
+    patterns: tuple[Pattern, ...]
+    """K of them."""
+    missing: tuple[MissingPattern, ...]
+
+    @property
+    def median_index(self) -> int:
+        """Which of the instants has the median maximum gain; raises ValueError when K is 0."""
+        if len(self.patterns) == 0:
+            raise ValueError("a series without patterns has no median")
+        return int(np.argsort(self.max_gain_dbi, kind="stable")[(len(self.patterns) - 1) // 2])
+
+
+def antenna_from_ned(heading_rad: float) -> Array:
+    """(3, 3) matrix that maps NED components into the antenna's frame of a formation with this heading.
+
+    y, the end-fire axis, points along the heading, x to the right of it, z up.
+    """
+    c, s = np.cos(heading_rad), np.sin(heading_rad)
+    return np.array([[-s, c, 0.0], [c, s, 0.0], [0.0, 0.0, -1.0]])
+
+
+def ideal_pattern(places_ned_m: Array, heading_rad: float, config: AntennaConfig) -> Pattern:
+    """Pattern of the formation (N, 3) with every vehicle upright in its place.
+
+    It is the same wherever the formation flies, for the antenna's frame turns with it. Raises
+    `ElementsTouch`, `NoFeed`.
+    """
+    upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(places_ned_m), 1))
+    snapshot = antenna_snapshot(
+        places_ned_m, upright, places_ned_m, heading_rad, config, believed_pos_ned_m=places_ned_m
+    )
+    (pattern,) = compute_patterns(config, [snapshot])
+    if isinstance(pattern, ElementsTouch):
+        raise pattern
+    return pattern
+
+
+def antenna_snapshot(
+    pos_ned_m: Array,
+    q_ned_frd: Array,
+    desired_pos_ned_m: Array,
+    heading_rad: float,
+    config: AntennaConfig,
+    *,
+    believed_pos_ned_m: Array | None = None,
+) -> Snapshot:
+    """Make the array of n vehicles at (n, 3) positions with (n, 4) attitudes that should be at (n, 3).
+
+    It is fed for the places, for where the vehicles believe themselves to be, or for where they are, as
+    ``config.feeds_for`` says; for the first two elements are taken to be upright. The frame's origin is the
+    centre of the places, but on the ground where there is one. Raises `ElementsTouch` if the feeds depend on
+    how the elements couple and that has no answer, `NoFeed` if they have none for these positions, such as
+    Hansen and Woodyard's for a single row, and ValueError if nobody wrote down what the vehicles believed.
+    """
+    from_ned = antenna_from_ned(heading_rad)
+    origin_ned_m = desired_pos_ned_m.mean(axis=0)
+    if config.ground != "none":
+        origin_ned_m[2] = 0.0
+    q = Rotation.from_quat(q_ned_frd, scalar_first=True).as_matrix()
+    rotations = from_ned @ q @ ELEMENT_TO_FRD
+    fed_ned_m = {"places": desired_pos_ned_m, "estimates": believed_pos_ned_m, "truth": pos_ned_m}[
+        config.feeds_for
+    ]
+    if fed_ned_m is None:
+        raise ValueError(
+            "the feeds are for where the vehicles believe themselves to be, which nobody wrote down"
+        )
+    attitudes = rotations if config.feeds_for == "truth" else None
+    try:
+        voltages = feed(
+            (fed_ned_m - origin_ned_m) @ from_ned.T,
+            config,
+            attitudes,
+            places_m=(desired_pos_ned_m - origin_ned_m) @ from_ned.T,
+        )
+    except ValueError as error:
+        raise NoFeed(str(error)) from None
+    return Snapshot(centres_m=(pos_ned_m - origin_ned_m) @ from_ned.T, rotations=rotations, voltages=voltages)
+
+
+def gain_series(flight: Flight, config: AntennaConfig, *, workers: int = 1) -> GainSeries:
+    """Patterns of the flight at ``config.snapshot_rate_hz``.
+
+    The elements of dead vehicles are left out. An instant is ``missing`` when none lives, two elements touch,
+    or the living cannot be fed: their policy has no answer, or it is for where they believe themselves to be
+    and one does not know.
+    ``workers`` is as in `antenna.solvers.parallel.compute_patterns`.
+    """
+    sampled = flight.sampled(config.snapshot_rate_hz)
+    missing: list[MissingPattern] = []
+    made: list[tuple[int, Snapshot]] = []
+    for t, time_us in enumerate(sampled.time_us.tolist()):
+        try:
+            made.append((t, snapshot_at(sampled, t, config)))
+        except ElementsTouch as touch:
+            missing.append(MissingPattern(time_us, describe_touch(touch, living(sampled, t))))
+        except NoFeed as error:
+            missing.append(MissingPattern(time_us, str(error)))
+    found: list[tuple[int, Snapshot, Pattern]] = []
+    results = compute_patterns(config, [snapshot for _, snapshot in made], workers=workers)
+    for (t, snapshot), result in zip(made, results, strict=True):
+        time_us = int(sampled.time_us[t])
+        if isinstance(result, ElementsTouch):
+            missing.append(MissingPattern(time_us, describe_touch(result, living(sampled, t))))
+        else:
+            found.append((time_us, snapshot, result))
+    return GainSeries(
+        time_us=np.array([time_us for time_us, _, _ in found], dtype=np.int64),
+        max_gain_dbi=np.array([pattern.max_gain_dbi for _, _, pattern in found]),
+        snapshots=tuple(snapshot for _, snapshot, _ in found),
+        patterns=tuple(pattern for _, _, pattern in found),
+        missing=tuple(sorted(missing, key=lambda instant: instant.time_us)),
+    )
+
+
+def snapshot_at(flight: Flight, t: int, config: AntennaConfig) -> Snapshot:
+    """Make the array of the living at the flight's instant number ``t``; raises as `antenna_snapshot` does.
+
+    Its element k is on the vehicle ``living(flight, t)[k]``.
+    """
+    alive, believed_ned_m = flight.alive[t], flight.believed_pos_ned_m
+    if not alive.any():
+        raise NoFeed("no vehicle is alive")
+    if config.feeds_for == "estimates" and believed_ned_m is not None:
+        lost = np.flatnonzero(alive & ~np.isfinite(believed_ned_m[t]).all(axis=1)).tolist()
+        if lost:
+            raise NoFeed(
+                f"UAV {lost[0]} does not know where it is"
+                if len(lost) == 1
+                else f"UAVs {', '.join(map(str, lost))} do not know where they are"
+            )
+    return antenna_snapshot(
+        flight.pos_ned_m[t, alive],
+        flight.q_ned_frd[t, alive],
+        flight.desired_pos_ned_m[t, alive],
+        float(flight.heading_rad[t]),
+        config,
+        believed_pos_ned_m=None if believed_ned_m is None else believed_ned_m[t, alive],
+    )
+
+
+def living(flight: Flight, t: int) -> list[int]:
+    """Numbers of the vehicles that live at the flight's instant number ``t``."""
+    alive: list[int] = np.flatnonzero(flight.alive[t]).tolist()
+    return alive
+
+
+def describe_touch(touch: ElementsTouch, vehicles: Sequence[int]) -> str:
+    """Say whose antennas touch, element k being on ``vehicles[k]``."""
+    near = isinstance(touch, ElementsTooNear)
+    if touch.second == GROUND:
+        what = "is too near the ground for a solution" if near else "touches the ground"
+        return f"the antenna of UAV {vehicles[touch.first]} {what}"
+    what = "are too near each other for a solution" if near else "touch"
+    return f"antennas of UAVs {vehicles[touch.first]} and {vehicles[touch.second]} {what}"
+
+
+def figure_patterns(
+    series: GainSeries, places_ned_m: Array, heading_rad: float, config: AntennaConfig
+) -> tuple[Pattern, Pattern]:
+    """Patterns of the ideal formation (N, 3) and of the median instant, on a grid fine enough to look at."""
+    fine = structs.replace(config, grid_deg=min(config.grid_deg, FIGURE_GRID_DEG))
+    (flown,) = compute_patterns(fine, [series.snapshots[series.median_index]])
+    if isinstance(flown, ElementsTouch):
+        raise flown
+    return ideal_pattern(places_ned_m, heading_rad, fine), flown

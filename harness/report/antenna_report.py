@@ -1,0 +1,123 @@
+"""The antenna's part of a run's report: patterns of what was flown, their numbers, and their files."""
+
+import contextlib
+import math
+import os
+from collections.abc import Iterator
+from contextvars import ContextVar
+from dataclasses import dataclass
+from typing import Any
+
+from antenna.analysis.patterns import Pattern
+from antenna.analysis.statistics import gain_statistics
+from antenna.model.array_deck import deck_of
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import ElementsTouch
+from antenna.solvers.interface import BackendUnavailable
+from antenna.solvers.nec2c import Nec2cFailed
+from antenna.solvers.parallel import WorkerError
+from antenna.solvers.selection import make_backend
+from harness.records.flight import Flight
+from harness.records.run_folder import RunFolder
+from harness.records.tables import write_gains
+from harness.report.analysis import GainSeries, NoFeed, describe_touch, gain_series, ideal_pattern
+from harness.scenario.scenario import Scenario
+
+_threads: ContextVar[int | None] = ContextVar("threads", default=None)
+"""That compute patterns; None: as many as there are processors"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Solver:
+    """What computed the gains."""
+
+    backend: str
+    accuracy: str
+    """A sentence: how far they may be from NEC2's."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Aperture:
+    """What became of the antenna; what there is not is None, and ``note`` says why in a line."""
+
+    solver: Solver | None = None
+    ideal: Pattern | None = None
+    """Of every vehicle upright in its place."""
+    series: GainSeries | None = None
+    """Over the formation's time; None only if the solver cannot be had."""
+    note: str | None = None
+
+
+@contextlib.contextmanager
+def on_threads(count: int) -> Iterator[None]:
+    """Have `measure` take so many threads or processes within the block, for flights go on side by side."""
+    before = _threads.set(count)
+    try:
+        yield
+    finally:
+        _threads.reset(before)
+
+
+def measure(window: Flight, scenario: Scenario) -> Aperture:
+    """Compute the patterns of the formation's time, which may be empty, and the ideal one."""
+    config, note, ideal = scenario.antenna, None, None
+    try:
+        backend = make_backend(config)
+        solver = Solver(backend=backend.name, accuracy=str(backend.accuracy))
+        try:
+            ideal = ideal_pattern(scenario.places_ned_m(), heading_rad(scenario), config)
+        except ElementsTouch as touch:
+            note = f"the ideal formation: {describe_touch(touch, range(scenario.agents))}"
+        except NoFeed as error:
+            note = f"the ideal formation: {error}"
+        series = gain_series(window, config, workers=_threads.get() or os.cpu_count() or 1)
+    except (BackendUnavailable, WorkerError, Nec2cFailed) as error:
+        return Aperture(note=str(error))
+    if not len(window):
+        note = note or "the formation was not reached"
+    return Aperture(solver=solver, ideal=ideal, series=series, note=note)
+
+
+def heading_rad(scenario: Scenario) -> float:
+    """Heading of the formation before it moves."""
+    return math.radians(scenario.formation.heading_deg)
+
+
+def numbers(aperture: Aperture) -> dict[str, Any]:
+    """Of the maximum gain, for the summary."""
+    series, ideal, solver = aperture.series, aperture.ideal, aperture.solver
+    statistics = gain_statistics(series.max_gain_dbi) if series is not None and series.patterns else None
+    return {
+        "ideal": None if ideal is None else round(ideal.max_gain_dbi, 4),
+        "mean": None if statistics is None else round(statistics.mean_dbi, 4),
+        "std": None if statistics is None else round(statistics.std_db, 4),
+        "patterns": len(series.patterns) if series else 0,
+        "missing": len(series.missing) if series else 0,
+        "backend": solver.backend if solver else None,
+        "accuracy": solver.accuracy if solver else None,
+        **({"note": aperture.note} if aperture.note else {}),
+    }
+
+
+def write(folder: RunFolder, aperture: Aperture, config: AntennaConfig) -> None:
+    """Write the series of gains, the median instant as a NEC deck and, if asked for, all patterns.
+
+    Without a solver there are none of these, without a pattern no deck and no patterns. Raises OSError.
+    """
+    series = aperture.series
+    if series is None or aperture.solver is None:
+        return
+    write_gains(folder.gains, series)
+    if not series.patterns:
+        return
+    median = series.median_index
+    at = f"t = {series.time_us[median] * 1e-6:.3f} s, the instant of median maximum gain"
+    deck = deck_of(series.snapshots[median], config, series.patterns[median], comments=[at])
+    folder.deck.write_text(deck, encoding="ascii")
+    if config.keep_patterns:
+        from antenna.analysis.dataset import to_dataset, write_dataset  # noqa: PLC0415  slow to import
+
+        dataset = to_dataset(
+            series.patterns, config, accuracy=aperture.solver.accuracy, time_us=series.time_us
+        )
+        write_dataset(dataset, folder.patterns)

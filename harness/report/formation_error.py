@@ -1,0 +1,108 @@
+"""How far the formation that was flown is from the desired one: where it is, and what shape it has."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from harness.records.flight import Array, Flight
+from harness.world.physics.model import IRIS
+
+_OVER_ITS_PLACE_NED_M = np.array([0.0, 0.0, -IRIS.standing_height_m])
+"""Where the truth has a vehicle that is in a place at the origin.
+
+Heights of places, as autopilots', are from the standing vehicle; the truth's are of its centre of mass, from
+the ground.
+"""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ErrorSeries:
+    """Distances of N vehicles from their places at T instants."""
+
+    error_m: Array
+    """(T, N) in three dimensions; 0 where ``valid`` is not."""
+    horizontal_m: Array
+    """(T, N) its north-east part."""
+    valid: NDArray[np.bool_]
+    """(T, N) which of them count."""
+
+    @property
+    def rms_m(self) -> float | None:
+        """Over time and vehicles; None when nothing counts."""
+        return _rms(self.error_m, self.valid)
+
+    @property
+    def horizontal_rms_m(self) -> float | None:
+        """The same of the north-east part."""
+        return _rms(self.horizontal_m, self.valid)
+
+    @property
+    def vehicle_rms_m(self) -> tuple[float | None, ...]:
+        """Over time, of each vehicle."""
+        return tuple(_rms(self.error_m[:, i], self.valid[:, i]) for i in range(self.valid.shape[1]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FormationError:
+    """Of a flight: see `formation_error`."""
+
+    absolute: ErrorSeries
+    """From the desired places, over vehicles that live."""
+    shape: ErrorSeries
+    """From the places of the desired formation laid best over the flown one, where two or more live."""
+    yaw_rad: Array
+    """(T,) clockwise turn of the flown formation against the desired one; 0 where fewer than two live."""
+
+
+def formation_error(flight: Flight) -> FormationError:
+    """Absolute error and shape error of every vehicle at every instant.
+
+    A vehicle in its place is as high above where it stood as the place is above the ground: the 5.5 cm to the
+    standing vehicle's centre of mass are no error.
+
+    The shape error is what remains after the translation and the rotation about the vertical that
+    bring the living vehicles' places nearest to their positions, in the sense of least squares.
+    """
+    alive = flight.alive
+    aligned_ned_m, yaw_rad = _align(flight)
+    shape_defined = alive & (alive.sum(axis=1, keepdims=True) >= 2)
+    return FormationError(
+        absolute=_error_series(flight.pos_ned_m - flight.desired_pos_ned_m - _OVER_ITS_PLACE_NED_M, alive),
+        shape=_error_series(flight.pos_ned_m - aligned_ned_m, shape_defined),
+        yaw_rad=yaw_rad,
+    )
+
+
+def _align(flight: Flight) -> tuple[Array, Array]:
+    """Desired places (T, N, 3) laid over the flown ones, and the angle (T,) by which they were turned.
+
+    Kabsch's problem in the plane has a closed form: the angle of sum_i a_i^* b_i, with the places a_i and
+    positions b_i relative to their means as complex numbers north + j east. The translation that fits best
+    maps mean to mean.
+    """
+    counted = flight.alive[..., np.newaxis]
+    living = np.maximum(counted.sum(axis=1, keepdims=True), 1)
+    pos_mean_ned_m = np.where(counted, flight.pos_ned_m, 0.0).sum(axis=1, keepdims=True) / living
+    desired_mean_ned_m = np.where(counted, flight.desired_pos_ned_m, 0.0).sum(axis=1, keepdims=True) / living
+    pos_ned_m = np.where(counted, flight.pos_ned_m - pos_mean_ned_m, 0.0)
+    desired_ned_m = flight.desired_pos_ned_m - desired_mean_ned_m
+
+    flown = pos_ned_m[..., 0] + 1j * pos_ned_m[..., 1]
+    desired = desired_ned_m[..., 0] + 1j * desired_ned_m[..., 1]
+    yaw_rad = np.angle((desired.conj() * flown).sum(axis=1))
+    turned = desired * np.exp(1j * yaw_rad)[:, np.newaxis]
+    return np.stack([turned.real, turned.imag, desired_ned_m[..., 2]], axis=-1) + pos_mean_ned_m, yaw_rad
+
+
+def _error_series(difference_ned_m: Array, valid: NDArray[np.bool_]) -> ErrorSeries:
+    counted_ned_m = np.where(valid[..., np.newaxis], difference_ned_m, 0.0)
+    return ErrorSeries(
+        error_m=np.linalg.norm(counted_ned_m, axis=-1),
+        horizontal_m=np.linalg.norm(counted_ned_m[..., :2], axis=-1),
+        valid=valid,
+    )
+
+
+def _rms(values: Array, valid: NDArray[np.bool_]) -> float | None:
+    return float(np.sqrt(np.mean(values[valid] ** 2))) if valid.any() else None

@@ -1,0 +1,275 @@
+"""The end of a run.
+
+Raw logs to tables, tables to numbers and figures, and a manifest that says what made them.
+
+Everything here works from the run folder alone, so a run that was cut short is reported like any other.
+"""
+
+import hashlib
+import platform
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from foundation.records.record_log import read
+from harness.launch.profiling import KindProfile
+from harness.records.flight import Flight
+from harness.records.run_folder import RunFolder
+from harness.records.tables import flight_of, write_tables
+from harness.records.versions import DISTRIBUTIONS, versions
+from harness.report import antenna_report, figures
+from harness.report.analysis import figure_patterns
+from harness.report.antenna_report import Aperture
+from harness.report.formation_error import FormationError, formation_error
+from harness.scenario.scenario import Scenario
+from harness.simulator.motion_start import flown_start_us, since_start_s
+from harness.simulator.truth_record import AIR_RECORD
+from netsim.emulator.log_layout import FRAME_LOG, SESSION_LOG
+
+LOGS = ("events.jsonl", "flight.parquet", "radio.parquet", "ftm.parquet", "air.parquet")
+"""What a seed determines, byte for byte, in this order in ``log_sha256``."""
+
+
+class ProcessRecord(Struct, frozen=True, kw_only=True):
+    """One process of the run, for the manifest."""
+
+    name: str
+    pid: int
+    ending: str
+    details: dict[str, Any] = {}
+    """What it said in its last event."""
+
+
+class Outcome(Struct, frozen=True, kw_only=True):
+    """What only the launcher knows of a run."""
+
+    status: str
+    """``completed``, ``not_formed``, ``failed`` or ``interrupted``."""
+    reason: str | None = None
+    command: tuple[str, ...]
+    speed: float
+    """Asked for, against wall time; 0 is as fast as possible."""
+    started_utc: str
+    wall_s: float
+    """From the first step to the last."""
+    simulated_us: int
+    formed_us: int | None
+    processes: tuple[ProcessRecord, ...]
+    ground_messages: int = 0
+    """Messages that came in from ground stations and companions."""
+    interventions: tuple[str, ...] = ()
+    """What a program or user did to the run by hand at exact simulated times; it does not end determinism."""
+    nondeterminism: tuple[str, ...] = ()
+    """What made this run depend on more than scenario and seed."""
+    profile: dict[str, KindProfile] = {}
+    """Where the time went, by kind of process, if that was asked for"""
+
+
+def finish(folder: RunFolder, scenario: Scenario, outcome: Outcome, *, draw: bool = True) -> dict[str, Any]:
+    """Make tables, summary, figures and manifest of a run whose processes have ended; returns the summary.
+
+    Raises OSError if the folder cannot be written.
+    """
+    plan, start_us = scenario.plan(), flown_start_us(folder.events)
+    records = write_tables(
+        folder, scenario.agents, lambda time_us: plan.places(since_start_s(time_us, start_us))
+    )
+    sessions = read(folder.raw_sessions, SESSION_LOG)
+    hashes = {name: _sha256(folder.path / name) for name in LOGS}
+    whole = flight_of(records, plan, start_us=start_us)
+    window = _window(whole, outcome)
+    error = formation_error(window) if len(window) else None
+    antenna = antenna_report.measure(window, scenario)
+    antenna_report.write(folder, antenna, scenario.antenna)
+    summary = {
+        "scenario": scenario.name,
+        "seed": scenario.run.seed,
+        "status": outcome.status,
+        "reason": outcome.reason,
+        "agents": scenario.agents,
+        "simulated_s": outcome.simulated_us / 1e6,
+        "wall_s": round(outcome.wall_s, 3),
+        "real_time_factor": round(outcome.simulated_us / 1e6 / outcome.wall_s, 3) if outcome.wall_s else None,
+        "formed_s": None if outcome.formed_us is None else outcome.formed_us / 1e6,
+        "moves_s": None if start_us is None else start_us / 1e6,
+        "formation_s": _span_s(window),
+        "formation_rms_m": _formation(error),
+        "vehicles": _vehicles(records, error, _losses(folder)),
+        **_radio(folder, sessions),
+        "max_gain_dbi": antenna_report.numbers(antenna),
+        "collisions": sum(b'"event":"collision"' in line for line in folder.events.read_bytes().splitlines()),
+        "deterministic": not outcome.nondeterminism,
+        "log_sha256": hashlib.sha256("".join(hashes.values()).encode()).hexdigest(),
+    }
+    if outcome.profile:
+        summary["profile"] = msgspec.to_builtins(outcome.profile)
+    _write_json(folder.summary, summary)
+    written = _draw(folder, scenario, whole, window, error, antenna, sessions) if draw else []
+    _write_json(folder.manifest, _manifest(scenario, outcome, hashes, written, antenna))
+    for raw in sorted(folder.raw.glob("*.bin")):
+        raw.unlink()
+    folder.raw.rmdir()
+    return summary
+
+
+def _window(whole: Flight, outcome: Outcome) -> Flight:
+    """The part of the flight that counts: all from when the formation was reached."""
+    begin_us = outcome.formed_us if outcome.formed_us is not None else np.iinfo(np.int64).max
+    return whole.at(np.flatnonzero(whole.time_us >= begin_us))
+
+
+def _span_s(window: Flight) -> float:
+    return float(window.time_us[-1] - window.time_us[0]) / 1e6 if len(window) else 0.0
+
+
+def _formation(error: FormationError | None) -> dict[str, float | None]:
+    if error is None:
+        return {"absolute": None, "shape": None, "absolute_horizontal": None, "shape_horizontal": None}
+    return {
+        "absolute": _round(error.absolute.rms_m),
+        "shape": _round(error.shape.rms_m),
+        "absolute_horizontal": _round(error.absolute.horizontal_rms_m),
+        "shape_horizontal": _round(error.shape.horizontal_rms_m),
+    }
+
+
+def _losses(folder: RunFolder) -> dict[int, str]:
+    """When and why vehicles were lost, by instance."""
+    events = map(msgspec.json.decode, folder.events.read_bytes().splitlines())
+    return {
+        event["instance"]: f"{event['reason']}, t = {event['time_us'] * 1e-6:.2f} s"
+        for event in events
+        if event["event"] == "vehiclelost"
+    }
+
+
+def _vehicles(
+    records: NDArray[Any], error: FormationError | None, losses: dict[int, str]
+) -> list[dict[str, Any]]:
+    vehicles = records.shape[1]
+    absolute = error.absolute.vehicle_rms_m if error else (None,) * vehicles
+    shape = error.shape.vehicle_rms_m if error else (None,) * vehicles
+    return [
+        {
+            "uav": i,
+            "alive": bool(records["alive"][-1, i]) if len(records) else True,
+            "lost": losses.get(i),
+            "absolute_rms_m": _round(absolute[i]),
+            "shape_rms_m": _round(shape[i]),
+        }
+        for i in range(vehicles)
+    ]
+
+
+def _radio(folder: RunFolder, sessions: NDArray[Any]) -> dict[str, Any]:
+    frames = read(folder.raw_frames, FRAME_LOG)
+    air = read(folder.raw_air, AIR_RECORD)
+    error_m = _ftm_error_m(sessions)
+    busy = float(air["busy_ns"][-1] / (air["time_us"][-1] * 1e3)) if len(air) else 0.0
+    return {
+        "frames": {
+            "sent": len(frames),
+            **{name: int(frames[name].sum()) for name in ("delivered", "collided", "lost_to_noise")},
+        },
+        "channel_busy_fraction": round(busy, 5),
+        "ftm": {
+            "requested": len(sessions),
+            "completed": len(error_m),
+            "failed": len(sessions) - len(error_m),
+            "error_mean_m": _round(float(error_m.mean()) if len(error_m) else None),
+            "error_std_m": _round(float(error_m.std(ddof=1)) if len(error_m) > 1 else None),
+        },
+    }
+
+
+def _ftm_error_m(sessions: NDArray[Any]) -> NDArray[np.float64]:
+    """Measured less true distance of every session that gave one."""
+    completed = sessions[sessions["status"] == b"ok"]
+    difference_m: NDArray[np.float64] = completed["distance_m"] - completed["true_distance_m"]
+    return difference_m
+
+
+def _manifest(
+    scenario: Scenario, outcome: Outcome, hashes: dict[str, str], written: list[str], antenna: Aperture
+) -> dict[str, Any]:
+    return {
+        "status": outcome.status,
+        "reason": outcome.reason,
+        "command": list(outcome.command),
+        "started_utc": outcome.started_utc,
+        "speed": outcome.speed or "max",
+        "seed": scenario.run.seed,
+        "deterministic": not outcome.nondeterminism,
+        "nondeterminism": list(outcome.nondeterminism),
+        "interventions": list(outcome.interventions),
+        "ground_messages": outcome.ground_messages,
+        "processes": [msgspec.to_builtins(process) for process in outcome.processes],
+        "versions": {"python": platform.python_version(), **versions(DISTRIBUTIONS)},
+        "platform": platform.platform(),
+        "antenna": None if antenna.solver is None else asdict(antenna.solver),
+        "logs_sha256": hashes,
+        "figures": written,
+        "scenario": msgspec.to_builtins(scenario),
+    }
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _round(value: float | None) -> float | None:
+    return None if value is None else round(value, 4)
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    path.write_bytes(msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n")
+
+
+def _draw(
+    folder: RunFolder,
+    scenario: Scenario,
+    whole: Flight,
+    window: Flight,
+    error: FormationError | None,
+    antenna: Aperture,
+    sessions: NDArray[Any],
+) -> list[str]:
+    """Draw every figure that the run has data for; returns their names."""
+    at = folder.figures
+    if len(whole):
+        figures.save_tracks(at / "tracks.png", whole)
+    if error is not None:
+        figures.save_formation_error(at / "formation_error.png", window.time_us, error)
+    gains, ideal = antenna.series, antenna.ideal
+    if gains is not None and ideal is not None and len(gains.patterns):
+        figures.save_gain_density(at / "gain_density.png", {"flown": gains.max_gain_dbi}, ideal.max_gain_dbi)
+        places_ned_m, heading_rad = scenario.places_ned_m(), antenna_report.heading_rad(scenario)
+        figures.save_patterns(
+            at / "patterns.png", *figure_patterns(gains, places_ned_m, heading_rad, scenario.antenna)
+        )
+    air = read(folder.raw_air, AIR_RECORD)
+    time_us, busy_fraction = _occupancy(air)
+    if len(time_us):
+        figures.save_channel_occupancy(at / "channel.png", time_us, busy_fraction)
+    error_m = _ftm_error_m(sessions)
+    if len(error_m):
+        figures.save_ftm_errors(at / "ftm_error.png", error_m)
+    return sorted(path.name for path in at.glob("*.png"))
+
+
+def _occupancy(air: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Busy fraction of whole seconds (or the run, if it is shorter than two)."""
+    if len(air) < 2:
+        return np.empty(0, dtype=np.int64), np.empty(0)
+    rows = np.unique(
+        np.searchsorted(air["time_us"], np.arange(air["time_us"][0], air["time_us"][-1] + 1, 1_000_000))
+    )
+    if len(rows) < 2:
+        rows = np.array([0, len(air) - 1])
+    time_us, busy_ns = air["time_us"][rows], air["busy_ns"][rows]
+    return time_us[1:], np.diff(busy_ns) / (np.diff(time_us) * 1e3)

@@ -1,0 +1,123 @@
+"""What a scenario says of its autopilots, checked at the door: parameters, plans, links."""
+
+import re
+import string
+from pathlib import Path
+
+from msgspec import structs
+
+from autopilot.mavlink import signing
+from autopilot.navigation import plan_file, site_plan
+from autopilot.parameters import parameter_file
+from autopilot.parameters.config import AutopilotConfig, LinksConfig, Site
+from autopilot.parameters.table import ParameterError, ParameterSet, Settings
+
+
+def with_parameter_file(config: AutopilotConfig, folder: Path) -> AutopilotConfig:
+    """Put the parameter file's values, of a path relative to the scenario's folder, below ``params``.
+
+    Raises ParameterFileError.
+    """
+    if config.params_file is None:
+        return config
+    values = parameter_file.load(folder / config.params_file)
+    return structs.replace(config, params={**values, **config.params}, params_file=None)
+
+
+def with_plan_file(config: AutopilotConfig, folder: Path) -> AutopilotConfig:
+    """Put the contents of the plan file, of a path relative to the scenario's folder, in its place.
+
+    Raises PlanFileError.
+    """
+    if config.plan_file is None:
+        return config
+    if config.plan is not None:
+        raise plan_file.PlanFileError("there is autopilot.plan, too; expected one of the two")
+    return structs.replace(config, plan=plan_file.load(folder / config.plan_file), plan_file=None)
+
+
+def with_signing_key(config: LinksConfig, folder: Path) -> LinksConfig:
+    """Give the signing key's file, of a path relative to the scenario's folder, as an absolute path.
+
+    The key itself stays out of the run folder. Raises ValueError for a file that is none.
+    """
+    if config.signing_key_file is None:
+        return config
+    path = (folder / config.signing_key_file).absolute()
+    try:
+        signing.key_of(path.read_bytes())
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except signing.SigningKeyError as error:
+        raise ValueError(f"{path}: {error}") from None
+    return structs.replace(config, signing_key_file=str(path))
+
+
+PX4_PLACEHOLDERS = frozenset(
+    {"build", "i", "sysid", "work", "host", "tcp"}
+    | {"gcs_local", "gcs_remote", "companion_local", "companion_remote"}
+)
+"""Placeholders of ``autopilot.px4_command`` and ``autopilot.px4_env``: see `harness.launch.px4`."""
+_PX4_PARAMETER = re.compile(r"[A-Z][A-Z0-9_]{0,15}")
+
+
+def check(config: AutopilotConfig, site: Site, agents: int) -> None:
+    """Raise ValueError with the field's path for what no autopilot could be started with."""
+    px4 = [config.is_px4(i) for i in range(agents)]
+    if any(px4):
+        _check_px4(config, agents)
+    check_shared = _check_px4_parameters if all(px4) else _check_parameters
+    check_shared(config.params, "autopilot.params")
+    for uav, params in config.per_uav.items():
+        if uav not in map(str, range(agents)):
+            raise ValueError(f"autopilot.per_uav: there is no UAV {uav!r} among {agents}")
+        check_own = _check_px4_parameters if px4[int(uav)] else _check_parameters
+        check_own(params, f"autopilot.per_uav.{uav}")
+    try:
+        site_plan.plans(config, site)
+    except ValueError as error:
+        raise ValueError(f"autopilot: {error}") from None
+
+
+def _check_parameters(params: dict[str, float], path: str) -> None:
+    try:
+        ParameterSet(Settings(), params)
+    except ParameterError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _check_px4(config: AutopilotConfig, agents: int) -> None:
+    """Refuse what no PX4 could be started with, as far as that can be told without looking at the machine."""
+    for instance in config.px4_vehicles or ():
+        if instance >= agents:
+            raise ValueError(f"autopilot.px4_vehicles: there is no UAV {instance} among {agents}")
+    if config.px4_build is None:
+        raise ValueError(
+            "autopilot.px4_build: missing; expected the folder of a PX4 SITL build, for autopilot.kind is px4"
+        )
+    given = (
+        ("fence", config.fence),
+        ("mission", config.mission),
+        ("rally", config.rally),
+        ("plan_file", config.plan),
+    )
+    for field, value in given:
+        if value:
+            raise ValueError(f"autopilot.{field}: a PX4 takes its plans from a ground station alone")
+    texts = [("px4_command", part) for part in config.px4_command]
+    texts += [(f"px4_env.{name}", value) for name, value in config.px4_env.items()]
+    for field, text in texts:
+        try:
+            named = {name for _, name, _, _ in string.Formatter().parse(text) if name is not None}
+        except ValueError as error:
+            raise ValueError(f"autopilot.{field}: {text!r}: {error}") from None
+        if unknown := named - PX4_PLACEHOLDERS:
+            known = ", ".join(sorted(PX4_PLACEHOLDERS))
+            raise ValueError(f"autopilot.{field}: {{{min(unknown)}}} stands for nothing; there are {known}")
+
+
+def _check_px4_parameters(params: dict[str, float], path: str) -> None:
+    """Refuse names that no parameter has; which there are, and how large, is known to PX4 alone."""
+    for name in params:
+        if not _PX4_PARAMETER.fullmatch(name):
+            raise ValueError(f"{path}: {name!r} is no parameter's name")

@@ -1,0 +1,365 @@
+"""Scenario files: TOML in, one frozen and checked object out.
+
+Each package owns the settings of its part; this module composes them, applies ``--set`` overrides, and turns
+what is wrong into one line that names the file, the field's path and the reason. The same object, written as
+JSON into the run folder, is what every process of the run reads.
+"""
+
+import math
+import tomllib
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from ipaddress import IPv4Address
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta, Struct
+from numpy.typing import NDArray
+
+from antenna.model.config import AntennaConfig
+from autopilot.navigation.plan_file import PlanFileError
+from autopilot.onboard.formation import formation_plan
+from autopilot.onboard.formation.formation_plan import FormationPlan
+from autopilot.parameters.config import (
+    REMEMBERED_S,
+    SESSION_S,
+    AutopilotConfig,
+    Devices,
+    LinksConfig,
+    OnboardConfig,
+    Port,
+    Site,
+    VehicleConfig,
+    VehiclePorts,
+)
+from autopilot.parameters.parameter_file import ParameterFileError
+from harness.scenario import autopilot_settings, element_file, formation_shape
+from harness.scenario.element_file import ElementFileError
+from harness.scenario.formation_shape import FormationConfig, FormationFileError
+from harness.scenario.validation_errors import explain
+from harness.world.faults import EXPECTED, MOST_TIME_S, AnyFault, check
+from harness.world.physics.environment import EnvironmentConfig
+from harness.world.sensors.config import SensorsConfig
+from harness.world.wind import WindConfig
+from netsim.emulator import settings_checks as radio_settings
+from netsim.ftm.stamps import distance_m, round_trip_std_ps
+from netsim.model.config import RadioConfig
+
+_UNIX_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+ARRAYS_OF_TABLES = ("faults", "wind.gusts")
+_EXPECTED = {**EXPECTED, r"formation\.motion\.kind": "one of track, racetrack"}
+
+
+class ScenarioError(ValueError):
+    """A scenario that cannot be used; the text is one line for the user."""
+
+
+class RunConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The ``[run]`` table: how long, from which seed, and what a loss does."""
+
+    seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 1
+    duration_s: Annotated[float, Meta(ge=0.0, le=MOST_TIME_S)] = 60.0
+    """Simulated time in formation."""
+    reach_timeout_s: Annotated[float, Meta(gt=0.0, le=MOST_TIME_S)] = 120.0
+    """Simulated time from the start within which the formation must be reached."""
+    step_us: Annotated[int, Meta(ge=4_000, le=4_000)] = 4_000
+    """Step of physics and lockstep: the 250 Hz at which PX4's simulator interface runs."""
+    on_vehicle_loss: Literal["continue", "end"] = "continue"
+    silence_limit_s: Annotated[float, Meta(gt=0.0, le=120.0)] = 5.0
+    """Wall time after which a vehicle that lives but does not answer is given up."""
+    record_rate_hz: Annotated[float, Meta(ge=0.001, le=250.0)] = 25.0
+    """Rows per simulated second and vehicle in the flight log."""
+    epoch_utc: Annotated[datetime, Meta(tz=True)] = datetime(2026, 1, 1, tzinfo=UTC)
+    """The date of simulated time 0, which clocks tell; nothing that flies depends on it."""
+
+    def __post_init__(self) -> None:
+        if self.epoch_utc < _UNIX_EPOCH:
+            raise ValueError("epoch_utc is before 1970, which MAVLink's clocks cannot tell")
+
+    @property
+    def epoch_unix_us(self) -> int:
+        """The same as UNIX time."""
+        return (self.epoch_utc - _UNIX_EPOCH) // timedelta(microseconds=1)
+
+
+class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The ``[ports]`` table: vehicle i uses each base plus i; PX4's numbers."""
+
+    host: str = "127.0.0.1"
+    """Of simulator and radio; the addresses of the vehicles' links are in ``[links]``."""
+    simulator_tcp: Port = 4560
+    simulator_link: Literal["unix", "tcp"] = "unix"
+    """How coflight's own vehicles reach the simulator. "unix": by a Unix socket of the run, where the system
+    is Linux; a message costs a third of what it does by "tcp", which can be captured on the loopback. PX4s,
+    and vehicles started by hand, come by TCP in any case."""
+    gcs_local_udp: Port = 18570
+    gcs_remote_udp: Port = 14550
+    """The ground station's; all vehicles share it. 0: nobody is called, who calls is answered."""
+    companion_local_udp: Port = 14580
+    companion_remote_udp: Port = 14540
+    """Vehicle i calls this plus i, whatever i is, unless that is the ground station's port, or one that a
+    vehicle of the swarm itself is bound to: with PX4's numbers 14550 of vehicle 10, and 14580 of vehicle 40
+    and so on. Their companions are not called, and are answered as ever when they call."""
+    radio_tcp: Port = 7447
+    """The 802.11 emulator's Zenoh router."""
+
+    def numbers(self) -> dict[str, int]:
+        """Ports and bases by their fields' names, without what else is in the table."""
+        return {name: value for name, value in msgspec.structs.asdict(self).items() if isinstance(value, int)}
+
+    def free(self) -> "PortsConfig":
+        """The same with any free ones, and nobody called: 0."""
+        return msgspec.structs.replace(self, **dict.fromkeys(self.numbers(), 0))
+
+    def raised(self, offset: int, agents: int) -> "PortsConfig":
+        """The same, each raised by so much; what is 0 stays 0.
+
+        Raises ValueError for less than 0, and for a port that is none.
+        """
+        if offset < 0:
+            raise ValueError(f"a port offset of {offset}: expected 0 or more")
+        changed = {name: base + offset if base else 0 for name, base in self.numbers().items()}
+        for name, port in changed.items():
+            if not 0 <= port + agents - 1 <= 65_535:
+                raise ValueError(
+                    f"ports.{name} {getattr(self, name)} with an offset of {offset} is out of range"
+                )
+        return msgspec.structs.replace(self, **changed)
+
+    def check(self, agents: int) -> None:
+        """Raise ValueError with the field's path for ports that are none, or that two cannot have at once."""
+        for field in ("simulator_tcp", "gcs_local_udp", "companion_local_udp", "companion_remote_udp"):
+            base = getattr(self, field)
+            if base and base + agents - 1 > 65_535:
+                raise ValueError(f"ports.{field}: {base} + {agents - 1} vehicles is over 65535")
+        for first, others in (
+            ("gcs_local_udp", (("companion_local_udp", agents), ("gcs_remote_udp", 1))),
+            ("companion_local_udp", (("gcs_remote_udp", 1),)),
+            ("simulator_tcp", (("radio_tcp", 1),)),
+        ):
+            begin = getattr(self, first)
+            for second, count in others:
+                other = getattr(self, second)
+                port = max(begin, other)
+                if begin and other and port < min(begin + agents, other + count):
+                    whose = f" of UAV {port - other}" if count > 1 else ""
+                    raise ValueError(
+                        f"ports.{first} of UAV {port - begin} and ports.{second}{whose} are both {port}; "
+                        f"expected the ports of {agents} vehicles to be apart from others"
+                    )
+
+
+class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Everything that decides a run; two runs with equal scenarios give equal logs."""
+
+    name: Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+    agents: Annotated[int, Meta(ge=1, le=254)] = 8
+    run: RunConfig = RunConfig()
+    formation: FormationConfig = FormationConfig()
+    site: Site = Site()
+    environment: EnvironmentConfig = EnvironmentConfig()
+    wind: WindConfig = WindConfig()
+    faults: tuple[AnyFault, ...] = ()
+    sensors: SensorsConfig = SensorsConfig()
+    autopilot: AutopilotConfig = AutopilotConfig()
+    links: LinksConfig = LinksConfig()
+    onboard: OnboardConfig = OnboardConfig()
+    radio: RadioConfig = RadioConfig()
+    antenna: AntennaConfig = AntennaConfig()
+    ports: PortsConfig = PortsConfig()
+
+    def __post_init__(self) -> None:
+        """Check what no single field can."""
+        autopilot_settings.check(self.autopilot, self.site, self.agents)
+        if self.onboard.loop_period_us % self.run.step_us:
+            raise ValueError(
+                f"onboard.loop_period_ms: {self.onboard.loop_period_ms} ms is no whole number of steps; "
+                f"expected a multiple of {self.run.step_us / 1e3:g}"
+            )
+        if self.onboard.wind_feed_forward:
+            self._check_wind()
+        for number, fault in enumerate(self.faults):
+            check(fault, self.agents, path=f"faults[{number}]")
+        try:
+            radio_settings.check(self.radio, self.agents)
+        except ValueError as error:
+            raise ValueError(f"radio.{error}") from None
+        session_s = (2**self.radio.ftm.bursts_exponent - 1) * self.radio.ftm.burst_period_ms * 1e-3
+        if self.onboard.localisation == "ftm" and session_s > LONGEST_SESSION_S:
+            raise ValueError(
+                f"radio.ftm.bursts_exponent: sessions of {session_s:g} s; the application remembers for "
+                f"{REMEMBERED_S:g} s where the vehicle was, and beacons take some of it: "
+                f"at most {LONGEST_SESSION_S:g} s"
+            )
+        places_ned_m = self.places_ned_m()
+        i, j = np.triu_indices(len(places_ned_m), 1)
+        nearest_m = min(np.linalg.norm(places_ned_m[i] - places_ned_m[j], axis=1), default=math.inf)
+        if not nearest_m >= MIN_SPACING_M:
+            raise ValueError(
+                f"formation: places {nearest_m:.2f} m apart; vehicles this size need {MIN_SPACING_M} m"
+            )
+        if self.formation.motion is not None:
+            try:
+                formation_plan.check(places_ned_m, self.formation.motion)
+            except ValueError as error:
+                raise ValueError(f"formation.motion.{error}") from None
+        self.ports.check(self.agents)
+
+    def _check_wind(self) -> None:
+        """Refuse that two of a vehicle's parts lean against the same wind."""
+        for instance in range(self.agents):
+            if self.autopilot.for_uav(instance).params.get("CF_DOB_EN"):
+                raise ValueError(
+                    f"onboard.wind_feed_forward: the autopilot of UAV {instance} leans against the wind "
+                    "already; expected CF_DOB_EN to be 0"
+                )
+
+    def places_ned_m(self) -> NDArray[np.float64]:
+        """(agents, 3) places of the formation, before it moves, in the site's NED frame."""
+        return formation_shape.places_ned_m(self.formation, self.agents, self.antenna.wavelength_m)
+
+    def companion_port(self, instance: int) -> int:
+        """Port that a vehicle calls its companion at; 0: none, for somebody else would hear it there."""
+        p, links = self.ports, self.links
+        port = p.companion_remote_udp + instance if p.companion_remote_udp else 0
+        if port == p.gcs_remote_udp and links.companion_host == links.ground_station_host:
+            return 0
+        own = (p.gcs_local_udp, p.companion_local_udp)
+        is_own = any(base and base <= port < base + self.agents for base in own)
+        return 0 if is_own and IPv4Address(links.companion_host).is_loopback else port
+
+    def plan(self) -> FormationPlan:
+        """Where the places are once the formation moves."""
+        return FormationPlan(self.places_ned_m(), self.formation.heading_deg, self.formation.motion)
+
+    def vehicle(
+        self, instance: int, *, run_id: str, radio_endpoint: str | None, log_path: str | None
+    ) -> VehicleConfig:
+        """What vehicle ``instance`` is told."""
+        p = self.ports
+        return VehicleConfig(
+            run_id=run_id,
+            instance=instance,
+            seed=self.run.seed,
+            step_us=self.run.step_us,
+            epoch_unix_us=self.run.epoch_unix_us,
+            site=self.site,
+            ports=VehiclePorts(
+                host=p.host,
+                simulator_tcp=p.simulator_tcp + instance if p.simulator_tcp else 0,
+                gcs_local_udp=p.gcs_local_udp + instance if p.gcs_local_udp else 0,
+                gcs_remote_udp=p.gcs_remote_udp,
+                companion_local_udp=p.companion_local_udp + instance if p.companion_local_udp else 0,
+                companion_remote_udp=self.companion_port(instance),
+                radio_endpoint=radio_endpoint,
+            ),
+            autopilot=self.autopilot.for_uav(instance),
+            links=self.links,
+            onboard=self.onboard,
+            devices=Devices(
+                gps_delay_s=self.sensors.gps_model().delay_s,
+                ftm_trip_std_m=distance_m(round_trip_std_ps(self.radio.ftm, self.radio.bandwidth_mhz)),
+            ),
+            places_ned_m=tuple((float(n), float(e), float(d)) for n, e, d in self.places_ned_m()),
+            heading_deg=self.formation.heading_deg,
+            motion=self.formation.motion,
+            log_path=log_path,
+            record_period_us=self.record_period_us,
+        )
+
+    @property
+    def record_period_us(self) -> int:
+        """Period of the flight log, a whole number of steps."""
+        steps = max(1, round(1e6 / self.run.record_rate_hz / self.run.step_us))
+        return steps * self.run.step_us
+
+
+LONGEST_SESSION_S = REMEMBERED_S - SESSION_S
+"""From the first to the last burst of a ranging session; the rest is for the queue and for beacons."""
+MIN_SPACING_M = 0.8
+"""Least distance between two places: an Iris is 0.55 m across its rotors."""
+
+
+def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
+    """Read a scenario file and apply ``path=value`` overrides.
+
+    Values in TOML's notation (bare words are strings); ``faults.0.uav`` is of the first of the faults.
+
+    Raises ScenarioError with one line that names the file or override, the field's path and what is wrong.
+    """
+    path = Path(path)
+    try:
+        table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ScenarioError(f"{path}: no such scenario file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{path}: cannot be read: {error}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ScenarioError(f"{path}: not TOML: {error}") from None
+    table.setdefault("name", path.stem)
+    for override in overrides:
+        _override(table, override)
+    try:
+        if isinstance(formation := table.get("formation"), dict):
+            table["formation"] = formation_shape.with_points(formation, path.parent)
+        if isinstance(antenna := table.get("antenna"), dict):
+            table["antenna"] = element_file.with_deck(antenna, path.parent)
+        scenario = msgspec.convert(table, Scenario)
+        autopilot = autopilot_settings.with_parameter_file(scenario.autopilot, path.parent)
+        autopilot = autopilot_settings.with_plan_file(autopilot, path.parent)
+    except msgspec.ValidationError as error:
+        raise ScenarioError(f"{path}: {explain(error, _EXPECTED)}") from None
+    except FormationFileError as error:
+        raise ScenarioError(f"{path}: formation.file: {error}") from None
+    except ElementFileError as error:
+        raise ScenarioError(f"{path}: antenna.element_file: {error}") from None
+    except PlanFileError as error:
+        raise ScenarioError(f"{path}: autopilot.plan_file: {error}") from None
+    except ParameterFileError as error:
+        raise ScenarioError(f"{path}: autopilot.params_file: {error}") from None
+    try:
+        links = autopilot_settings.with_signing_key(scenario.links, path.parent)
+    except ValueError as error:
+        raise ScenarioError(f"{path}: links.signing_key_file: {error}") from None
+    try:
+        return msgspec.structs.replace(scenario, autopilot=autopilot, links=links)
+    except ValueError as error:  # what the files brought does not go with the rest
+        raise ScenarioError(f"{path}: {error}") from None
+
+
+def _override(table: dict[str, Any], override: str) -> None:
+    """Set one field in the nested table, making tables on the way; in an array, entries count from 0."""
+    path, equals, text = override.partition("=")
+    keys = [key.strip() for key in path.split(".")]
+    if not equals or not all(keys):
+        raise ScenarioError(f"--set {override}: expected PATH=VALUE, such as wind.mean_n=2")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()
+    container: Any = table
+    for depth, key in enumerate(keys):
+        where = ".".join(keys[:depth])
+        if isinstance(container, list):
+            index = _index(container, key, where, override)
+            if depth == len(keys) - 1:
+                container[index] = value
+            else:
+                container = container[index]
+        elif not isinstance(container, dict):
+            raise ScenarioError(f"--set {override}: {where} is a value, not a table")
+        elif depth == len(keys) - 1:
+            container[key] = value
+        else:
+            missing: Any = [] if ".".join(keys[: depth + 1]) in ARRAYS_OF_TABLES else {}
+            container = container.setdefault(key, missing)
+
+
+def _index(entries: list[Any], key: str, where: str, override: str) -> int:
+    """Read a path's key as the number of one of the entries that there are."""
+    if not (key.isdecimal() and int(key) < len(entries)):
+        numbers = f"numbers 0 to {len(entries) - 1}" if entries else "none"
+        raise ScenarioError(f"--set {override}: {where} has no entry {key}; there are {numbers}")
+    return int(key)

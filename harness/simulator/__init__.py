@@ -1,0 +1,5 @@
+"""One step of everything: physics server, lockstep with the vehicles, HIL messages, emulator client.
+
+Import `simulation.Simulation` for the core, `server` for the process. Starting it is left to
+`harness.launch`.
+"""

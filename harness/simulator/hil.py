@@ -1,0 +1,237 @@
+"""The simulator's side of PX4's simulator API: sensor readings to MAVLink bytes.
+
+What vehicles answer is `harness.simulator.actuator_inbox`'. Pure: sockets are `harness.simulator.lockstep`'s.
+Units on the wire are those that PX4 decodes (facts of HIL_SENSOR, HIL_GPS): gauss, hPa, degC; degE7, mm,
+cm/s; eph and epv in cm. Integers saturate.
+"""
+
+import math
+from collections.abc import Collection, Sequence
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from pymavlink.dialects.v20 import common as mavlink
+
+from autopilot.estimation.atmosphere import altitude_m
+from autopilot.estimation.sensor_input import BARO_FIELDS, IMU_FIELDS, MAG_FIELDS
+from autopilot.parameters.config import Site
+from foundation.geometry.geodesy import ned_to_geodetic
+from foundation.types import Array
+from harness.simulator.hil_frames import (
+    ESC_STATUS,
+    HIL_GPS,
+    HIL_SENSOR,
+    HIL_STATE_QUATERNION,
+    RC_CHANNELS,
+    InertialFrames,
+)
+from harness.world.esc import EscReadings, statuses
+from harness.world.physics.truth import Truth
+from harness.world.sensors.suite import GpsFixes, SensorFrame
+from netsim.wire.lockstep import BATCH_DELIVERED
+
+_UNKNOWN = 65_535
+_COURSE_LEAST_SPEED_M_S = 0.1
+_SATELLITES = 10
+_SITE = Site()
+TRUTH_PERIOD_US = 20_000
+"""Between two HIL_STATE_QUATERNION, where the truth is told."""
+RC_PERIOD_US = 100_000
+"""Between two RC_CHANNELS, where a radio control is asked for."""
+_RC_CENTRE_US = 1_500
+_RC_STICKS = 4
+_RC_UNUSED = 65_535
+_RC_STRENGTH = 254
+_US_PER_MS = 1_000
+
+
+class SensorEncoder:
+    """Bytes that the vehicles get in one step. The same kinds go to all, so their links count alike.
+
+    But ``px4``, the vehicles that a PX4 flies, get no ESC_STATUS, which it does not know, and find it missing
+    in the count if others get it. It takes the time of HIL_GPS for UTC, and ``epoch_us`` is the simulation's
+    beginning. ``px4_rc`` has it told of a radio control.
+    """
+
+    def __init__(
+        self, site: Site = _SITE, *, px4: Collection[int] = (), epoch_us: int = 0, px4_rc: bool = False
+    ) -> None:
+        self._site = site
+        self._px4 = frozenset(px4)
+        self._epoch_us = epoch_us
+        self._px4_rc = px4_rc
+        self._sequence = 0
+        self._inertial = InertialFrames(0, IMU_FIELDS)
+
+    def encode(
+        self,
+        time_us: int,
+        frame: SensorFrame,
+        escs: EscReadings | None = None,
+        truth: Truth | None = None,
+        delivered: Collection[int] = (),
+    ) -> Sequence[bytes | memoryview]:
+        """Frames for each vehicle, which hold until they are asked for again.
+
+        ESC_STATUS when there are readings of motors, HIL_GPS when a fix is due, HIL_STATE_QUATERNION when
+        the truth is to be told, then HIL_SENSOR, which is what lets a vehicle's clock go on. It tells those
+        who are ``delivered``, by their numbers, that the radio has brought them something for this step.
+        """
+        others: list[list[bytes]] = []
+        if escs is not None:
+            others.append(self._but(self._px4, ESC_STATUS.frames(statuses(time_us, escs), self._next())))
+        if self._px4_rc and time_us % RC_PERIOD_US == 0:
+            vehicles = len(frame.accel_frd_m_s2)
+            own = frozenset(range(vehicles)) - self._px4
+            others.append(self._but(own, RC_CHANNELS.frames(_rc(time_us, vehicles), self._next())))
+        if frame.gps is not None:
+            others.append(HIL_GPS.frames(self._fixes(time_us, frame.gps), self._next()))
+        if truth is not None:
+            others.append(HIL_STATE_QUATERNION.frames(_states(time_us, truth, self._site), self._next()))
+        sensors = self._sensors(time_us, frame, delivered)
+        return [b"".join(parts) for parts in zip(*others, sensors, strict=True)] if others else sensors
+
+    def _sensors(
+        self, time_us: int, frame: SensorFrame, delivered: Collection[int]
+    ) -> Sequence[bytes | memoryview]:
+        """Frames of HIL_SENSOR."""
+        if frame.mag_frd_gauss is not None or frame.baro is not None or delivered:
+            return HIL_SENSOR.frames(_sensors(time_us, frame, delivered), self._next())
+        accel_frd_m_s2, gyro_frd_rad_s = frame.accel_frd_m_s2, frame.gyro_frd_rad_s
+        if self._inertial.vehicles != len(accel_frd_m_s2):
+            self._inertial = InertialFrames(len(accel_frd_m_s2), IMU_FIELDS)
+        return self._inertial.at(time_us, accel_frd_m_s2, gyro_frd_rad_s, self._next())
+
+    def _next(self) -> int:
+        """Sequence number of the next kind of frame."""
+        sequence = self._sequence
+        self._sequence = (sequence + 1) % 256
+        return sequence
+
+    @staticmethod
+    def _but(without: Collection[int], frames: list[bytes]) -> list[bytes]:
+        """Frames for all but those who get none."""
+        return [b"" if vehicle in without else each for vehicle, each in enumerate(frames)]
+
+    def _fixes(self, time_us: int, fixes: GpsFixes) -> NDArray[np.void]:
+        """HIL_GPS of each vehicle."""
+        rows = np.zeros(len(fixes.lat_deg), HIL_GPS.dtype)
+        rows["fix_type"] = mavlink.GPS_FIX_TYPE_3D_FIX
+        rows["lat"] = _integers(fixes.lat_deg * 1e7, np.int32)
+        rows["lon"] = _integers(fixes.lon_deg * 1e7, np.int32)
+        rows["alt"] = _integers(fixes.alt_m * 1e3, np.int32)
+        rows["eph"] = _integers(fixes.eph_m * 100, np.uint16)
+        rows["epv"] = _integers(fixes.epv_m * 100, np.uint16)
+        north_east_m_s: list[list[float]] = fixes.vel_ned_m_s[:, :2].tolist()
+        speeds_m_s = np.array([math.hypot(north, east) for north, east in north_east_m_s])
+        courses_deg = np.array([math.degrees(math.atan2(east, north)) for north, east in north_east_m_s])
+        rows["vel"] = _integers(speeds_m_s * 100, np.uint16)
+        rows["vel_ned"] = _integers(fixes.vel_ned_m_s * 100, np.int16)
+        courses_cdeg = np.rint(courses_deg * 100) % 36_000
+        rows["cog"] = np.where(speeds_m_s > _COURSE_LEAST_SPEED_M_S, courses_cdeg, _UNKNOWN)
+        rows["satellites_visible"] = _SATELLITES
+        if fixes.lost is not None:
+            rows[fixes.lost] = _NO_FIX
+        rows["time_usec"] = time_us
+        for vehicle in self._px4:
+            rows["time_usec"][vehicle] += self._epoch_us
+        return rows
+
+
+def _sensors(time_us: int, frame: SensorFrame, delivered: Collection[int]) -> NDArray[np.void]:
+    """HIL_SENSOR of each vehicle."""
+    vehicles = len(frame.accel_frd_m_s2)
+    rows = np.zeros(vehicles, HIL_SENSOR.dtype)
+    fields, mag_frd_gauss = IMU_FIELDS, frame.mag_frd_gauss
+    if mag_frd_gauss is None:
+        mag_frd_gauss = np.zeros((vehicles, 3))
+    else:
+        fields |= MAG_FIELDS
+    if frame.baro is None:
+        pressure_hpa = temperature_degc = np.zeros(vehicles)
+    else:
+        fields |= BARO_FIELDS
+        pressure_hpa, temperature_degc = frame.baro
+    fill_sensors(
+        rows, time_us, fields, frame.accel_frd_m_s2, frame.gyro_frd_rad_s, mag_frd_gauss, pressure_hpa,
+        temperature_degc,
+    )  # fmt: skip
+    for vehicle in delivered:
+        rows["fields_updated"][vehicle] |= BATCH_DELIVERED
+    return rows
+
+
+@njit(cache=True)
+def fill_sensors(
+    rows: NDArray[np.void],
+    time_us: int,
+    fields_updated: int,
+    accel_frd_m_s2: Array,
+    gyro_frd_rad_s: Array,
+    mag_frd_gauss: Array,
+    pressure_hpa: Array,
+    temperature_degc: Array,
+) -> None:
+    """Fill rows (n,) of HIL_SENSOR that are zero with what is new by ``fields_updated``."""
+    for i in range(len(rows)):
+        row = rows[i]
+        row["time_usec"] = time_us
+        row["fields_updated"] = fields_updated
+        for axis in range(3):
+            row["acc"][axis] = accel_frd_m_s2[i, axis]
+            row["gyro"][axis] = gyro_frd_rad_s[i, axis]
+            row["mag"][axis] = mag_frd_gauss[i, axis]
+        if fields_updated & BARO_FIELDS:
+            row["abs_pressure"] = pressure_hpa[i]
+            row["pressure_alt"] = altitude_m(pressure_hpa[i] * 100.0)
+            row["temperature"] = temperature_degc[i]
+
+
+def _no_fix() -> NDArray[np.void]:
+    """HIL_GPS (1,) of a receiver that has none, but for its time."""
+    row = np.zeros(1, HIL_GPS.dtype)
+    row["fix_type"] = mavlink.GPS_FIX_TYPE_NO_FIX
+    for name in ("eph", "epv", "vel", "cog"):
+        row[name] = _UNKNOWN
+    return row
+
+
+_NO_FIX = _no_fix()
+
+
+def _rc(time_us: int, vehicles: int) -> NDArray[np.void]:
+    """RC_CHANNELS of radio controls that nobody touches."""
+    rows = np.zeros(vehicles, RC_CHANNELS.dtype)
+    rows["time_boot_ms"] = time_us // _US_PER_MS
+    rows["channels"] = _RC_UNUSED
+    rows["channels"][:, :_RC_STICKS] = _RC_CENTRE_US
+    rows["chancount"] = _RC_STICKS
+    rows["rssi"] = _RC_STRENGTH
+    return rows
+
+
+def _states(time_us: int, truth: Truth, site: Site) -> NDArray[np.void]:
+    """HIL_STATE_QUATERNION of each vehicle; its position is good to a centimetre, as degE7 are."""
+    lat_deg, lon_deg, alt_m = ned_to_geodetic(
+        truth.pos_ned_m,
+        origin_lat_deg=site.latitude_deg,
+        origin_lon_deg=site.longitude_deg,
+        origin_alt_m=site.altitude_m,
+    )
+    rows = np.zeros(len(truth.pos_ned_m), HIL_STATE_QUATERNION.dtype)
+    rows["time_usec"] = time_us
+    rows["attitude_quaternion"] = truth.q_ned_frd
+    rows["omega"] = truth.omega_frd_rad_s
+    rows["lat"] = _integers(lat_deg * 1e7, np.int32)
+    rows["lon"] = _integers(lon_deg * 1e7, np.int32)
+    rows["alt"] = _integers(alt_m * 1e3, np.int32)
+    rows["vel_ned"] = _integers(truth.vel_ned_m_s * 100, np.int16)
+    return rows
+
+
+def _integers(values: Array | float, kind: type[np.integer[Any]]) -> Array:
+    """The nearest whole numbers that an integer of that kind can hold."""
+    limits = np.iinfo(kind)
+    return np.asarray(np.rint(np.clip(values, limits.min, limits.max)))

@@ -1,0 +1,136 @@
+"""What Bullet holds of the vehicles, and how a step of it is read.
+
+Bullet integrates ``v <- v + a(x) dt``, then ``x <- x + v dt``: its poses are half a step ahead of its
+velocities. With v(t_k) it holds x(t_k + dt/2), and so read it is the leapfrog scheme, of second order: forces
+belong to the middle of their step, and the pose at t_k is Bullet's less half a step of motion. Free fall, for
+one, comes out exactly; taken at face value it would be off by half a step of speed.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from foundation.types import Array
+from harness.world.physics.rotation import Vector, in_frd, in_ned, turned
+
+BODY = np.dtype(
+    [
+        ("pos_ned_m", "f8", 3),
+        ("q_ned_frd", "f8", 4),
+        ("vel_ned_m_s", "f8", 3),
+        ("omega_ned_rad_s", "f8", 3),
+    ]
+)
+"""Row of one vehicle as Bullet has it, wxyz; the pose is half a step ahead of the velocities."""
+BODY_NUMBERS = BODY.itemsize // 8
+
+
+@njit(cache=True)
+def observe(
+    before: NDArray[np.void],
+    after: NDArray[np.void],
+    gravity_m_s2: float,
+    step_s: float,
+    truth: NDArray[np.void],
+) -> None:
+    """Read the state at the end of a step from what Bullet held before and after it, rows (n,) of `BODY`.
+
+    Fills all of ``truth`` (n,), rows of `harness.world.physics.truth.TRUTH`, but the rotors' speeds.
+    """
+    for i in range(len(after)):
+        vel_ned, omega_ned = after[i]["vel_ned_m_s"], after[i]["omega_ned_rad_s"]
+        q_mid_step, q_ahead = before[i]["q_ned_frd"], after[i]["q_ned_frd"]
+        seen = truth[i]
+        for axis in range(3):
+            seen["vel_ned_m_s"][axis] = vel_ned[axis]
+            seen["pos_ned_m"][axis] = after[i]["pos_ned_m"][axis] - 0.5 * step_s * vel_ned[axis]
+            seen["acc_ned_m_s2"][axis] = (vel_ned[axis] - before[i]["vel_ned_m_s"][axis]) / step_s
+        half_step_back_s = -0.5 * step_s
+        seen["q_ned_frd"][:] = turned(
+            half_step_back_s * omega_ned[0],
+            half_step_back_s * omega_ned[1],
+            half_step_back_s * omega_ned[2],
+            q_ahead,
+        )
+        seen["omega_frd_rad_s"][:] = in_frd(q_ahead, omega_ned[0], omega_ned[1], omega_ned[2])
+        acc_ned = seen["acc_ned_m_s2"]
+        seen["specific_force_frd_m_s2"][:] = in_frd(
+            q_mid_step, acc_ned[0], acc_ned[1], acc_ned[2] - gravity_m_s2
+        )
+        omega_before_ned = before[i]["omega_ned_rad_s"]
+        seen["mean_omega_frd_rad_s"][:] = in_frd(
+            q_mid_step,
+            0.5 * (omega_before_ned[0] + omega_ned[0]),
+            0.5 * (omega_before_ned[1] + omega_ned[1]),
+            0.5 * (omega_before_ned[2] + omega_ned[2]),
+        )
+
+
+@njit(cache=True)
+def near_something(bodies: NDArray[np.void], reach_m: float, lasting: float, near: NDArray[np.bool_]) -> bool:
+    """Find out who of ``bodies``, rows (n,) of `BODY`, is near the ground or another.
+
+    So is whoever is within ``reach_m`` of another along every axis, or within half of that above the ground;
+    who is near stays so until it is ``lasting`` times as far away. ``near`` (n,) has who was, and then who is
+    so; returns whether that has changed for any.
+    """
+    was_near = near.copy()
+    near[:] = False
+    for i in range(len(bodies)):
+        here = bodies[i]["pos_ned_m"]
+        ground_m = 0.5 * reach_m * (lasting if was_near[i] else 1.0)
+        near[i] |= -here[2] <= ground_m
+        for j in range(i):
+            there = bodies[j]["pos_ned_m"]
+            pair_m = reach_m * (lasting if was_near[i] and was_near[j] else 1.0)
+            if (
+                abs(here[0] - there[0]) <= pair_m
+                and abs(here[1] - there[1]) <= pair_m
+                and abs(here[2] - there[2]) <= pair_m
+            ):
+                near[i] = near[j] = True
+    changed = False
+    for i in range(len(bodies)):
+        changed |= near[i] != was_near[i]
+    return changed
+
+
+@njit(cache=True)
+def in_body_axes(q_ned_frd: Array, vector_ned: Array) -> Array:
+    """One vector (3,) as each of n bodies at ``q_ned_frd`` (n, 4) sees it: (n, 3) FRD."""
+    vectors_frd = np.empty((q_ned_frd.shape[0], 3))
+    for vehicle in range(q_ned_frd.shape[0]):
+        vectors_frd[vehicle] = in_frd(q_ned_frd[vehicle], vector_ned[0], vector_ned[1], vector_ned[2])
+    return vectors_frd
+
+
+@njit(cache=True)
+def integrable_torque(
+    inertia_kg_m2: Array, q_ned_frd: Array, omega_ned_rad_s: Array, torque_ned_n_m: Array, step_s: float
+) -> Vector:
+    """Torque to hand to Bullet, in newton metres, NED, so that ``torque_ned_n_m`` (3,) acts on a body.
+
+    Bullet adds the gyroscopic torque -ω x Iω as it is at the start of a step, which feeds energy into a
+    spinning body. The difference to its value at the middle of the step, added here, makes that the midpoint
+    rule. ``inertia_kg_m2`` (3,) is diagonal in the body's axes.
+    """
+    ix, iy, iz = inertia_kg_m2[0], inertia_kg_m2[1], inertia_kg_m2[2]
+    p, q, r = in_frd(q_ned_frd, omega_ned_rad_s[0], omega_ned_rad_s[1], omega_ned_rad_s[2])
+    tx, ty, tz = in_frd(q_ned_frd, torque_ned_n_m[0], torque_ned_n_m[1], torque_ned_n_m[2])
+    gx, gy, gz = _gyroscopic_torque(ix, iy, iz, p, q, r)
+    mid_x, mid_y, mid_z = _gyroscopic_torque(
+        ix,
+        iy,
+        iz,
+        p + 0.5 * step_s * (tx + gx) / ix,
+        q + 0.5 * step_s * (ty + gy) / iy,
+        r + 0.5 * step_s * (tz + gz) / iz,
+    )
+    x, y, z = in_ned(q_ned_frd, mid_x - gx, mid_y - gy, mid_z - gz)
+    return torque_ned_n_m[0] + x, torque_ned_n_m[1] + y, torque_ned_n_m[2] + z
+
+
+@njit(cache=True)
+def _gyroscopic_torque(ix: float, iy: float, iz: float, p: float, q: float, r: float) -> Vector:
+    """-ω x Iω for a diagonal inertia and body rates."""
+    return (iy - iz) * q * r, (iz - ix) * r * p, (ix - iy) * p * q

@@ -1,0 +1,179 @@
+"""Forces and torques of rotors and air: kernels over all vehicles at once.
+
+The model is PX4's `gazebo_motor_model`: thrust and yaw torque by the square of the speed, in-plane drag and
+rolling moment after P. Martin and E. Salaün, "The true role of accelerometer feedback in quadrotor control",
+ICRA 2010. All of them go with the density of the air, of which Gazebo's constants are those at sea level. The
+ground effect, where it is wanted, is I. C. Cheeseman and W. E. Bennett, "The effect of the ground on a
+helicopter rotor in forward flight", ARC R&M 3021, 1955, equation for the hover; with the vehicle's tilt it
+fades by the cosine.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from foundation.types import Array
+from harness.world.physics.environment import Surroundings
+from harness.world.physics.frames import frd_from_flu
+from harness.world.physics.model import VehicleModel
+from harness.world.physics.rotation import in_frd, in_ned
+
+
+class RotorKernelModel(NamedTuple):
+    """`VehicleModel` in the form that compiled code takes."""
+
+    hubs_frd_m: Array
+    """(4, 3)"""
+    turning: Array
+    """(4,) +1 counter-clockwise from above"""
+    thrust_n_s2: float
+    moment_m: float
+    drag_n_s2_m: float
+    rolling_n_s2: float
+    body_drag_n_s_m: float
+    ground_effect_radius_m: float
+    """Of a rotor; 0 where the ground has no effect"""
+    axial_speed_limit_m_s: float
+    armed_speed_rad_s: float
+    control_speed_rad_s: float
+    rise: float
+    """Part of a motor's speed error that is left after one step while it rises."""
+    fall: float
+
+
+LEAST_HEIGHT_RADII = 0.5
+"""Height of a rotor over its radius below which Cheeseman and Bennett's formula, which goes to infinity at a
+quarter, is held: it is usually taken to be valid above. A landed Iris's rotors are at 0.61."""
+MOST_AXIAL_FACTOR = 1.2
+"""Reached at 5 m/s from below by the Iris, whose hovering rotors induce 5.5 m/s, sqrt(3.8 N / (2 rho A)):
+from about there on a rotor works in its own vortex ring and gains no more."""
+
+
+def kernel_model(model: VehicleModel, *, step_s: float, ground_effect: bool = False) -> RotorKernelModel:
+    """Numbers of the model for steps of that length."""
+    return RotorKernelModel(
+        hubs_frd_m=frd_from_flu(model.rotor_hubs_flu_m),
+        turning=np.array(model.rotor_turning),
+        thrust_n_s2=model.thrust_n_s2,
+        moment_m=model.moment_m,
+        drag_n_s2_m=model.rotor_drag_n_s2_m,
+        rolling_n_s2=model.rolling_moment_n_s2,
+        body_drag_n_s_m=model.drag_n_s_m,
+        ground_effect_radius_m=model.rotor_radius_m if ground_effect else 0.0,
+        axial_speed_limit_m_s=model.axial_speed_limit_m_s,
+        armed_speed_rad_s=model.armed_speed_rad_s,
+        control_speed_rad_s=model.control_speed_rad_s,
+        rise=math.exp(-step_s / model.motor_rise_s),
+        fall=math.exp(-step_s / model.motor_fall_s),
+    )
+
+
+@njit(cache=True)
+def rotor_speeds(
+    model: RotorKernelModel, speed_rad_s: Array, controls: Array, powered: NDArray[np.bool_]
+) -> Array:
+    """Rotor speeds (n, 4) one step on: a first-order lag towards what controls (n, 4) ask.
+
+    Controls are limited to 0..1, not-a-number counting as 0; rotors whose ``powered`` (n, 4) is False spin
+    down.
+    """
+    after_rad_s = np.empty_like(speed_rad_s)
+    for vehicle in range(speed_rad_s.shape[0]):
+        for rotor in range(4):
+            target_rad_s = 0.0
+            if powered[vehicle, rotor]:
+                control = controls[vehicle, rotor]
+                if not control > 0.0:  # not-a-number, too
+                    control = 0.0
+                target_rad_s = model.armed_speed_rad_s + model.control_speed_rad_s * min(control, 1.0)
+            now_rad_s = speed_rad_s[vehicle, rotor]
+            left = model.rise if target_rad_s > now_rad_s else model.fall
+            after_rad_s[vehicle, rotor] = target_rad_s + left * (now_rad_s - target_rad_s)
+    return after_rad_s
+
+
+@njit(cache=True)
+def axial_factor(inflow_from_below_m_s: float, limit_m_s: float) -> float:
+    """Thrust of a rotor over its static thrust, by the air's speed up its axis as the hub meets it.
+
+    Linear: in a climb or a downdraught it falls, to nothing at -``limit_m_s``; in a descent or an updraught
+    it rises as much, up to `MOST_AXIAL_FACTOR`. Gazebo's plugin takes the speed's magnitude, which makes
+    descents run away.
+    """
+    return min(max(1.0 + inflow_from_below_m_s / limit_m_s, 0.0), MOST_AXIAL_FACTOR)
+
+
+@njit(cache=True)
+def ground_effect(height_m: float, radius_m: float) -> float:
+    """Thrust of a rotor so high above the ground over its thrust far from it, at the same speed."""
+    radii = max(height_m / radius_m, LEAST_HEIGHT_RADII)
+    return 1.0 / (1.0 - 1.0 / (16.0 * radii * radii))
+
+
+@njit(cache=True)
+def wrenches(
+    model: RotorKernelModel,
+    q_ned_frd: Array,
+    vel_ned_m_s: Array,
+    omega_ned_rad_s: Array,
+    rotor_speed_rad_s: Array,
+    surroundings: Surroundings,
+) -> tuple[Array, Array]:
+    """Force and torque on each vehicle for Bullet to apply: (n, 3) newtons and (n, 3) newton metres, NED.
+
+    The torque is about the centre of mass, the velocities are its own, against the ground. Wind is the same
+    at all of a vehicle's rotors and its body.
+    """
+    vehicles = q_ned_frd.shape[0]
+    force_ned_n = np.empty((vehicles, 3))
+    torque_ned_n_m = np.empty((vehicles, 3))
+    force = np.empty(3)
+    torque = np.empty(3)
+    for vehicle in range(vehicles):
+        density = surroundings.density_ratio[vehicle]
+        q, air_vel, turn = q_ned_frd[vehicle], surroundings.air_vel_ned_m_s[vehicle], omega_ned_rad_s[vehicle]
+        north_m_s = vel_ned_m_s[vehicle, 0] - air_vel[0]
+        east_m_s = vel_ned_m_s[vehicle, 1] - air_vel[1]
+        down_m_s = vel_ned_m_s[vehicle, 2] - air_vel[2]
+        vel = in_frd(q, north_m_s, east_m_s, down_m_s)
+        omega = in_frd(q, turn[0], turn[1], turn[2])
+        down = in_frd(q, 0.0, 0.0, 1.0)
+        force[:] = 0.0
+        torque[:] = 0.0
+        for rotor in range(4):
+            x, y, z = model.hubs_frd_m[rotor]
+            turning = model.turning[rotor]
+            speed = rotor_speed_rad_s[vehicle, rotor]
+            air_x = vel[0] + omega[1] * z - omega[2] * y
+            air_y = vel[1] + omega[2] * x - omega[0] * z
+            air_z = vel[2] + omega[0] * y - omega[1] * x
+            blades = density * surroundings.effectiveness[vehicle, rotor]
+            static_thrust = blades * (model.thrust_n_s2 * speed * speed)
+            up = static_thrust * axial_factor(air_z, model.axial_speed_limit_m_s)
+            if model.ground_effect_radius_m > 0.0 and down[2] > 0.0:  # not with the rotors below the body
+                height_m = surroundings.height_m[vehicle] - (down[0] * x + down[1] * y + down[2] * z)
+                more = ground_effect(height_m, model.ground_effect_radius_m) - 1.0
+                up *= 1.0 + down[2] * more  # all of it when level, nothing at 90 degrees
+            drag_x = blades * (-model.drag_n_s2_m * speed * air_x)
+            drag_y = blades * (-model.drag_n_s2_m * speed * air_y)
+            force[0] += drag_x
+            force[1] += drag_y
+            force[2] -= up
+            # hub x force, then the rolling moment; the reaction to a counter-clockwise rotor turns the body
+            # clockwise seen from above, which is the positive sense about FRD's z
+            rolling_x = blades * (turning * model.rolling_n_s2 * speed * air_x)
+            rolling_y = blades * (turning * model.rolling_n_s2 * speed * air_y)
+            torque[0] += -y * up - z * drag_y - rolling_x
+            torque[1] += z * drag_x + x * up - rolling_y
+            torque[2] += x * drag_y - y * drag_x + turning * model.moment_m * static_thrust
+        force_ned_n[vehicle] = in_ned(q, force[0], force[1], force[2])
+        if model.body_drag_n_s_m > 0.0:
+            body_drag_n_s_m = density * model.body_drag_n_s_m
+            force_ned_n[vehicle, 0] -= body_drag_n_s_m * north_m_s
+            force_ned_n[vehicle, 1] -= body_drag_n_s_m * east_m_s
+            force_ned_n[vehicle, 2] -= body_drag_n_s_m * down_m_s
+        torque_ned_n_m[vehicle] = in_ned(q, torque[0], torque[1], torque[2])
+    return force_ned_n, torque_ned_n_m

@@ -1,0 +1,194 @@
+"""The world in which the vehicles move: rigid bodies and contacts under our rotor model.
+
+Vehicles that are near the ground or each other are Bullet's (`harness.world.physics.bullet`); the others fly
+freely by the same scheme (`harness.world.physics.free_flight`). Forces come from
+`harness.world.physics.rotors`.
+"""
+
+import math
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from foundation.types import Array
+from harness.world.physics.bodies import BODY
+from harness.world.physics.bullet import NO_TOUCHES, Bullet, Touches
+from harness.world.physics.environment import STANDARD, EnvironmentConfig
+from harness.world.physics.model import VehicleModel
+from harness.world.physics.rotors import kernel_model
+from harness.world.physics.stepping import StepModel, fly, look
+from harness.world.physics.truth import TRUTH, Contact, Truth
+
+GRAVITY_M_S2 = 9.8066
+"""As Gazebo-classic's worlds have it."""
+REACH_DIAGONALS = 2.0
+"""Distance between two vehicles, in diagonals of their shape, within which Bullet has them; half of that
+above the ground. They touch at one diagonal at most, and Bullet looks for contacts where bodies are when a
+step begins: it never meets one that it does not have, whatever their speed."""
+LASTING = 1.25
+"""Times as far are those who leave it again, so that nobody who hovers at the limit comes and goes."""
+
+
+class World:
+    """Vehicles of one model over flat ground (down = 0), advanced in fixed steps.
+
+    ``spawn_pos_ned_m`` (n, 3) are the centres of mass, which stand ``model.standing_height_m`` above the
+    ground; ``spawn_yaw_rad`` is everyone's heading, clockwise from north. Raises ValueError for a spawn below
+    the ground. ``ground_altitude_m`` is that of the ground above mean sea level, for the density. Instances
+    are independent of each other and use no randomness: equal arguments give equal bytes.
+    """
+
+    def __init__(
+        self,
+        *,
+        model: VehicleModel,
+        spawn_pos_ned_m: ArrayLike,
+        spawn_yaw_rad: float,
+        step_us: int,
+        environment: EnvironmentConfig = STANDARD,
+        ground_altitude_m: float = 0.0,
+    ) -> None:
+        spawn = np.array(spawn_pos_ned_m, dtype=np.float64).reshape(-1, 3)
+        below = np.flatnonzero(spawn[:, 2] > -model.standing_height_m + 1e-9)
+        if below.size:
+            raise ValueError(
+                f"vehicle {below[0]} spawns with its centre {spawn[below[0], 2]:g} m down, "
+                f"but it stands at {-model.standing_height_m:g} m"
+            )
+        step_s = step_us * 1e-6
+        self._model = StepModel(
+            rotors=kernel_model(model, step_s=step_s, ground_effect=environment.ground_effect),
+            inertia_kg_m2=np.array(model.inertia_diagonal_kg_m2),
+            mass_kg=model.mass_kg,
+            gravity_m_s2=GRAVITY_M_S2,
+            step_s=step_s,
+            reach_m=REACH_DIAGONALS * math.dist(model.box_m, (0.0, 0.0, 0.0)),
+            lasting=LASTING,
+        )
+        self._environment = environment
+        self._ground_altitude_m = ground_altitude_m
+
+        vehicles = len(spawn)
+        self._air_at_rest = np.zeros((vehicles, 3))
+        self._whole_rotors = np.ones((vehicles, 4))
+        self._none_stopped = np.zeros((vehicles, 4), dtype=np.bool_)
+        self._density_ratio = np.ones(vehicles)
+        self._applied = np.empty((vehicles, 2, 3))
+        self._bodies = np.zeros(vehicles, BODY)
+        self._bodies["pos_ned_m"] = spawn
+        self._bodies["q_ned_frd"] = math.cos(spawn_yaw_rad / 2.0), 0.0, 0.0, math.sin(spawn_yaw_rad / 2.0)
+        self._near = np.zeros(vehicles, dtype=np.bool_)
+        """Whom Bullet has."""
+        self._bullet = Bullet(model, step_s=step_s, gravity_m_s2=GRAVITY_M_S2)
+        self._touches: Touches | None = NO_TOUCHES
+        """In the last step; None: nobody has asked yet."""
+        rows = np.zeros(vehicles, TRUTH)
+        if look(self._model, self._bodies, self._bodies, self._near, rows):
+            self._hand_over()
+        self._truth = Truth(rows)
+
+    def step(
+        self,
+        controls: Array,
+        armed: NDArray[np.bool_],
+        wind_force_ned_n: Array,
+        *,
+        rotors_stopped: NDArray[np.bool_] | None = None,
+        air_vel_ned_m_s: Array | None = None,
+        rotor_effectiveness: Array | None = None,
+    ) -> None:
+        """Advance by one step with everything held over it.
+
+        ``controls`` (n, 4): motors, 0..1 in PX4's order; ``armed`` (n,); ``wind_force_ned_n`` (n, 3) at the
+        centres of mass; ``rotors_stopped`` (n,) or (n, 4): vehicles or rotors that run down whatever the
+        controls say, None for none; ``air_vel_ned_m_s`` (n, 3): the wind as a velocity, None for air at rest;
+        ``rotor_effectiveness`` (n, 4): part of its thrust and torques that a rotor still has, None for whole
+        ones.
+        """
+        before = self._bodies
+        if self._environment.density != "standard":
+            height_m = -before["pos_ned_m"][:, 2]
+            self._density_ratio = self._environment.density_ratio(self._ground_altitude_m + height_m)
+        if rotors_stopped is None:
+            rotors_stopped = self._none_stopped
+        elif rotors_stopped.ndim == 1:
+            rotors_stopped = np.repeat(rotors_stopped[:, None], 4, axis=1)
+        after, rows = np.empty_like(before), np.empty(len(before), TRUTH)
+        changed = fly(
+            self._model,
+            before,
+            self._truth.rows,
+            controls,
+            armed,
+            rotors_stopped,
+            self._whole_rotors if rotor_effectiveness is None else rotor_effectiveness,
+            wind_force_ned_n,
+            self._air_at_rest if air_vel_ned_m_s is None else air_vel_ned_m_s,
+            self._density_ratio,
+            self._near,
+            self._applied,
+            after,
+            rows,
+        )
+        if self._bullet.holds:
+            self._bullet.step(before, self._applied, after)
+            changed = look(self._model, before, after, self._near, rows)
+        self._bodies, self._truth, self._touches = after, Truth(rows), None
+        if changed:
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        """Have Bullet hold those who are near something, and nobody else."""
+        held = self._bullet.holds
+        for vehicle, near in enumerate(self._near.tolist()):
+            if near and vehicle not in held:
+                self._bullet.hold(vehicle, self._bodies[vehicle])
+            elif not near and vehicle in held:
+                self._bullet.release(vehicle)
+
+    @property
+    def truth(self) -> Truth:
+        """State of all vehicles at the end of the last step."""
+        return self._truth
+
+    @property
+    def density_ratio(self) -> Array:
+        """(n,) density of the air over that of `SEA_LEVEL_DENSITY_KG_M3`, in the last step."""
+        return self._density_ratio
+
+    @property
+    def vehicle_contacts(self) -> tuple[Contact, ...]:
+        """Pairs of vehicles that touched in the last step, in order of their numbers, each pair once."""
+        if len(self._bullet.holds) < 2:
+            return ()
+        return tuple(
+            Contact(first=first, second=second, pos_ned_m=pos_ned_m)
+            for (first, second), pos_ned_m in sorted(self._last_touches().pairs.items())
+        )
+
+    @property
+    def on_ground(self) -> NDArray[np.bool_]:
+        """(n,) whether each vehicle touched the ground in the last step."""
+        on_ground = np.zeros(len(self._bodies), dtype=np.bool_)
+        on_ground[list(self._last_touches().ground)] = True
+        return on_ground
+
+    def close(self) -> None:
+        """Free Bullet's world. May be called again."""
+        self._bullet.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _last_touches(self) -> Touches:
+        """What Bullet saw in the last step; it is asked once, and only if somebody wants to know."""
+        if self._touches is None:
+            self._touches = self._bullet.touches()
+        return self._touches

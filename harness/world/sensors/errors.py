@@ -1,0 +1,53 @@
+"""The error process that every sensor shares: a constant, a slow and a white part."""
+
+import math
+
+import numpy as np
+
+from foundation.types import Array
+from harness.world.gauss_markov import STEPS_AHEAD, gauss_markov_path
+from harness.world.sensors.config import ErrorModel
+
+
+class SensorError:
+    """Errors of one kind of sensor in n vehicles, sample after sample, ``interval_s`` apart.
+
+    ``shape`` is that of a sample: (n,) or (n, 3). The drift begins in its stationary distribution and is
+    discretised exactly. Two normal draws per value and sample, always, so that streams do not depend on the
+    model's numbers; they are drawn for many samples at once.
+    """
+
+    def __init__(
+        self, model: ErrorModel, *, shape: tuple[int, ...], interval_s: float, rng: np.random.Generator
+    ) -> None:
+        self._rng = rng
+        self._kept = math.exp(-interval_s / model.drift_time_constant_s)
+        drift_std = np.asarray(model.drift_std)
+        self._drift_step_std = np.broadcast_to(
+            drift_std * math.sqrt(1.0 - self._kept * self._kept), shape
+        ).copy()
+        self._white_std = model.white_std
+        turn_on, drift = rng.standard_normal((2, *shape))
+        self._turn_on = model.turn_on_std * turn_on
+        self._drift: Array = drift_std * drift
+        self._errors = np.empty((0, *shape))
+        self._taken = 0
+
+    def next(self) -> Array:
+        """Error of the next sample; not to be written to."""
+        self.look_ahead()
+        error: Array = self._errors[self._taken]
+        self._taken += 1
+        return error
+
+    def look_ahead(self) -> None:
+        """Have the next sample's error ready, so that `next` is quick. Changes no sample."""
+        if self._taken < len(self._errors):
+            return
+        draws = self._rng.standard_normal((STEPS_AHEAD, 2, *self._turn_on.shape))
+        # contiguous, so that the kernel is compiled for one layout only
+        drift, white = np.ascontiguousarray(draws[:, 0]), draws[:, 1]
+        drifts = gauss_markov_path(self._drift, self._kept, self._drift_step_std, drift)
+        self._drift = drifts[-1].copy()
+        self._errors = self._turn_on + drifts + self._white_std * white
+        self._taken = 0

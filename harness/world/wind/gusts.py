@@ -1,0 +1,46 @@
+"""Gusts that a scenario writes down: the same vector for all vehicles, known at every instant."""
+
+import math
+
+import numpy as np
+
+from foundation.types import Array
+from harness.world.wind.config import GustConfig, WindConfig, direction_ned
+
+
+class GustProfiles:
+    """The sum of ``config.gusts``: newtons or m/s, as the wind's kind has it."""
+
+    def __init__(self, config: WindConfig) -> None:
+        self._gusts = tuple(
+            (gust, _peak_ned(gust, config.direction_deg), round(gust.start_s * 1e6)) for gust in config.gusts
+        )
+
+    def at(self, time_us: int) -> Array | None:
+        """Sum (3,) NED at a simulated time; None while there is none."""
+        total: Array | None = None
+        for gust, peak_ned, start_us in self._gusts:
+            fraction = rise(gust, time_us - start_us)
+            if fraction > 0.0:
+                part = fraction * peak_ned
+                total = part if total is None else total + part
+        return total
+
+
+def rise(gust: GustConfig, since_us: int) -> float:
+    """Give the part of its peak that a gust has so long after its start."""
+    rise_us = round(gust.rise_s * 1e6)
+    left_us = math.inf if gust.duration_s is None else round(gust.duration_s * 1e6) - since_us
+    if since_us < 0 or left_us <= 0:
+        return 0.0
+    nearest_us = min(since_us, left_us)  # it falls as it rose
+    if nearest_us >= rise_us:
+        return 1.0
+    part = nearest_us / rise_us
+    return 0.5 * (1.0 - math.cos(math.pi * part)) if gust.shape == "one_minus_cosine" else part
+
+
+def _peak_ned(gust: GustConfig, wind_direction_deg: float) -> Array:
+    peak = gust.peak_n if gust.peak_n is not None else gust.peak_m_s
+    direction_deg = wind_direction_deg if gust.direction_deg is None else gust.direction_deg
+    return np.asarray((peak or 0.0) * direction_ned(direction_deg, gust.vertical_fraction))

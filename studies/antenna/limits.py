@@ -1,0 +1,297 @@
+"""Where the solvers end: segments that do not suffice, wires that nearly touch, power out of balance."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from msgspec import Struct
+
+from antenna.analysis.patterns import Pattern
+from antenna.lab.formations import ideal
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import ElementsTouch, Snapshot, along, upright
+from studies.antenna import near, power
+from studies.antenna.agreement import Case, Compared, differences, formations
+from studies.antenna.checks import difference, row, said_missing, witness, worst
+from studies.antenna.figures import save_convergence
+from studies.antenna.ideal import EXACT_DBI, SOLVERS, places
+from studies.antenna.plan import AntennaPlan
+from studies.common.report import Check, Section, Table
+from studies.common.runner import Job, Results
+
+SEGMENTS = (5, 7, 9, 11, 15, 21, 31, 41, 61)
+LONG_WAVELENGTHS_M = (5.0, 10.0, 20.0)
+SHORT_SEGMENTS = (5, 9, 15, 21, 31)
+REFINED = ((5.0, 9, 21), (5.0, 21, 41), (10.0, 9, 21), (20.0, 9, 21))
+"""Wavelength and numbers of segments of random formations that NEC2 solves twice."""
+UNCONVERGED_DB = 0.3
+"""From 9 to 21 segments patterns of 5 m dipoles at 5 m move by more than batch may be from NEC2."""
+FOLLOWS_DB = 0.05
+"""Of the batch solver against NEC2 of the same segments."""
+DIRECTIVITY_DB = 0.005
+LEAST_APART_M, SEED = 0.35, 5
+NEAR_M = (0.5, 0.2, 0.15, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002)
+"""Distances of two short dipoles side by side."""
+BALANCED_M = 0.15
+"""From here on at least the power of two that are fed in phase is in balance."""
+BALANCE = 0.01
+TOUCHING = ("side by side, 0.3 mm", "one on the other", "crossing", "end to end", "through the ground")
+"""Arrangements of two short dipoles without a pattern."""
+
+
+class Answer(Struct, frozen=True, kw_only=True):
+    """What a solver made of an array: gain, or which elements touch."""
+
+    max_gain_dbi: float = math.nan
+    average_gain: float = math.nan
+    refusal: str = ""
+    touching: tuple[int, int] | None = None
+
+    @property
+    def directivity_dbi(self) -> float:
+        """Gain over average gain; not-a-number when no power is radiated."""
+        if not self.average_gain > 0.0:
+            return math.nan
+        return self.max_gain_dbi - 10.0 * math.log10(self.average_gain)
+
+
+def long_config(wavelength_m: float, segments: int, solver: str) -> AntennaConfig:
+    """Dipoles of 5 m and 1 mm radius."""
+    return _config(
+        solver, wavelength_m=wavelength_m, element_length_m=5.0, element_radius_m=0.001, segments=segments
+    )
+
+
+def _config(solver: str, **fields: Any) -> AntennaConfig:  # noqa: ANN401
+    return AntennaConfig(backend=solver, **fields)  # type: ignore[arg-type]
+
+
+def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:
+    """Random formations, and arrays that are the same however much is computed."""
+    return {
+        "long": [
+            (solve_ideal, long_config(wavelength_m, segments, solver))
+            for wavelength_m in LONG_WAVELENGTHS_M for solver in ("nec2", "batch") for segments in SEGMENTS
+        ],
+        "refined": [
+            (solve_refined, (*wanted, plan.other_formations)) for wanted in REFINED
+        ],
+        "short": [(solve_ideal, _config("nec2", segments=segments)) for segments in SHORT_SEGMENTS],
+        "near": [(solve_near, (solver, apart_m)) for apart_m in NEAR_M for solver in SOLVERS],
+        "touching": [(solve_touching, (solver, name)) for name in TOUCHING for solver in SOLVERS],
+        "power": power.jobs(plan),
+        **near.jobs(plan),
+    }  # fmt: skip
+
+
+def solve_ideal(config: AntennaConfig) -> Answer | None:
+    """Solve the ideal array."""
+    return answer(ideal(places(4, config.wavelength_m), config), config)
+
+
+def solve_refined(wanted: tuple[float, int, int, int]) -> Compared | None:
+    """Let NEC2 solve random formations of 5 m dipoles with few segments and with many."""
+    wavelength_m, few, many, count = wanted
+    configs = [long_config(wavelength_m, segments, "nec2") for segments in (few, many)]
+    coarse, fine = (witness(config) for config in configs)
+    if coarse is None or fine is None:
+        return None
+    case = Case(name="segments", config=configs[0], least_apart_m=LEAST_APART_M)
+    snapshots, redrawn = formations(case, seed=SEED, count=count)
+    found = fine.patterns(snapshots), coarse.patterns(snapshots)
+    return differences(*found, (math.inf, math.inf), redrawn=redrawn)
+
+
+def solve_near(wanted: tuple[str, float]) -> Answer | None:
+    """Solve two upright short dipoles fed in phase, at a distance along x."""
+    solver, apart_m = wanted
+    return answer(
+        upright(np.array([[0.0, 0.0, 0.0], [apart_m, 0.0, 0.0]]), np.ones(2, complex)), _config(solver)
+    )
+
+
+def solve_touching(wanted: tuple[str, str]) -> Answer | None:
+    """Solve two dipoles that touch, or one that is in the ground."""
+    solver, name = wanted
+    axes = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
+    second_m, height_m, fields = (0.0003, 0.0, 0.0), 0.0, {}
+    if name == "one on the other":
+        second_m = (0.0, 0.0, 0.0)
+    elif name == "crossing":
+        second_m, axes[1] = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)
+    elif name == "end to end":
+        second_m = (0.0, 0.0, 0.05)
+    elif name == "through the ground":
+        second_m, height_m, fields = (5.0, 0.0, 0.0), 0.02, {"ground": "perfect"}
+    centres_m = np.array([(0.0, 0.0, height_m), second_m + np.array([0.0, 0.0, height_m])])
+    return answer(Snapshot(centres_m, along(axes), np.ones(2, complex)), _config(solver, **fields))
+
+
+def answer(snapshot: Snapshot, config: AntennaConfig) -> Answer | None:
+    """Solve one array; None where the solver is not installed."""
+    solver = witness(config)
+    if solver is None:
+        return None
+    (found,) = solver.patterns([snapshot])
+    if isinstance(found, Pattern):
+        return Answer(max_gain_dbi=found.max_gain_dbi, average_gain=found.average_gain)
+    assert isinstance(found, ElementsTouch)  # noqa: S101  there is no third result
+    return Answer(refusal=str(found), touching=(found.first, found.second))
+
+
+def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
+    """Bound what is known, and show the rest."""
+    asked = jobs(plan)
+    long = {
+        (c.wavelength_m, c.backend, c.segments): a
+        for (_, c), a in zip(asked["long"], results["long"], strict=True)
+    }
+    short = {c.segments: a for (_, c), a in zip(asked["short"], results["short"], strict=True)}
+    two = {key: a for (_, key), a in zip(asked["near"], results["near"], strict=True)}
+    touching = {key: a for (_, key), a in zip(asked["touching"], results["touching"], strict=True)}
+    checks, table = _of_segments(long)
+    further, refined = _of_refinement(results["refined"])
+    more, balance = _of_balance(short)
+    close, distances = _of_near(two)
+    last, refusals = _of_touching(touching)
+    faint, powers = power.judge(results["power"])
+    meeting, crowds = near.judge(results)
+    figures: tuple[tuple[str, str], ...] = ()
+    if images is not None:
+        curves = {
+            f"{solver}, {wavelength_m:g} m": [
+                (n, found.max_gain_dbi)
+                for n in SEGMENTS
+                if (found := long[wavelength_m, solver, n]) is not None
+            ]
+            for wavelength_m in LONG_WAVELENGTHS_M for solver in ("nec2", "batch")
+        }  # fmt: skip
+        save_convergence(
+            images / "antenna-convergence.png", {name: points for name, points in curves.items() if points}
+        )
+        figures = (("antenna-convergence.png", "maximum gain of 5 m dipoles over their segments"),)
+    return Section(
+        title="Known limits",
+        conditions=(
+            "The ideal array of 5 m dipoles (1 mm radius) with more and more segments, of short dipoles "
+            "likewise; short dipoles that are smaller and smaller against the wavelength; two of them, fed "
+            "in phase, that come nearer and nearer, and two of an array that do; loops too wide for their "
+            "places; and arrangements without a pattern, which every solver must refuse by the same two "
+            "elements. A lossless array "
+            "radiates what it takes, so its average gain is 1 but for the solver's error.\n"
+            + said_missing(s for s in SOLVERS if two[s, NEAR_M[0]] is None)
+        ),
+        checks=(*checks, *further, *more, *faint, *close, *meeting, *last),
+        tables=(table, refined, balance, powers, distances, *crowds, refusals),
+        figures=figures,
+    )
+
+
+def _of_segments(long: dict[tuple[float, str, int], Answer | None]) -> tuple[list[Check], Table]:
+    checks: list[Check] = []
+    rows = []
+    for wavelength_m in LONG_WAVELENGTHS_M:
+        apart = []
+        for segments in SEGMENTS:
+            nec2, batch = long[wavelength_m, "nec2", segments], long[wavelength_m, "batch", segments]
+            if nec2 is None or batch is None:
+                continue
+            apart.append(batch.max_gain_dbi - nec2.max_gain_dbi)
+            rows.append(row(f"{wavelength_m:g}", segments, nec2.max_gain_dbi, batch.max_gain_dbi, apart[-1],
+                            nec2.average_gain))  # fmt: skip
+        if apart:
+            name = f"batch less nec2 of the same segments, 5 m at {wavelength_m:g} m, at worst"
+            checks.append(difference(name, worst(apart), FOLLOWS_DB, "dB"))
+    return checks, Table(
+        caption="Ideal array of dipoles of 5 m, maximum in dBi:",
+        columns=("wavelength m", "segments", "nec2", "batch", "less nec2 dB", "average gain of nec2"),
+        rows=tuple(rows),
+    )
+
+
+def _of_refinement(results: list[Compared | None]) -> tuple[list[Check], Table]:
+    checks, rows = [], []
+    for (wavelength_m, few, many), found in zip(REFINED, results, strict=True):
+        if found is None:
+            continue
+        maximum_db, pattern_db = np.abs(found.maximum_db), np.abs(found.pattern_db)
+        rows.append((
+            f"{wavelength_m:g}", f"{few} to {many}", str(len(maximum_db)), f"{maximum_db.max():.3f}",
+            f"{np.median(pattern_db):.3f}", f"{pattern_db.max():.3f}",
+        ))  # fmt: skip
+        if (wavelength_m, few, many) == REFINED[0]:
+            name = f"nec2, 5 m at 5 m, {few} to {many} segments: pattern, median; it has not converged"
+            checks.append(
+                Check(name=name, value=float(np.median(pattern_db)), unit="dB", at_least=UNCONVERGED_DB)
+            )
+    return checks, Table(
+        caption="Random formations of dipoles of 5 m (0.5 m, 10 degrees), NEC2 with more segments less NEC2 "
+        "with fewer. One reference gives 0.94 dB from 9 to 21 segments at 5 m, and does not say of what; it "
+        "is the pattern that moves so far, not the maximum:",
+        columns=("wavelength m", "segments", "formations", "maximum: greatest dB", "pattern: median dB",
+                 "greatest dB"),
+        rows=tuple(rows),
+    )  # fmt: skip
+
+
+def _of_balance(short: dict[int, Answer | None]) -> tuple[list[Check], Table]:
+    found = {segments: one for segments, one in short.items() if one is not None}
+    checks = [
+        difference(
+            f"nec2, short dipoles: directivity, less {EXACT_DBI:g}, at worst of {len(found)} numbers of "
+            "segments",
+            worst(one.directivity_dbi - EXACT_DBI for one in found.values()), DIRECTIVITY_DB, "dB",
+        )
+    ] if found else []  # fmt: skip
+    return checks, Table(
+        caption="Short dipoles at 10 m by NEC2: what segments cost is in the average gain, and nowhere else:",
+        columns=("segments", "maximum dBi", "average gain", "directivity dBi"),
+        rows=tuple(
+            (str(n), f"{one.max_gain_dbi:.4f}", f"{one.average_gain:.5f}", f"{one.directivity_dbi:.4f}")
+            for n, one in found.items()
+        ),
+    )
+
+
+def _of_near(two: dict[tuple[str, float], Answer | None]) -> tuple[list[Check], Table]:
+    checks, rows = [], []
+    for solver in SOLVERS:
+        balances = [
+            one.average_gain - 1.0 for m in NEAR_M if m >= BALANCED_M and (one := two[solver, m]) is not None
+        ]
+        if balances:
+            name = f"{solver}, short dipoles {BALANCED_M:g} m apart or more: average gain, less 1, at worst"
+            checks.append(difference(name, worst(balances), BALANCE, ""))
+    for apart_m in NEAR_M:
+        found = [two[solver, apart_m] for solver in SOLVERS]
+        cells = [
+            cell
+            for one in found
+            for cell in ((None, None) if one is None else (one.refusal or one.max_gain_dbi, one.average_gain))
+        ]
+        rows.append(row(f"{1e3 * apart_m:g}", *cells))
+    columns = ("apart mm", *(f"{solver}{what}" for solver in SOLVERS for what in (" dBi", ": average gain")))
+    return checks, Table(
+        caption="Two short dipoles of 50 mm side by side, in phase, 10 m:", columns=columns, rows=tuple(rows)
+    )
+
+
+def _of_touching(touching: dict[tuple[str, str], Answer | None]) -> tuple[list[Check], Table]:
+    checks, rows = [], []
+    for name in TOUCHING:
+        found = {solver: one for solver in SOLVERS if (one := touching[solver, name]) is not None}
+        refused = [one.touching for one in found.values()]
+        checks.append(
+            Check(
+                name=f"solvers, of {len(refused)}, that refuse two dipoles by the same elements: {name}",
+                value=float(sum(pair is not None and pair == refused[0] for pair in refused)),
+                unit="", at_least=float(len(refused)),
+            )
+        )  # fmt: skip
+        rows.append(
+            (name, "; ".join(f"{solver}: {one.refusal or 'a pattern'}" for solver, one in found.items()))
+        )
+    return checks, Table(
+        caption="What is said of them:", columns=("two short dipoles", "error"), rows=tuple(rows)
+    )

@@ -1,0 +1,144 @@
+"""Elements that nearly meet: two of eight short dipoles, and loops too wide for their places."""
+
+import numpy as np
+from msgspec import Struct
+
+from antenna.model.clearance import CREDIBLE
+from antenna.model.config import AntennaConfig
+from antenna.model.geometry import Snapshot
+from antenna.solvers.interface import Accuracy
+from studies.antenna.agreement import (
+    COLUMNS,
+    LIMITS_DB,
+    LOOP,
+    Case,
+    Compared,
+    Lot,
+    cells,
+    compare,
+    differences,
+    formations,
+    together,
+)
+from studies.antenna.checks import difference, witness, worst
+from studies.antenna.plan import AntennaPlan
+from studies.common.report import Check, Table
+from studies.common.runner import Job, Results
+
+APART_M = (0.5, 0.3, 0.2, 0.15, 0.1, 0.08, 0.05, 0.03)
+"""Distances of two short dipoles' centres, at 10 m."""
+FULLY_M = 0.05
+"""From here on, a dipole's length, all of the batch solver's class is asked for; nearer, directivity."""
+OTHERS = ("batch", "nec2c")
+MOVED, BESIDE = 1, 4
+STEEPEST = 0.3
+"""Height of one over the other, of the distance along the horizon."""
+SEED = 3
+ROUND_M = (5.0, 10.0, 12.0)
+"""Of loops of twelve sides, at 10 m."""
+WIDE_LOOP_DB = LIMITS_DB[Accuracy.LARGE_ELEMENTS][0]
+
+
+class Pairs(Struct, frozen=True, kw_only=True):
+    """The same formations, two of whose elements are near each other, by all solvers."""
+
+    others: dict[str, Compared]
+    """Less NEC2 of PyNEC, those that are installed; what they refuse counts as touching"""
+
+
+def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:
+    """One for each distance and each loop."""
+    return {
+        "pairs": [(solve_pairs, (apart_m, plan.other_formations)) for apart_m in APART_M],
+        "loops": [
+            (compare, Lot(case=_loops(round_m), solver="batch", number=0, count=plan.other_formations))
+            for round_m in ROUND_M
+        ],
+    }
+
+
+def _loops(round_m: float) -> Case:
+    return Case(name=f"loops of {round_m:g} m", config=AntennaConfig(**LOOP | {"element_length_m": round_m}))
+
+
+def pairs(apart_m: float, count: int) -> list[Snapshot]:
+    """Random formations of short dipoles (0.5 m, 10 degrees), one of which stands beside another."""
+    snapshots, _ = formations(Case(name="pairs", config=AntennaConfig()), seed=SEED, count=count)
+    rng = np.random.default_rng(SEED)
+    found = []
+    for snapshot in snapshots:
+        centres_m, angle_rad = snapshot.centres_m.copy(), rng.uniform(0.0, 2.0 * np.pi)
+        away = np.array([np.cos(angle_rad), np.sin(angle_rad), rng.uniform(-STEEPEST, STEEPEST)])
+        centres_m[MOVED] = centres_m[BESIDE] + apart_m * away / np.linalg.norm(away)
+        found.append(Snapshot(centres_m, snapshot.rotations, snapshot.voltages))
+    return found
+
+
+def solve_pairs(wanted: tuple[float, int]) -> Pairs | None:
+    """Solve such formations; None without PyNEC."""
+    nec2 = witness(AntennaConfig(backend="nec2"))
+    if nec2 is None:
+        return None
+    snapshots = pairs(*wanted)
+    expected, others = nec2.patterns(snapshots), {}
+    for name in OTHERS:
+        solver = witness(AntennaConfig(backend=name))  # type: ignore[arg-type]
+        if solver is not None:
+            limits_db = LIMITS_DB[Accuracy.SMALL_ELEMENTS]
+            others[name] = differences(solver.patterns(snapshots), expected, limits_db, redrawn=0)
+    return Pairs(others=others)
+
+
+def judge(results: Results) -> tuple[list[Check], list[Table]]:
+    """Bound what is solved, and that all refuse the same."""
+    found = {m: one for m, one in zip(APART_M, results["pairs"], strict=True) if one is not None}
+    checks: list[Check] = []
+    rows = []
+    for name in OTHERS:
+        of = {m: one.others[name] for m, one in found.items() if name in one.others}
+        if of:
+            checks += _of_pairs(name, of)
+        for apart_m, one in found.items():
+            if name in one.others:
+                rows.append(cells(f"{name}, {1e3 * apart_m:g} mm", one.others[name]))
+    least, most = CREDIBLE
+    tables = [
+        Table(
+            caption="Eight short dipoles at 10 m, in random formations (0.5 m, 10 degrees), the second of "
+            "which is moved beside the fifth; less PyNEC. Their near fields exchange far more than they "
+            "radiate, and the thin wires' equations no longer balance: a solution that radiates less than "
+            f"{least:g} or more than {most:g} of what is fed in is refused by every solver, and counted "
+            "under touch. Of what is left the solvers agree, whatever its power, but for the last digits of "
+            f"the power itself where the dipoles are nearer than their length of {1e3 * FULLY_M:g} mm:",
+            columns=COLUMNS, rows=tuple(rows),
+        )
+    ] if rows else []  # fmt: skip
+    loops = [(m, one) for m, one in zip(ROUND_M, results["loops"], strict=True) if one is not None]
+    for round_m, one in loops:
+        title = f"batch less nec2, loops of {round_m:g} m at 10 m: maximum, at worst"
+        checks.append(difference(title, worst(one.maximum_db), WIDE_LOOP_DB, "dB"))
+    if loops:
+        caption = (
+            "Loops of 12 sides at 10 m, whose rows are 2.5 m apart, less PyNEC. Those of a wavelength "
+            "round reach past each other, and have more currents than the batch solver keeps; it claims "
+            "nothing for loops of more than a tenth of a wavelength. The maximum is required to be that of "
+            "large elements all the same:"
+        )
+        named = tuple(cells(_loops(round_m).name, one) for round_m, one in loops)
+        tables.append(Table(caption=caption, columns=COLUMNS, rows=named))
+    return checks, tables
+
+
+def _of_pairs(name: str, of: dict[float, Compared]) -> list[Check]:
+    whole, title = together(list(of.values())), f"{name} less nec2, two dipoles of 0.05 m"
+    maximum_db = [value for apart_m, one in of.items() if apart_m >= FULLY_M for value in one.maximum_db]
+    near = f"{1e3 * APART_M[-1]:g} to {1e3 * APART_M[0]:g} mm apart"
+    far = f"{1e3 * FULLY_M:g} to {1e3 * APART_M[0]:g} mm apart"
+    return [
+        difference(f"{title} {far}: maximum, at worst", worst(maximum_db), whole.limits_db[0], "dB"),
+        difference(
+            f"{title} {near}: directivity, at worst", worst(whole.directivity_db), whole.limits_db[0], "dB"
+        ),
+        difference(f"{title} {near}: pattern, at worst", worst(whole.pattern_db), whole.limits_db[1], "dB"),
+        Check(name=f"{title} {near}: refused by one alone", value=whole.disagreeing, unit="", at_most=0.0),
+    ]

@@ -1,0 +1,237 @@
+"""Numbers out of the campaigns' tables and series: one `Cell` for each change, wavelength and wind."""
+
+import csv
+import io
+import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from antenna.analysis.statistics import GainStatistics, gain_density, gain_statistics
+from harness.campaign import Table
+from harness.records.flight import Array
+from studies.article.plan import FIGURE_WAVELENGTH_M, FIGURE_WIND_N, WAVELENGTH, WIND
+from studies.codesign.sensitivity import per_axis_sigma_m
+
+COMPLETED = "completed"
+CSV_COLUMNS = (
+    "case", "wavelength_m", "wind_n", "flights", "completed", "collided", "instants", "missing", "ideal_dbi",
+    "mean_dbi", "std_db", "between_flights_db", "q05_dbi", "q50_dbi", "q95_dbi", "peak_per_db", "shape_rms_m",
+    "shape_horizontal_rms_m", "sigma_horizontal_m", "channel_busy_fraction", "ftm_requested", "ftm_completed",
+    "ftm_error_std_m",
+)  # fmt: skip
+Key = tuple[str, float, float]
+"""Case, wavelength in m, mean wind force in N."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class OneFlight:
+    """Numbers of one flight; None, or no gains, where it has none."""
+
+    seed: int
+    completed: bool = True
+    collided: bool = False
+    """Two UAVs touched."""
+    max_gain_dbi: Array = field(default_factory=lambda: np.empty(0))
+    """(K,) of its instants in formation that have a pattern."""
+    missing: int = 0
+    """Instants without one: antennas touched."""
+    ideal_dbi: float | None = None
+    shape_m: float | None = None
+    """Rms distance from the best laid shape."""
+    shape_horizontal_m: float | None = None
+    vehicles: int = 0
+    busy_fraction: float | None = None
+    """Of the channel."""
+    ftm_requested: int = 0
+    ftm_completed: int = 0
+    ftm_error_std_m: float | None = None
+    """Of the measured distances."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Cell:
+    """Flights of all seeds of one case in one wind at one wavelength; None where no flight has a number."""
+
+    case: str
+    wavelength_m: float
+    wind_n: float
+    runs: tuple[OneFlight, ...]
+
+    def of(self, seeds: Collection[int]) -> "Cell":
+        """Give the same of some of its seeds."""
+        return replace(self, runs=tuple(each for each in self.runs if each.seed in seeds))
+
+    @property
+    def flights(self) -> int:
+        """How many were asked for."""
+        return len(self.runs)
+
+    @property
+    def completed(self) -> int:
+        """How many ended as flights do."""
+        return sum(each.completed for each in self.runs)
+
+    @property
+    def collided(self) -> int:
+        """In how many two UAVs touched."""
+        return sum(each.collided for each in self.runs)
+
+    @cached_property
+    def max_gain_dbi(self) -> Array:
+        """(K,) of all instants of all flights in formation that have a pattern."""
+        return np.concatenate([np.empty(0), *(each.max_gain_dbi for each in self.runs)])
+
+    @property
+    def missing(self) -> int:
+        """Instants without a pattern."""
+        return sum(each.missing for each in self.runs)
+
+    @property
+    def ideal_dbi(self) -> float | None:
+        """Maximum gain of the formation in its places, by the flights' own summaries."""
+        return next((each.ideal_dbi for each in self.runs if each.ideal_dbi is not None), None)
+
+    @property
+    def shape_m(self) -> float | None:
+        """Rms over the flights of the distance from the best laid shape."""
+        return _rms([each.shape_m for each in self.runs if each.shape_m is not None])
+
+    @property
+    def shape_horizontal_m(self) -> float | None:
+        """Its horizontal part."""
+        return _rms([each.shape_horizontal_m for each in self.runs if each.shape_horizontal_m is not None])
+
+    @property
+    def vehicles(self) -> int:
+        """Of a flight."""
+        return max((each.vehicles for each in self.runs), default=0)
+
+    @property
+    def busy_fraction(self) -> float | None:
+        """Of the channel, mean of the flights."""
+        return _mean([each.busy_fraction for each in self.runs if each.busy_fraction is not None])
+
+    @property
+    def ftm_requested(self) -> int:
+        """Ranging sessions that were asked for."""
+        return sum(each.ftm_requested for each in self.runs)
+
+    @property
+    def ftm_completed(self) -> int:
+        """Those that gave a distance."""
+        return sum(each.ftm_completed for each in self.runs)
+
+    @property
+    def ftm_error_std_m(self) -> float | None:
+        """Of the measured distances, rms over the flights."""
+        return _rms([each.ftm_error_std_m for each in self.runs if each.ftm_error_std_m is not None])
+
+    @cached_property
+    def statistics(self) -> GainStatistics | None:
+        """Of the maximum gain; None without a pattern."""
+        return gain_statistics(self.max_gain_dbi) if len(self.max_gain_dbi) else None
+
+    @property
+    def between_flights_db(self) -> float | None:
+        """Deviation of the flights' mean maximum gains; None with fewer than two."""
+        means = [float(each.max_gain_dbi.mean()) for each in self.runs if len(each.max_gain_dbi)]
+        return float(np.std(means, ddof=1)) if len(means) > 1 else None
+
+    @cached_property
+    def peak_per_db(self) -> float | None:
+        """Highest probability density of the maximum gain; infinite where all gains are alike."""
+        if not len(self.max_gain_dbi):
+            return None
+        kernel_per_db = gain_density(self.max_gain_dbi).kernel_per_db
+        return float(kernel_per_db.max()) if len(kernel_per_db) else math.inf
+
+    @property
+    def sigma_m(self) -> float | None:
+        """Of independent errors on each horizontal axis that leave this shape error."""
+        shape_m = self.shape_horizontal_m
+        return None if shape_m is None or self.vehicles < 2 else per_axis_sigma_m(shape_m, self.vehicles)
+
+
+def read_cells(table: Table) -> dict[Key, Cell]:
+    """Gather the runs of a table that has one row for each seed."""
+    rows: dict[Key, list[int]] = {}
+    for row, run in enumerate(table.runs):
+        swept = dict(zip(table.rows.column_names[1:], run.swept, strict=False))
+        wavelength_m = float(swept.get(WAVELENGTH, FIGURE_WAVELENGTH_M))
+        rows.setdefault((run.case, wavelength_m, float(swept.get(WIND, FIGURE_WIND_N))), []).append(row)
+    names = [name for name in table.rows.column_names if name in _READ]
+    columns = {name: table.column(name) for name in names}
+    return {
+        (case, wavelength_m, wind_n): Cell(
+            case=case, wavelength_m=wavelength_m, wind_n=wind_n,
+            runs=tuple(_flight(table, columns, row) for row in of_key),
+        )
+        for (case, wavelength_m, wind_n), of_key in rows.items()
+    }  # fmt: skip
+
+
+_READ = (
+    "status", "collisions", "agents", "max_gain_dbi.ideal", "formation_rms_m.shape",
+    "formation_rms_m.shape_horizontal", "channel_busy_fraction", "ftm.requested", "ftm.completed",
+    "ftm.error_std_m",
+)  # fmt: skip
+
+
+def _flight(table: Table, columns: Mapping[str, Sequence[Any]], row: int) -> OneFlight:
+    def value(name: str) -> Any:  # noqa: ANN401  a table's number
+        return columns[name][row] if name in columns else None
+
+    series = table.series(row)
+    gains = None if series is None else series.column("max_gain_dbi")
+    return OneFlight(
+        seed=table.runs[row].seed, completed=value("status") == COMPLETED,
+        collided=(value("collisions") or 0) > 0,
+        max_gain_dbi=np.empty(0) if gains is None else gains.drop_null().to_numpy(),
+        missing=0 if gains is None else gains.null_count, ideal_dbi=value("max_gain_dbi.ideal"),
+        shape_m=value("formation_rms_m.shape"), shape_horizontal_m=value("formation_rms_m.shape_horizontal"),
+        vehicles=value("agents") or 0, busy_fraction=value("channel_busy_fraction"),
+        ftm_requested=value("ftm.requested") or 0, ftm_completed=value("ftm.completed") or 0,
+        ftm_error_std_m=value("ftm.error_std_m"),
+    )  # fmt: skip
+
+
+def _rms(values: Sequence[float]) -> float | None:
+    return math.sqrt(sum(value * value for value in values) / len(values)) if values else None
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return sum(values) / len(values) if values else None
+
+
+def csv_text(cells: Iterable[Cell]) -> str:
+    """Write cells as CSV, a row each; empty where there is no number."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(CSV_COLUMNS)
+    for cell in cells:
+        writer.writerow([_written(value) for value in csv_row(cell).values()])
+    return text.getvalue()
+
+
+def csv_row(cell: Cell) -> Mapping[str, Any]:
+    """Give what a row says, by column."""
+    found = cell.statistics
+    quantiles = {q: None if found is None else found.quantiles_dbi[q] for q in (0.05, 0.5, 0.95)}
+    values = (
+        cell.case, cell.wavelength_m, cell.wind_n, cell.flights, cell.completed, cell.collided,
+        len(cell.max_gain_dbi), cell.missing, cell.ideal_dbi, None if found is None else found.mean_dbi,
+        None if found is None else found.std_db, cell.between_flights_db, *quantiles.values(),
+        cell.peak_per_db, cell.shape_m, cell.shape_horizontal_m, cell.sigma_m, cell.busy_fraction,
+        cell.ftm_requested, cell.ftm_completed, cell.ftm_error_std_m,
+    )  # fmt: skip
+    return dict(zip(CSV_COLUMNS, values, strict=True))
+
+
+def _written(value: object) -> object:
+    if value is None:
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else value

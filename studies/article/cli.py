@@ -1,0 +1,206 @@
+"""The command line of the reproduction: fly what is missing, measure, judge, write the page.
+
+Exit status: 0 all flights have ended as flights do, 1 some failed or the cluster did, 2 bad input, 130 broken
+off: the same command goes on. What a verdict says is a result, and no failure. An error is one line.
+"""
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, TextIO
+
+import msgspec
+import typer
+from msgspec.structs import replace
+from rich.console import Console
+
+from harness.campaign import Campaign, CampaignError, ClusterError, Table, run
+from harness.campaign.definition import expand
+from harness.campaign.display import Display
+from harness.campaign.running import known
+from harness.campaign.store import FAILED, Store
+from harness.campaign.worker import sources_state
+from harness.launch import kernel_cache
+from harness.launch.interrupts import interruptible
+from studies.article import figures, page
+from studies.article.campaign_data import csv_text, read_cells
+from studies.article.evidence import Evidence
+from studies.article.monte_carlo import WAVELENGTHS_M as DRAWN_M
+from studies.article.monte_carlo import WIND_PHIS_DEG, array_of, draw, frequency_mhz, ideal_gains, tilted
+from studies.article.patterns import read_pattern
+from studies.article.plan import FIGURE_WAVELENGTH_M, FIGURE_WIND_N, KEPT, QUICK, Plan, campaigns
+from studies.article.retained_flights import figure_flights, figure_patterns_of, kept_flights, separate
+from studies.article.setup_findings import IDEAL_DBI
+from studies.article.statements import Verdict, count, judge_all
+from studies.common.command_line import WIDTH, progress_lines
+from studies.common.report import Section, markdown, show, write
+from studies.common.standard_output import keep_stdout
+
+FINE, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+PROGRAM = "reproduce_article"
+RUNS, QUICK_RUNS = Path("runs") / "article", Path("runs") / "article-quick"
+
+article_app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+@article_app.command()
+def article(
+    quick: Annotated[  # noqa: FBT002
+        bool, typer.Option("--quick", help="Few and short flights at 5, 10 and 20 m: minutes.")
+    ] = False,
+    seeds: Annotated[
+        int | None, typer.Option(help="Flights of each wavelength in each wind.", min=1, max=1000)
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Simulated seconds in formation.", min=6.0, max=600.0)
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes that fly; default one per processor.", min=1, max=1024)
+    ] = None,
+    runs: Annotated[
+        Path | None,
+        typer.Option(help=f"Folder in which flights are kept; default {RUNS}, or {QUICK_RUNS} with --quick."),
+    ] = None,
+    retry: Annotated[bool, typer.Option("--retry", help="Fly those again that failed.")] = False,  # noqa: FBT002
+    json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,  # noqa: FBT002
+    out: Annotated[
+        Path | None,
+        typer.Option(help=f"Folder for {page.FILE_NAME}, {page.CSV_NAME} and images/; none writes no page."),
+    ] = None,
+) -> None:
+    """Fly the article's formation, and set each of its statements beside what came out."""
+    messages = Console(stderr=True, highlight=False)
+    plan = QUICK if quick else Plan()
+    plan = replace(plan, seeds=seeds or plan.seeds, duration_s=duration or plan.duration_s)
+    stdout = keep_stdout()
+    try:
+        with interruptible():
+            tables = _fly(
+                campaigns(plan), runs or (QUICK_RUNS if quick else RUNS),
+                workers=workers or os.cpu_count() or 1, retry=retry, messages=messages,
+            )  # fmt: skip
+            results = _measure(plan, tables, messages)
+            sections = page.sections(results)
+            if out is not None:
+                _write(results, sections, out, quick=quick)
+            _tell(results, sections, out, json=json, stdout=stdout)
+    except KeyboardInterrupt:
+        messages.print("broken off: the same command goes on from here")
+        raise typer.Exit(INTERRUPTED) from None
+    except Exception as error:  # noqa: BLE001  every end has its status and its line
+        status, line = _ending(error)
+        messages.print(f"{PROGRAM}: {line}", soft_wrap=True, markup=False)
+        raise typer.Exit(status) from None
+    raise typer.Exit(SOME_FAILED if results.broken else FINE)
+
+
+def _ending(error: Exception) -> tuple[int, str]:
+    match error:
+        case ClusterError() | kernel_cache.CompileError() | OSError():
+            return SOME_FAILED, str(error)
+        case CampaignError():
+            return BAD_INPUT, str(error)
+        case _:
+            return SOME_FAILED, f"{type(error).__name__}: {error}".rstrip(": ").splitlines()[0]
+
+
+def _fly(
+    plans: Mapping[str, Campaign], folder: Path, *, workers: int, retry: bool, messages: Console
+) -> dict[str, Table]:
+    """Fly all campaigns into one folder, so that what they share is flown once."""
+    tables = {}
+    for name, campaign in plans.items():
+        runs = expand(campaign, state=sources_state())
+        missing = known(campaign, runs, Store(folder), retry=retry)[1]
+        total = len({each.digest for each in runs})
+        messages.print(
+            f"{name}: {total} flights, {len(missing)} of them to be flown; into {folder}",
+            soft_wrap=True,
+            markup=False,
+        )
+        with Display(messages, campaign, total=total, kept=total - len(missing)) as display:
+            tables[name] = run(
+                campaign, out=folder, workers=workers, retry=retry, progress=display.on_landed,
+                note=display.note,
+            )  # fmt: skip
+    return tables
+
+
+def _measure(plan: Plan, tables: Mapping[str, Table], messages: Console) -> page.Results:
+    """Take everything that the statements need out of the tables, and judge them."""
+    cells = {
+        key: cell for name, table in tables.items() if name != KEPT for key, cell in read_cells(table).items()
+    }
+    with progress_lines(messages) as (note, _):
+        drawn = draw(plan.draws, done=lambda done, total: note("random formations", done, total))
+        kept = list(kept_flights(tables[KEPT]))
+        separations = separate(kept, done=lambda done: note("kept flights", done, len(kept)))
+        solved = list(map(figure_patterns_of, figure_flights(kept)))
+        drawn_from = [each for each in solved if each is not None]
+        figure = drawn_from[0] if drawn_from else None
+    leaning = {}
+    of_figure = (FIGURE_WAVELENGTH_M, FIGURE_WIND_N)
+    windy = next((each for each in separations if (each.wavelength_m, each.wind_n) == of_figure), None)
+    if figure is not None and windy is not None:
+        step_deg = float(figure.ideal.theta_deg[1])
+        leaning = {
+            phi_deg: read_pattern(
+                tilted(windy.wavelength_m, math.radians(windy.tilt_rms_deg), phi_deg, step_deg), figure.ideal
+            )
+            for phi_deg in WIND_PHIS_DEG
+        }
+    evidence = Evidence(
+        cells=cells, ideals=ideal_gains(sorted({*plan.wavelengths_m, *DRAWN_M})), separations=separations,
+        patterns={} if figure is None else figure.readings(), drawn=drawn, leaning=leaning,
+        pattern_flights={each.seed: each.readings() for each in drawn_from},
+        solver=array_of(FIGURE_WAVELENGTH_M)[1].backend,
+        frequencies_mhz={each: frequency_mhz(each) for each in plan.wavelengths_m},
+    )  # fmt: skip
+    plans = campaigns(plan)
+    broken = {
+        each.describe(plans[name]): table.column("reason")[row]
+        for name, table in tables.items()
+        for row, each in enumerate(table.runs)
+        if table.column("status")[row] == FAILED
+    }
+    return page.Results(
+        plan=plan, evidence=evidence, judged=judge_all(evidence), figure=figure,
+        broken=[f"{which}: {reason}" for which, reason in broken.items()],
+    )  # fmt: skip
+
+
+def _write(results: page.Results, sections: Sequence[Section], out: Path, *, quick: bool) -> None:
+    """Write page, figures and CSV; raises OSError."""
+    images, evidence = out / "images", results.evidence
+    images.mkdir(parents=True, exist_ok=True)
+    figures.save_densities(images / page.FIGURE3, evidence.cells, evidence.winds_n, IDEAL_DBI)
+    figures.save_wind(images / page.WIND_FIGURE, evidence.cells, IDEAL_DBI)
+    figures.save_changes(images / page.CHANGES_FIGURE, evidence.cells, FIGURE_WIND_N, IDEAL_DBI)
+    figures.save_sigma(images / page.SIGMA_FIGURE, evidence.drawn, evidence.cells.values())
+    if results.figure is not None:
+        figures.save_patterns(images / page.FIGURE4, results.figure)
+        figures.save_patterns(images / page.MEANS, results.figure, mean=True)
+    (out / page.CSV_NAME).write_text(csv_text(evidence.cells.values()), encoding="utf-8")
+    introduction = page.introduction(results, quick=quick)
+    write(out / page.FILE_NAME, markdown(sections, title=page.TITLE, introduction=introduction))
+
+
+def _tell(
+    results: page.Results, sections: Sequence[Section], out: Path | None, *, json: bool, stdout: TextIO
+) -> None:
+    if not json:
+        console = Console(file=stdout, highlight=False, width=None if stdout.isatty() else WIDTH)
+        show(console, sections, px4=False)
+        return
+    found = count(results.judged)
+    result = {
+        "agree": found[Verdict.AGREES],
+        "differ": found[Verdict.DIFFERS],
+        "not_told_apart": found[Verdict.OPEN],
+        "not_measured": found[Verdict.UNKNOWN],
+        "failed": len(results.broken),
+        "page": None if out is None else str(out / page.FILE_NAME),
+        "statements": results.judged,
+    }
+    print(msgspec.json.encode(result).decode(), file=stdout)

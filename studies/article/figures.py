@@ -1,0 +1,155 @@
+"""The article's figures 3 and 4 from our flights, and two that explain them. PNG files."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from antenna.analysis.plots import patterns_figure
+from antenna.analysis.statistics import gain_density
+from studies.article.campaign_data import Cell, Key
+from studies.article.monte_carlo import Drawn
+from studies.article.patterns import REGION_PHI_DEG, REGION_THETA_DEG
+from studies.article.plan import ARTICLE, CHANGES
+from studies.article.retained_flights import FLOWN, FigurePatterns
+
+DPI = 130
+COLOURS = {5.0: "#D55E00", 7.5: "#E69F00", 10.0: "#009E73", 15.0: "#56B4E9", 20.0: "#0072B2"}
+"""Of Okabe and Ito's palette, which colour-blind eyes tell apart."""
+TAILS = 0.002
+"""Part of the gains on either side that the axis need not show."""
+
+
+def save_densities(path: Path, cells: Mapping[Key, Cell], winds_n: Sequence[float], ideal_dbi: float) -> None:
+    """Figure 3: densities of the maximum gain by wavelength, a panel for each wind, the strongest on top."""
+    panels = {f"{wind_n:g} N": _of(cells, ARTICLE, wind_n) for wind_n in sorted(winds_n, reverse=True)}
+    heights = [1.0 if wind_n > 0.0 else 0.6 for wind_n in sorted(winds_n, reverse=True)]
+    _save_panels(path, panels, heights, ideal_dbi)
+
+
+def save_changes(path: Path, cells: Mapping[Key, Cell], wind_n: float, ideal_dbi: float) -> None:
+    """Densities in one wind, a panel for each change of the scenario that was flown."""
+    panels = {name: _of(cells, name, wind_n) for name in (ARTICLE, *CHANGES)}
+    _save_panels(path, {name: found for name, found in panels.items() if found}, None, ideal_dbi)
+
+
+def _of(cells: Mapping[Key, Cell], case: str, wind_n: float) -> list[Cell]:
+    found = [cell for (name, _, wind), cell in cells.items() if (name, wind) == (case, wind_n)]
+    return sorted((cell for cell in found if len(cell.max_gain_dbi)), key=lambda cell: cell.wavelength_m)
+
+
+def _save_panels(
+    path: Path, panels: Mapping[str, Sequence[Cell]], heights: Sequence[float] | None, ideal_dbi: float
+) -> None:
+    count = max(len(panels), 1)
+    figure = Figure(figsize=(8.0, 1.2 + 2.2 * sum(heights or [1.0] * count)), layout="constrained")
+    all_axes = figure.subplots(count, 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
+    for axes, (title, cells) in zip(all_axes, panels.items(), strict=False):
+        for cell in cells:
+            _draw_density(axes, cell)
+        axes.axvline(ideal_dbi, color="black", linestyle="--", linewidth=1.0, label=f"ideal {ideal_dbi:.2f}")
+        axes.set(ylabel="Density (1/dB)")
+        axes.set_title(title, loc="left", fontsize="medium")
+        axes.set_ylim(bottom=0.0)
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize="x-small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    gains = [cell.max_gain_dbi for cells in panels.values() for cell in cells]
+    if gains:
+        low_dbi = min(float(np.quantile(each, TAILS)) for each in gains)
+        all_axes[0].set_xlim(low_dbi - 0.1 * (ideal_dbi - low_dbi), ideal_dbi + 0.2)
+    all_axes[-1].set_xlabel("Maximum gain (dB)")
+    figure.savefig(path, dpi=DPI)
+
+
+def _draw_density(axes: Axes, cell: Cell) -> None:
+    density, found = gain_density(cell.max_gain_dbi), cell.statistics
+    colour = COLOURS.get(cell.wavelength_m, "0.4")
+    label = f"λ = {cell.wavelength_m:g} m"
+    if found is not None:
+        label += f": {found.mean_dbi:.2f} ± {found.std_db:.2f}"
+    if len(density.gain_dbi) == 0:  # all alike: a line, since a density would be infinite
+        axes.axvline(float(cell.max_gain_dbi[0]), color=colour, label=label)
+        return
+    axes.plot(density.gain_dbi, density.kernel_per_db, color=colour, linewidth=1.4, label=label)
+    axes.fill_between(density.gain_dbi, density.kernel_per_db, color=colour, alpha=0.12, linewidth=0)
+
+
+def save_patterns(path: Path, patterns: FigurePatterns, *, mean: bool = False) -> None:
+    """Figure 4: the ideal pattern beside that of the median instant or the flight's mean.
+
+    The region in which the article finds less gain has a dashed border.
+    """
+    flown = {"Mean of the flight": patterns.means[FLOWN]} if mean else {"Flown": patterns.median}
+    figure = patterns_figure({"Ideal": patterns.ideal, **flown})
+    for axes in figure.axes[:2]:
+        axes.add_patch(
+            Rectangle(
+                (REGION_PHI_DEG[0], REGION_THETA_DEG[0]), np.ptp(REGION_PHI_DEG), np.ptp(REGION_THETA_DEG),
+                fill=False, edgecolor="white", linestyle="--", linewidth=1.4,
+            )
+        )  # fmt: skip
+    figure.savefig(path, dpi=DPI)
+
+
+def save_wind(path: Path, cells: Mapping[Key, Cell], ideal_dbi: float) -> None:
+    """Mean and deviation of the maximum gain against wind, by wavelength."""
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    of_article = [cell for cell in cells.values() if cell.case == ARTICLE and len(cell.max_gain_dbi)]
+    for wavelength_m in sorted({cell.wavelength_m for cell in of_article}):
+        row = sorted((c for c in of_article if c.wavelength_m == wavelength_m), key=lambda cell: cell.wind_n)
+        found = [cell.statistics for cell in row]
+        colour, winds_n = COLOURS.get(wavelength_m, "0.4"), [cell.wind_n for cell in row]
+        label = f"λ = {wavelength_m:g} m"
+        left.plot(winds_n, [each.mean_dbi for each in found if each], "o-", color=colour, label=label)
+        right.plot(winds_n, [each.std_db for each in found if each], "o-", color=colour, label=label)
+    left.axhline(ideal_dbi, color="black", linestyle="--", linewidth=1.0, label="ideal")
+    left.set(ylabel="Mean maximum gain (dB)")
+    right.set(ylabel="Its standard deviation (dB)")
+    right.set_ylim(bottom=0.0)
+    for axes in (left, right):
+        axes.set(xlabel="Mean wind force (N)")
+        axes.grid(alpha=0.3)
+    left.legend(fontsize="small")
+    figure.savefig(path, dpi=DPI)
+
+
+def save_sigma(path: Path, drawn: Mapping[tuple[float, float], Drawn], cells: Iterable[Cell]) -> None:
+    """Mean maximum gain against position error by wavelength: random formations with ± σ, and all flights."""
+    figure = Figure(figsize=(8.0, 4.2), layout="constrained")
+    axes = figure.subplots()
+    sigmas_lambda, means, stds = (
+        np.array(column)
+        for column in zip(
+            *sorted(
+                (sigma_m / wavelength_m, each.statistics.mean_dbi, each.statistics.std_db)
+                for (sigma_m, wavelength_m), each in drawn.items()
+            ),
+            strict=True,
+        )
+    )
+    axes.plot(sigmas_lambda, means, color="black", linewidth=1.2, label="random formations, upright")
+    axes.fill_between(sigmas_lambda, means - stds, means + stds, color="0.85", linewidth=0)
+    markers = dict(zip((ARTICLE, *CHANGES), "o^v<>sDP", strict=False))
+    shown: set[str] = set()
+    for cell in cells:
+        found, sigma_m = cell.statistics, cell.sigma_m
+        if found is None or sigma_m is None or cell.case not in markers:
+            continue
+        axes.errorbar(
+            sigma_m / cell.wavelength_m, found.mean_dbi, yerr=found.std_db, fmt=markers[cell.case],
+            color=COLOURS.get(cell.wavelength_m, "0.4"), markersize=5, linewidth=0.8,
+        )  # fmt: skip
+        shown.add(cell.case)
+    for case in (case for case in markers if case in shown):  # the colours are the wavelengths'
+        axes.plot([], [], markers[case], color="0.4", label=case)
+    for wavelength_m, colour in COLOURS.items():
+        axes.plot([], [], color=colour, label=f"λ = {wavelength_m:g} m")
+    axes.set(xlabel="Horizontal position error per axis σ/λ", ylabel="Maximum gain, mean ± deviation (dB)")
+    axes.set_xscale("log")
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize="small", loc="lower left", ncols=2)
+    figure.savefig(path, dpi=DPI)

@@ -1,0 +1,318 @@
+"""Floors and flights in turns, so that both have the same machine, and what their medians say.
+
+Each runs in a process of its own. The repeats give real-time factor, processor time by kind of process,
+memory and start-up; one more flight, which samples itself from the formation on, gives the parts' shares.
+"""
+
+import contextlib
+import os
+import platform
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+import psutil
+from msgspec import Struct
+
+from harness.launch import kernel_cache
+from harness.launch.interrupts import interrupts_deferred
+from harness.launch.profiling import VEHICLES
+from studies.bench.flight_job import FlightCost, FlightJob
+from studies.bench.floor_job import FloorCost, FloorJob
+
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
+FEW = 8
+"""UAVs up to which it is the article's swarm that flies."""
+WALL_LIMIT_S = 1_800.0
+"""For one flight or floor: none takes so long but on a machine that is no use for measuring."""
+END_LIMIT_S = 90.0
+"""For one that is broken off: a swarm takes a minute to stop at the most."""
+
+Result = TypeVar("Result", bound=Struct)
+Parts = dict[str, dict[str, float]]
+
+
+class BenchError(Exception):
+    """A measurement failed; the text is one line."""
+
+
+class Plan(Struct, frozen=True, kw_only=True):
+    """What is measured."""
+
+    agents: tuple[int, ...]
+    duration_s: float
+    """Simulated, in formation"""
+    repeats: int
+    floor_wall_s: float
+    """For each of the two floors, each time"""
+    scenario: Path | None = None
+    """None: the article's for up to `FEW` UAVs, and that of a large swarm for more"""
+    seed: int = 1
+
+    def scenario_for(self, agents: int) -> Path:
+        """Path of what so many fly."""
+        if self.scenario is not None:
+            return self.scenario
+        return SCENARIOS / ("article.toml" if agents <= FEW else "swarm64.toml")
+
+
+class Machine(Struct, frozen=True, kw_only=True):
+    """What it was measured on."""
+
+    processors: int
+    model: str
+    memory_gb: float
+    system: str
+    python: str
+    """Version, and whose build it is"""
+    load: float
+    """Processes that wanted a processor in the minute before it began, on average"""
+
+
+class Run(Struct, frozen=True, kw_only=True):
+    """What a swarm of one size costs. Medians of the repeats, where it is not said otherwise."""
+
+    agents: int
+    scenario: str
+    real_time_factor: float
+    """In formation"""
+    whole_real_time_factor: float
+    """From the first step on, take-off and all"""
+    floor_real_time_factor: float
+    """Of bare processes in lockstep"""
+    echo_real_time_factor: float
+    """Of bare processes that send as many bytes to and fro"""
+    cpu_s_per_simulated_s: dict[str, float]
+    """In formation, by kind of process"""
+    floor_cpu_s_per_simulated_s: float
+    parts_cpu_s_per_simulated_s: Parts
+    """By kind and part: shares of the flight that sampled itself, of the processor time above"""
+    waiting_fraction: dict[str, float]
+    """Of wall time, by kind, a process's mean in that flight: with nothing to do"""
+    queueing_fraction: dict[str, float]
+    """And while others had the processors"""
+    uss_mb_per_uav: float
+    uss_mb: dict[str, float]
+    """Of one process, by kind"""
+    pss_mb: float
+    """Of all processes, what they share counted once"""
+    startup_s: float
+    """From the launch to the end of the first step"""
+    formed_s: float | None
+    """Simulated time at which the formation was reached; None: not in time, in any repeat"""
+    other_processors: float
+    """That were busy with what is not of the flight: the largest of the repeats"""
+    flights: tuple[FlightCost, ...]
+    """Every repeat"""
+    floors: tuple[FloorCost, ...]
+
+
+class Bench(Struct, frozen=True, kw_only=True):
+    """Everything that was found."""
+
+    machine: Machine
+    duration_s: float
+    repeats: int
+    runs: tuple[Run, ...]
+    failure: str | None = None
+    """Why there are no more runs than these."""
+    broken_off: bool = False
+    """Its user wanted no more of them."""
+
+
+def bench(plan: Plan, note: Callable[[str], None]) -> Bench:
+    """Measure; ``note`` is told how it goes.
+
+    What was measured before a measurement failed, or Ctrl-C came, is returned all the same, with the failure.
+    Raises BenchError or KeyboardInterrupt if that is nothing, and CompileError of the kernels.
+    """
+    kernel_cache.prepare(note)
+    machine = _machine()
+    runs: list[Run] = []
+    failure, broken_off = None, False
+    for agents in plan.agents:
+        try:
+            runs.append(_run(plan, agents, note))
+        except (BenchError, KeyboardInterrupt) as error:
+            if not runs:
+                raise
+            broken_off = isinstance(error, KeyboardInterrupt)
+            failure = f"{_uavs(agents)}: {'broken off' if broken_off else error}"
+            break
+    return Bench(
+        machine=machine,
+        duration_s=plan.duration_s,
+        repeats=plan.repeats,
+        runs=tuple(runs),
+        failure=failure,
+        broken_off=broken_off,
+    )
+
+
+def _run(plan: Plan, agents: int, note: Callable[[str], None]) -> Run:
+    floors, flights = [], []
+    for repeat in range(plan.repeats):
+        floors.append(_floor(agents, plan.floor_wall_s))
+        flights.append(_flight(plan, agents))
+        note(
+            f"{_uavs(agents)}, {repeat + 1} of {plan.repeats}:"
+            f" {flights[-1].steady.real_time_factor:.2f} x real time,"
+            f" floor {floors[-1].lockstep.real_time_factor:.1f} x,"
+            f" {flights[-1].steady.other_processors:.1f} processors with other things"
+        )
+    formed_s = next((flight.formed_s for flight in flights if flight.formed_s is not None), None)
+    profiled = _flight(plan, agents, profile_from_s=formed_s or 0.0)
+    note(f"{_uavs(agents)}: where the time goes: {profiled.steady.real_time_factor:.2f} x real time")
+    return summarise(
+        agents, plan.scenario_for(agents).name, floors=floors, flights=flights, profiled=profiled
+    )
+
+
+def _uavs(agents: int) -> str:
+    return "1 UAV" if agents == 1 else f"{agents} UAVs"
+
+
+def summarise(
+    agents: int,
+    scenario: str,
+    *,
+    floors: Sequence[FloorCost],
+    flights: Sequence[FlightCost],
+    profiled: FlightCost,
+) -> Run:
+    """Medians of the repeats, and the processor time's parts as the profiled flight shares it out."""
+    cpu_s = {
+        kind: statistics.median(flight.steady.cpu_s_per_simulated_s.get(kind, 0.0) for flight in flights)
+        for kind in flights[0].steady.cpu_s_per_simulated_s
+    }
+    uss_mb = {
+        kind: statistics.median(flight.uss_mb.get(kind, 0.0) for flight in flights)
+        for kind in flights[0].uss_mb
+    }
+    formed_s = [flight.formed_s for flight in flights if flight.formed_s is not None]
+    return Run(
+        agents=agents,
+        scenario=scenario,
+        real_time_factor=_median(flight.steady.real_time_factor for flight in flights),
+        whole_real_time_factor=_median(flight.whole.real_time_factor for flight in flights),
+        floor_real_time_factor=_median(floor.lockstep.real_time_factor for floor in floors),
+        echo_real_time_factor=_median(floor.echo.real_time_factor for floor in floors),
+        cpu_s_per_simulated_s=cpu_s,
+        floor_cpu_s_per_simulated_s=_median(
+            floor.lockstep.server_cpu_s_per_simulated_s + floor.lockstep.vehicles_cpu_s_per_simulated_s
+            for floor in floors
+        ),
+        parts_cpu_s_per_simulated_s={
+            kind: {
+                part: cpu_s[kind] * spent / of_kind.cpu_s_per_simulated_s
+                for part, spent in of_kind.parts_cpu_s_per_simulated_s.items()
+            }
+            for kind, of_kind in profiled.profile.items()
+            if of_kind.cpu_s_per_simulated_s > 0.0
+        },
+        waiting_fraction={kind: told.waiting_fraction for kind, told in profiled.profile.items()},
+        queueing_fraction={kind: told.queueing_fraction for kind, told in profiled.profile.items()},
+        uss_mb_per_uav=uss_mb[VEHICLES],
+        uss_mb=uss_mb,
+        pss_mb=_median(flight.pss_mb for flight in flights),
+        startup_s=_median(flight.startup_s for flight in flights),
+        formed_s=statistics.median(formed_s) if formed_s else None,
+        other_processors=max(flight.steady.other_processors for flight in flights),
+        flights=tuple(flights),
+        floors=tuple(floors),
+    )
+
+
+def _median(values: Iterable[float]) -> float:
+    return statistics.median(values)
+
+
+def _floor(agents: int, wall_s: float) -> FloorCost:
+    return _measured("studies.bench.floor", FloorJob(agents=agents, wall_s=wall_s), FloorCost)
+
+
+def _flight(plan: Plan, agents: int, *, profile_from_s: float | None = None) -> FlightCost:
+    # here, so that it goes even if the flight's launcher has no time to see to it
+    with tempfile.TemporaryDirectory(prefix="coflight-bench-", ignore_cleanup_errors=True) as folder:
+        job = FlightJob(
+            scenario=str(plan.scenario_for(agents)),
+            agents=agents,
+            seed=plan.seed,
+            duration_s=plan.duration_s,
+            folder=f"{folder}/run",
+            wall_launched_s=time.monotonic(),
+            profile_from_s=profile_from_s,
+        )
+        return _measured("studies.bench.flight", job, FlightCost)
+
+
+def _measured(module: str, job: Struct, kind: type[Result]) -> Result:
+    """Run a measurement in a process of its own, which does not outlive this one. Raises BenchError."""
+    command = [sys.executable, "-P", "-m", module, msgspec.json.encode(job).decode()]
+    with contextlib.ExitStack() as stack:
+        said, complaints = (stack.enter_context(tempfile.TemporaryFile("w+")) for _ in range(2))
+        with interrupts_deferred():
+            process = subprocess.Popen(
+                command,
+                env=os.environ | kernel_cache.environment(),
+                stdin=subprocess.PIPE,  # ends when this process does, however it does
+                stdout=said,
+                stderr=complaints,
+                start_new_session=True,  # Ctrl-C is told once, by this process
+            )
+            stack.callback(_end, process)
+        try:
+            status = process.wait(WALL_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            raise BenchError(f"{module}: not done within {WALL_LIMIT_S:g} s") from None
+        if status:
+            complaints.seek(0)
+            last_words = complaints.read().strip().rpartition("\n")[2]
+            raise BenchError(last_words or f"{module} ended with status {status}")
+        said.seek(0)
+        # PyBullet says when it was built, on whichever of the two it likes
+        return msgspec.json.decode(said.read().strip().rpartition("\n")[2], type=kind)
+
+
+def _end(process: "subprocess.Popen[bytes]") -> None:
+    """Break a measurement off, unless it has ended, and wait until it has ended what it started."""
+    with process, interrupts_deferred():
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(END_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+
+
+def _machine() -> Machine:
+    return Machine(
+        processors=len(psutil.Process().cpu_affinity()) if sys.platform == "linux" else os.cpu_count() or 1,
+        model=_processor_model(),
+        memory_gb=round(psutil.virtual_memory().total / 1e9, 1),
+        system=platform.platform(),
+        python=f"{platform.python_version()} of {sys.base_prefix}",
+        load=round(os.getloadavg()[0], 2),
+    )
+
+
+def _processor_model() -> str:
+    """Name of the processor, as far as the system tells."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.processor())
+
+
+def to_json(found: Bench) -> str:
+    """Make it JSON for programs."""
+    plain: Any = msgspec.to_builtins(found)
+    return msgspec.json.format(msgspec.json.encode(plain), indent=2).decode()

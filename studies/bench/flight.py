@@ -1,0 +1,136 @@
+"""One flight that is measured, in a launcher of its own: ``python -m studies.bench.flight``.
+
+It is the launcher of a user's run: start-up, memory and processor time are those of
+`harness.launch.swarm.Swarm` and its processes. Everything is read between two run methods, while simulated
+time stands.
+"""
+
+import os
+import statistics
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+import psutil
+from msgspec import Struct
+
+from harness.launch.interrupts import interrupt_with_parent, interruptible
+from harness.launch.processes import SwarmError, uav
+from harness.launch.profiling import kind_of
+from harness.launch.swarm import Swarm, SwarmTimeoutError
+from harness.scenario.scenario import ScenarioError, load
+from harness.simulator.messages import VehicleLost
+from studies.bench.flight_job import LAUNCHER, FlightCost, FlightJob, Span
+
+INTERRUPTED = 130
+_MB = 1e6
+
+
+class _Mark(Struct, frozen=True):
+    """All clocks at an instant of simulated time."""
+
+    simulated_s: float
+    wall_s: float
+    cpu_s: dict[str, float]
+    machine_cpu_s: float
+
+
+def fly(job: FlightJob) -> FlightCost:
+    """Fly and measure. Raises ScenarioError or SwarmError."""
+    scenario = load(Path(job.scenario), [f"agents={job.agents}", f"run.seed={job.seed}"])
+    step_s = scenario.run.step_us * 1e-6
+    swarm = Swarm(scenario, out=job.folder, profile_from_s=job.profile_from_s)
+    with swarm:
+        swarm.run(until_s=2.0 * step_s)  # the clock begins at one step
+        startup_s = time.monotonic() - job.wall_launched_s
+        first = _mark(swarm)
+        formed_s = None
+        try:
+            formed_s = swarm.run_until_formed(timeout_s=scenario.run.reach_timeout_s).t_s
+        except SwarmTimeoutError:
+            if swarm.simulated_s < scenario.run.reach_timeout_s:  # it was not the formation that was late
+                raise
+        formed = _mark(swarm)
+        swarm.run_for(job.duration_s)
+        _check_complete(swarm)
+        last = _mark(swarm)
+        uss_mb, pss_mb = _memory_mb(swarm)
+    return FlightCost(
+        startup_s=startup_s,
+        formed_s=formed_s,
+        whole=_span(first, last),
+        steady=_span(formed, last),
+        uss_mb=uss_mb,
+        pss_mb=pss_mb,
+        profile=swarm.profile,
+    )
+
+
+def _check_complete(swarm: Swarm) -> None:
+    """See that all are still there: what is left of a swarm costs less. Raises SwarmError."""
+    for event in swarm.events:
+        if isinstance(event, VehicleLost):
+            raise SwarmError(f"{uav(event.instance)} was lost: {event.reason}")
+
+
+def _mark(swarm: Swarm) -> _Mark:
+    cpu_s = {LAUNCHER: _cpu_s(os.getpid())}
+    for name, pid in swarm.pids.items():
+        kind = kind_of(name)
+        cpu_s[kind] = cpu_s.get(kind, 0.0) + _cpu_s(pid)
+    machine = psutil.cpu_times()
+    machine_cpu_s = machine.user + machine.nice + machine.system
+    return _Mark(swarm.simulated_s, time.monotonic(), cpu_s, machine_cpu_s)
+
+
+def _cpu_s(pid: int) -> float:
+    times = psutil.Process(pid).cpu_times()
+    return float(times.user + times.system)
+
+
+def _span(begin: _Mark, end: _Mark) -> Span:
+    simulated_s, wall_s = end.simulated_s - begin.simulated_s, end.wall_s - begin.wall_s
+    spent_s = {kind: end.cpu_s[kind] - begin.cpu_s.get(kind, 0.0) for kind in end.cpu_s}
+    others_s = end.machine_cpu_s - begin.machine_cpu_s - sum(spent_s.values())
+    return Span(
+        simulated_s=simulated_s,
+        wall_s=wall_s,
+        cpu_s_per_simulated_s={kind: spent / simulated_s for kind, spent in spent_s.items()},
+        other_processors=max(0.0, others_s / wall_s),
+    )
+
+
+def _memory_mb(swarm: Swarm) -> tuple[dict[str, float], float]:
+    """USS of a process by kind, and PSS of all together."""
+    uss_mb: dict[str, list[float]] = {}
+    pss_mb = 0.0
+    for name, pid in {LAUNCHER: os.getpid(), **swarm.pids}.items():
+        memory = psutil.Process(pid).memory_full_info()
+        uss_mb.setdefault(kind_of(name), []).append(memory.uss / _MB)
+        pss_mb += getattr(memory, "pss", memory.uss) / _MB
+    return {kind: statistics.median(values) for kind, values in uss_mb.items()}, pss_mb
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Fly what the one argument, a `FlightJob` in JSON, says; the cost is the last line on stdout.
+
+    The end of stdin breaks it off, as Ctrl-C does.
+    """
+    try:
+        with interruptible():
+            interrupt_with_parent()
+            cost = fly(msgspec.json.decode(arguments[0], type=FlightJob))
+    except (ScenarioError, SwarmError, psutil.NoSuchProcess) as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    except KeyboardInterrupt:
+        sys.stderr.write("broken off\n")
+        return INTERRUPTED
+    sys.stdout.write(msgspec.json.encode(cost).decode() + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

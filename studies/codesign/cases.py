@@ -1,0 +1,187 @@
+"""What the co-design experiment flies: cases, each a change or two of the article's scenario, in groups.
+
+A case stands in every group that compares it, and is flown once. All cases fly the same seeds, so the same
+winds and the same errors of GPS receivers: comparisons are in pairs.
+"""
+
+from pathlib import Path
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from harness.launch.swarm import CUT_DB
+from harness.scenario.scenario import Scenario, load
+from harness.world.faults import AnyFault, RadioAttenuation, RangingBias
+
+ARTICLE = Path(__file__).parents[2] / "scenarios" / "article.toml"
+WINDS_N = (0, 2, 5)
+AGENTS = (4, 8, 16)
+WAVELENGTHS_M = (5, 10)
+BEACON_PERIODS_MS = (50, 100, 200, 500, 1000)
+FTM_PERIODS_S = {8: (0.1, 0.25, 1.0), 16: (0.25, 1.0)}
+"""By number of UAVs. 240 sessions every 0.25 s are more than the channel has room for."""
+DROPPED = 0.3
+LIAR = 3
+LIE_M = 5.0
+MOST_CUT_S = 10.0
+MOST_LIAR_AFTER_S = 5.0
+_NO_PATTERNS_HZ = 0.001
+"""The patterns that are wanted are computed afterwards: `studies.codesign.flights`."""
+
+
+class Plan(Struct, frozen=True, kw_only=True):
+    """How much is flown."""
+
+    seeds: int = 10
+    duration_s: float = 15.0
+    """In formation"""
+
+    @property
+    def cut_s(self) -> float:
+        """Length of the cut, and from the formation to it: 10 s, but in quick plans."""
+        return min(MOST_CUT_S, self.duration_s / 1.5)
+
+    @property
+    def liar_after_s(self) -> float:
+        """From the formation to the first lie."""
+        return min(MOST_LIAR_AFTER_S, self.duration_s / 6.0)
+
+
+QUICK = Plan(seeds=2, duration_s=8.0)
+
+
+class Case(Struct, frozen=True, kw_only=True):
+    """One change of the article's scenario."""
+
+    name: str
+    localisation: str = "ftm"
+    agents: int = 8
+    wind_n: float = 5.0
+    wavelength_m: float = 10.0
+    beacon_period_ms: int = 100
+    ranging: str = "all_pairs"
+    ftm_period_s: float = 1.0
+    channel: str = "emulated"
+    drop_fraction: float = 0.0
+    lies: bool = False
+    """One vehicle's distances are wrong from the start on."""
+    faults: tuple[AnyFault, ...] = ()
+    """Their start counts from when the formation was reached."""
+    longer_s: float = 0.0
+    """In formation, than the plan says"""
+    gains: bool = False
+    """Patterns are computed of it."""
+    last: bool = False
+    """Flown when all others have been: it completes a table, and no check needs it."""
+
+    def scenario(self, plan: Plan, seed: int) -> Scenario:
+        """What is flown for a seed."""
+        settings = [
+            f"name={self.name}",
+            f"agents={self.agents}",
+            f"run.seed={seed}",
+            f"run.duration_s={plan.duration_s + self.longer_s}",
+            f"formation.columns={self.agents // 2}",
+            "formation.rows=2",
+            f"wind.mean_n={self.wind_n}",
+            f"antenna.wavelength_m={self.wavelength_m}",
+            f"antenna.snapshot_rate_hz={_NO_PATTERNS_HZ}",
+            f"onboard.localisation={self.localisation}",
+            f"onboard.beacon_period_ms={self.beacon_period_ms}",
+            f"onboard.ranging={self.ranging}",
+            f"onboard.ftm_period_s={self.ftm_period_s}",
+            f"radio.channel={self.channel}",
+            f"radio.drop_fraction={self.drop_fraction}",
+        ]
+        if self.lies:
+            settings.append(f"faults=[{{kind='ranging_bias', uav={LIAR}, offset_m={LIE_M}}}]")
+        return load(ARTICLE, settings)
+
+
+def wind_agents(localisation: str, agents: int, wind_n: float) -> Case:
+    """The article's scenario with another wind and number of vehicles; 8 and 5 N are the article's own."""
+    return Case(
+        name=f"{localisation}-{agents}-{wind_n:g}n", localisation=localisation, agents=agents, wind_n=wind_n,
+        gains=agents == 8 and wind_n >= 2, last=agents != 8 and wind_n != 5,
+    )  # fmt: skip
+
+
+BASE = wind_agents("ftm", 8, 5)
+GPS_ALONE = wind_agents("gps", 8, 5)
+
+
+def wavelength(localisation: str, wavelength_m: float, wind_n: float) -> Case:
+    """The array scaled with its wavelength."""
+    case = wind_agents(localisation, 8, wind_n)
+    if wavelength_m == case.wavelength_m:
+        return case
+    return replace(case, name=f"{case.name}-lambda{wavelength_m:g}", wavelength_m=wavelength_m)
+
+
+def beacon_period(period_ms: int) -> Case:
+    """Beacons more or less often."""
+    if period_ms == BASE.beacon_period_ms:
+        return BASE
+    return replace(BASE, name=f"{BASE.name}-beacon{period_ms}", beacon_period_ms=period_ms, gains=False)
+
+
+def all_pairs(agents: int, period_s: float) -> Case:
+    """Everybody to everybody in every period."""
+    case = wind_agents("ftm", agents, 5)
+    if period_s == case.ftm_period_s:
+        return case
+    crowded = agents == 16  # contention that takes minutes to compute
+    return replace(
+        case, name=f"{case.name}-every{period_s:g}s", ftm_period_s=period_s, gains=False, last=crowded
+    )
+
+
+def scheduled(agents: int) -> Case:
+    """Each pair once, when the distance is worth it."""
+    case = wind_agents("ftm", agents, 5)
+    return replace(case, name=f"{case.name}-scheduled", ranging="scheduled", gains=False)
+
+
+TRUTH = replace(BASE, name="truth-8-5n", localisation="truth", gains=False)
+IDEAL = replace(BASE, name=f"{BASE.name}-ideal", channel="ideal", gains=False)
+LOSSY = replace(BASE, name=f"{BASE.name}-lossy", drop_fraction=DROPPED, gains=False)
+LIAR_FROM_START = replace(BASE, name=f"{BASE.name}-liar-from-start", lies=True, gains=False)
+
+
+def cut(plan: Plan) -> Case:
+    """The channel is gone for a while, and twice as long is left after that."""
+    fault = RadioAttenuation(attenuation_db=CUT_DB, start_s=plan.cut_s, duration_s=plan.cut_s)
+    longer_s = 4.0 * plan.cut_s - plan.duration_s
+    return replace(BASE, name=f"{BASE.name}-cut", faults=(fault,), longer_s=longer_s, gains=False)
+
+
+def liar_in_flight(plan: Plan) -> Case:
+    """One vehicle's distances become wrong."""
+    fault = RangingBias(uav=LIAR, offset_m=LIE_M, start_s=plan.liar_after_s)
+    return replace(BASE, name=f"{BASE.name}-liar", faults=(fault,), gains=False)
+
+
+def groups(plan: Plan) -> dict[str, tuple[Case, ...]]:
+    """Cases by the group that compares them."""
+    return {
+        "wind_agents": tuple(
+            wind_agents(localisation, agents, wind_n)
+            for agents in AGENTS
+            for wind_n in WINDS_N
+            for localisation in ("gps", "ftm")
+        ),
+        "wavelength": tuple(
+            wavelength(localisation, wavelength_m, wind_n)
+            for wavelength_m in WAVELENGTHS_M
+            for wind_n in (2, 5)
+            for localisation in ("gps", "ftm")
+        ),
+        "beacon_period": tuple(beacon_period(period_ms) for period_ms in BEACON_PERIODS_MS),
+        "ranging": tuple(
+            case
+            for agents, periods_s in FTM_PERIODS_S.items()
+            for case in (*(all_pairs(agents, period_s) for period_s in periods_s), scheduled(agents))
+        ),
+        "baselines": (TRUTH, IDEAL, BASE, GPS_ALONE),
+        "trouble": (BASE, LOSSY, cut(plan), liar_in_flight(plan), LIAR_FROM_START),
+    }

@@ -1,0 +1,68 @@
+"""Checks that several sections make of flights, and the bounds that they share."""
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from studies.codesign.book import Book
+from studies.codesign.cases import Case
+from studies.codesign.statistics import Interval
+from studies.common.report import Check
+
+SHAPE_MOST_M = 0.25
+"""With FTM over the emulated channel, in the article's scenario"""
+SEEDS_LEAST = 10
+NO_WORSE_MOST = 1.1
+"""Of the ratio of two errors, where one is said to be no worse than the other: less than a tenth more"""
+
+
+def formed_check(book: Book, cases: Sequence[Case]) -> Check:
+    """Whether enough flights of each case have reached their formation: others have no numbers of it."""
+    fewest = min(map(book.formed, cases))
+    return Check(
+        name="flights that formed, fewest", value=float(fewest), unit="", at_least=float(SEEDS_LEAST)
+    )
+
+
+def pairs_check(what: str, count: int) -> Check:
+    """Whether enough seeds have both flights."""
+    return Check(name=f"pairs of flights, {what}", value=float(count), unit="", at_least=float(SEEDS_LEAST))
+
+
+def fewest_pairs_check(ratios: Sequence[Interval]) -> Check:
+    """Whether each of the ratios is of enough pairs."""
+    return pairs_check("fewest of a ratio", min(ratio.count for ratio in ratios))
+
+
+def sound_checks(book: Book, cases: Sequence[Case], by: str = "with FTM") -> tuple[Check, Check]:
+    """Whether all flights of the cases formed and none collided; what broke has not formed.
+
+    ``by`` says what these formations have for positions, as those on GPS alone may well collide.
+    """
+    flown = any(book.begun(case) for case in cases)
+    missed = sum(book.begun(case) - book.formed(case) for case in cases)
+    collided = sum(map(book.collided, cases))
+    return (
+        Check(
+            name=f"{by}: flights that broke or did not form", unit="", at_most=0.0,
+            value=float(missed) if flown else math.nan,
+        ),
+        Check(
+            name=f"{by}: flights with a collision", unit="", at_most=0.0,
+            value=float(collided) if any(map(book.flown, cases)) else math.nan,
+        ),
+    )  # fmt: skip
+
+
+def largest_shape_check(book: Book, cases: Sequence[Case], of_what: str) -> Check:
+    """Whether the mean shape error of every case is what it has to be with FTM in the article's scenario."""
+    return Check(
+        name=f"shape error with FTM, {of_what}, largest mean", value=extreme(book, cases, "shape_m", np.max),
+        unit="m", at_most=SHAPE_MOST_M,
+    )  # fmt: skip
+
+
+def extreme(book: Book, cases: Sequence[Case], what: str, which: Callable[[Sequence[float]], float]) -> float:
+    """Largest or smallest mean of the cases, by ``np.max`` or ``np.min``; NaN if one of them has none."""
+    return float(which([book.mean(case, what).value for case in cases]))

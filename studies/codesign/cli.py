@@ -1,0 +1,165 @@
+"""The command line of the co-design experiment: fly what is missing, judge it, write it down.
+
+Exit status as `studies.common.command_line` has it; 130 if it was broken off: the same command goes on.
+"""
+
+import os
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from msgspec.structs import replace
+from rich.console import Console
+
+from harness.campaign.store import CampaignError
+from harness.launch import kernel_cache
+from harness.launch.interrupts import interruptible
+from studies.codesign.book import Book
+from studies.codesign.cases import QUICK, Case, Plan, groups
+from studies.codesign.factor_sections import judge_baselines, judge_beacon_period, judge_ranging
+from studies.codesign.introduction import command, introduction
+from studies.codesign.results import FLYING, Flown, Store, Task, fly_tasks, known, make_tasks, sources_state
+from studies.codesign.sections import Judge, judge_wavelength, judge_wind_agents
+from studies.codesign.tables import write_csv
+from studies.codesign.trouble_section import judge_trouble
+from studies.common.command_line import BAD_INPUT, Page, chosen, progress_lines, tell
+from studies.common.report import Section
+from studies.common.standard_output import keep_stdout
+
+INTERRUPTED = 130
+DATA = Path("runs") / "codesign"
+STALE_HELP = "Take flights of other sources rather than fly again."
+JUDGES: dict[str, Judge] = {
+    "wind_agents": judge_wind_agents,
+    "wavelength": judge_wavelength,
+    "beacon_period": judge_beacon_period,
+    "ranging": judge_ranging,
+    "baselines": judge_baselines,
+    "trouble": judge_trouble,
+}
+ESTIMATOR = "estimator"
+"""The group without flights"""
+GROUPS = (ESTIMATOR, *JUDGES)
+
+codesign_app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+@codesign_app.command()
+def codesign(
+    quick: Annotated[bool, typer.Option("--quick", help="Two short flights of each case.")] = False,  # noqa: FBT002
+    only: Annotated[
+        str, typer.Option(help=f"Some of {', '.join(GROUPS)}.", metavar="GROUP,GROUP")
+    ] = ",".join(GROUPS),
+    seeds: Annotated[int | None, typer.Option(help="Flights of each case.", min=1)] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="Simulated seconds in formation.", min=6.0, max=600.0)
+    ] = None,
+    data: Annotated[Path, typer.Option(help="Folder in which finished flights are kept.")] = DATA,
+    workers: Annotated[int, typer.Option(help="Flights side by side.", min=1)] = min(2, os.cpu_count() or 1),
+    stale: Annotated[bool, typer.Option("--stale", help=STALE_HELP)] = False,  # noqa: FBT002
+    retry: Annotated[bool, typer.Option("--retry", help="Fly those again that broke.")] = False,  # noqa: FBT002
+    json: Annotated[bool, typer.Option("--json", help="The numbers alone on stdout.")] = False,  # noqa: FBT002
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for codesign-results.md, the tables as CSV and images/; none writes nothing."
+        ),
+    ] = None,
+) -> None:
+    """Measure by how much ranging over the radio repairs the formation, flight by flight."""
+    messages = Console(stderr=True, highlight=False)
+    names = chosen("experiment_codesign", only, GROUPS, messages)
+    plan = QUICK if quick else Plan()
+    plan = replace(plan, seeds=seeds or plan.seeds, duration_s=duration or plan.duration_s)
+    stdout = keep_stdout()
+    by_group = {name: cases for name, cases in groups(plan).items() if name in names}
+    store = Store(data)
+    tasks = make_tasks([case for cases in by_group.values() for case in cases], plan, folder=data)
+    flights = known(tasks, store, stale=stale)
+    if retry:
+        flights = {key: flown for key, flown in flights.items() if flown.broken is None}
+    missing = [task for task in tasks if (task.case, task.seed) not in flights]
+    messages.print(f"{len(tasks)} flights, {len(missing)} of them to be flown; kept in {store.path}")
+    made_by = command(plan, () if set(names) == set(GROUPS) else names, quick=quick, stale=stale)
+    estimated, changed = None, False
+    if missing or ESTIMATOR in names:
+        state = sources_state()
+        try:
+            with store.alone(), interruptible():
+                kernel_cache.prepare(messages.print)
+                if ESTIMATOR in names:
+                    estimated = _study(plan, data, workers=workers, messages=messages)
+                _fly(missing, by_group, store, flights, workers=workers, messages=messages)
+        except KeyboardInterrupt:
+            messages.print("broken off: the same command goes on from here")
+            raise typer.Exit(INTERRUPTED) from None
+        except (CampaignError, kernel_cache.CompileError) as error:
+            messages.print(f"experiment_codesign: {error}")
+            raise typer.Exit(BAD_INPUT) from None
+        sources_state.cache_clear()
+        changed = sources_state() != state
+        if changed:
+            messages.print("the sources have changed meanwhile: what was flown is of neither state for sure")
+    book = Book(plan=plan, flights=flights)
+    images = None if out is None else out / "images"
+    if images is not None:
+        images.mkdir(parents=True, exist_ok=True)
+    sections = [JUDGES[name](book, images) for name in JUDGES if name in names]
+    if estimated is not None:
+        sections.insert(0, estimated)
+    if out is not None:
+        write_csv(out, [case for cases in by_group.values() for case in cases], book)
+    page = Page(
+        file_name="codesign-results.md",
+        title="Co-design: results",
+        introduction=introduction(book, tasks, made_by=made_by, changed=changed),
+    )
+    tell(sections, page=page, out=out, json=json, stdout=stdout, px4=False)
+
+
+def _fly(
+    missing: Sequence[Task],
+    by_group: dict[str, tuple[Case, ...]],
+    store: Store,
+    flights: dict[tuple[str, int], Flown],
+    *,
+    workers: int,
+    messages: Console,
+) -> None:
+    """Fly what is missing into ``flights``; a case that several groups share counts in the first."""
+    from studies.codesign.flights import fly_task  # noqa: PLC0415  numba reads its folder when it is imported
+
+    shutil.rmtree(store.folder / FLYING, ignore_errors=True)  # of campaigns that were killed
+    group_of: dict[str, str] = {}
+    for group, cases in by_group.items():
+        for case in cases:
+            group_of.setdefault(case.name, group)
+    total = dict.fromkeys(group_of.values(), 0)
+    done = dict(total)
+    for task in missing:
+        total[group_of[task.case]] += 1
+    with progress_lines(messages) as (note, say):
+        for group in total:
+            if total[group]:
+                note(group, 0, total[group])
+
+        def landed(flown: Flown) -> None:
+            flights[flown.case, flown.seed] = flown
+            group = group_of[flown.case]
+            done[group] += 1
+            note(group, done[group], total[group])
+            if flown.broken is not None:
+                say(f"{flown.case}, seed {flown.seed}: {flown.broken}")
+
+        fly_tasks(missing, store, fly_task, workers=workers, done=landed)
+
+
+def _study(plan: Plan, data: Path, *, workers: int, messages: Console) -> Section:
+    """See `estimator_section`."""
+    from studies.codesign.estimator_section import judge_estimator, studies  # noqa: PLC0415  as in `_fly`
+
+    with progress_lines(messages) as (note, _):
+        results = studies(plan, data, workers=workers, done=lambda done, total: note(ESTIMATOR, done, total))
+    return judge_estimator(results)

@@ -1,0 +1,173 @@
+"""The localisation filter alone: studies of `studies.codesign.study`, kept on disk, and judged."""
+
+import hashlib
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from studies.codesign.batch import RANGE_WINDOW_US
+from studies.codesign.cases import Plan, wind_agents
+from studies.codesign.results import START_METHOD, sources_state
+from studies.codesign.simulated import Trouble
+from studies.codesign.study import LocalisationResult, localisation_study
+from studies.common.report import PASSED, Check, Section, Table
+
+OVER_BOUND_MOST = 1.5
+"""Relative position error over the Cramer-Rao bound at the article's geometry"""
+RUNS_PER_SEED, RUNS_LEAST = 10, 100
+_SEED = 5
+_STUDIED = ("study.py", "simulated.py", "bounds.py", "batch.py")
+
+
+class Setting(Struct, frozen=True):
+    """One study."""
+
+    agents: int
+    loss: float
+    scheduled: bool
+    batch: bool
+    """With the batch optimum, which takes most of the time"""
+
+
+ARTICLE_SETTING = Setting(agents=8, loss=0.0, scheduled=False, batch=True)
+SETTINGS = (
+    ARTICLE_SETTING,
+    Setting(agents=8, loss=0.3, scheduled=False, batch=False),
+    Setting(agents=8, loss=0.0, scheduled=True, batch=False),
+    Setting(agents=4, loss=0.0, scheduled=False, batch=False),
+    Setting(agents=16, loss=0.0, scheduled=False, batch=False),
+)
+
+
+class Studied(Struct, frozen=True, kw_only=True):
+    """A study that is done."""
+
+    setting: Setting
+    digest: str
+    """Of the sources and of all that it was given"""
+    result: LocalisationResult
+
+
+def study(setting: Setting, runs: int) -> LocalisationResult:
+    """Do one of them, in the geometry of the article or what it is with other numbers of UAVs."""
+    return localisation_study(**_arguments(setting, runs))
+
+
+def _arguments(setting: Setting, runs: int) -> dict[str, Any]:
+    return {
+        "places_ned_m": wind_agents("ftm", setting.agents, 5).scenario(Plan(), 1).places_ned_m(),
+        "runs": runs,
+        "seed": _SEED,
+        "trouble": Trouble(loss=setting.loss),
+        "scheduled": setting.scheduled,
+        "batch": setting.batch,
+    }
+
+
+def studies(
+    plan: Plan, data: Path, *, workers: int, done: Callable[[int, int], None]
+) -> dict[Setting, LocalisationResult]:
+    """Do those that are not on disk yet, ``RUNS_PER_SEED`` runs for each of the plan's seeds.
+
+    ``done`` is told how many are, and how many there are.
+    """
+    runs, state, path = RUNS_PER_SEED * plan.seeds, _state(), data / "studies.jsonl"
+    digests = {setting: _digest(state, _arguments(setting, runs)) for setting in SETTINGS}
+    found: dict[Setting, LocalisationResult] = {}
+    for line in path.read_bytes().splitlines() if path.exists() else ():
+        try:
+            studied = msgspec.json.decode(line, type=Studied)
+        except msgspec.DecodeError:
+            continue
+        if digests.get(studied.setting) == studied.digest:
+            found[studied.setting] = studied.result
+    missing = [setting for setting in SETTINGS if setting not in found]
+    done(len(found), len(SETTINGS))
+    if not missing:
+        return found
+    with ProcessPoolExecutor(workers, mp_context=get_context(START_METHOD)) as pool:
+        waiting = {pool.submit(study, setting, runs): setting for setting in missing}
+        for future in as_completed(waiting):
+            setting = waiting[future]
+            found[setting] = future.result()
+            studied = Studied(setting=setting, digest=digests[setting], result=found[setting])
+            with path.open("ab") as file:
+                file.write(msgspec.json.encode(studied) + b"\n")
+            done(len(found), len(SETTINGS))
+    return found
+
+
+def judge_estimator(results: dict[Setting, LocalisationResult]) -> Section:
+    """Check the article's geometry, and list the others."""
+    article = results[ARTICLE_SETTING]
+    low, high = article.nees_band
+    return Section(
+        title="The estimator alone",
+        conditions=(
+            "The localisation filter on simulated measurements of known statistics, as one UAV of the "
+            "formation gets them, against the posterior Cramer-Rao bound of exactly those measurements and "
+            "against the batch optimum (least squares over all fixes and the distances of the last "
+            f"{RANGE_WINDOW_US * 1e-6:g} s). Errors are horizontal, after the best rigid alignment, rms over "
+            "UAVs and runs, beside what the filter itself says of them. NEES is the same error squared over "
+            "the filter's covariance, mean of the runs: 2 N - 3 is expected of N UAVs, and the band holds 95 "
+            "of 100 such means of a consistent filter. Below it the filter is too cautious, above it too "
+            "sure of itself. Only the article's geometry is required to be inside; others that are not are "
+            "marked.\n"
+        ),
+        checks=(
+            Check(name="runs", value=float(article.runs), unit="", at_least=float(RUNS_LEAST)),
+            Check(
+                name="relative position error over the Cramer-Rao bound, article's geometry",
+                value=article.filter_over_bound, unit="", at_most=OVER_BOUND_MOST,
+            ),
+            Check(name="its NEES", value=article.nees, unit="", at_least=low, at_most=high),
+        ),
+        tables=(
+            Table(
+                caption="Errors in metres.",
+                columns=(
+                    "UAVs", "lost", "ranging", "runs", "bound", "filter", "filter says", "filter over bound",
+                    "batch", "batch over bound", "NEES", "expected", "band", "consistent",
+                ),
+                rows=tuple(_row(setting, results[setting]) for setting in SETTINGS),
+            ),
+        ),
+    )  # fmt: skip
+
+
+def _row(setting: Setting, result: LocalisationResult) -> tuple[str, ...]:
+    low, high = result.nees_band
+    batch, over_bound = result.batch_m, result.batch_over_bound
+    return (
+        str(setting.agents), f"{setting.loss:.0%}", "scheduled" if setting.scheduled else "all pairs",
+        str(result.runs), f"{result.bound_m:.3f}", f"{result.filter_m:.3f}",
+        f"{result.predicted_m:.3f}", f"{result.filter_over_bound:.2f}",
+        "–" if batch is None else f"{batch:.3f}", "–" if over_bound is None else f"{over_bound:.2f}",
+        f"{result.nees:.2f}", str(2 * setting.agents - 3), f"{low:.2f} to {high:.2f}", _verdict(result),
+    )  # fmt: skip
+
+
+def _verdict(result: LocalisationResult) -> str:
+    """Whether the NEES lies in its band, or on which side of it."""
+    low, high = result.nees_band
+    if low <= result.nees <= high:
+        return PASSED
+    return "**too cautious**" if result.nees < low else "**too sure**"
+
+
+def _state() -> str:
+    content = hashlib.sha256(sources_state().encode())
+    for name in _STUDIED:
+        content.update((Path(__file__).parent / name).read_bytes())
+    return content.hexdigest()[:16]
+
+
+def _digest(state: str, arguments: dict[str, Any]) -> str:
+    content = msgspec.json.encode((state, arguments), enc_hook=np.ndarray.tolist)
+    return hashlib.sha256(content).hexdigest()[:16]

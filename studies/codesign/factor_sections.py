@@ -1,0 +1,272 @@
+"""Judgement of the beacon, ranging and baseline cases: checks, tables and figures."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from studies.codesign import figures
+from studies.codesign.book import Book
+from studies.codesign.cases import (
+    BASE,
+    BEACON_PERIODS_MS,
+    FTM_PERIODS_S,
+    GPS_ALONE,
+    IDEAL,
+    TRUTH,
+    all_pairs,
+    beacon_period,
+    scheduled,
+)
+from studies.codesign.checks import (
+    NO_WORSE_MOST,
+    extreme,
+    fewest_pairs_check,
+    formed_check,
+    largest_shape_check,
+    sound_checks,
+)
+from studies.common.report import Check, Section, Table
+
+OFTEN_MS, SELDOM_MS = 50, 200
+"""Between these beacon periods nothing is said to be gained."""
+COMPLETED_LEAST = 0.95
+"""Share of ranging sessions, where contention is said not to be the limit"""
+SHARE_MOST = 1.1
+"""Of the channel's occupancy to what scheduled ranging is told to settle at"""
+THRIFT_MOST = 0.5
+"""Of the airtime of scheduled ranging among 16 to that of all pairs once a second: it is said to save most"""
+WASTE_LEAST, WASTED_LEAST = 5.0, 0.5
+"""What all pairs ten times as often have to take of airtime, and may gain, for most of it to be called waste:
+errors of independent measurements would shrink to 1 / sqrt(10) = 0.32."""
+CONTROLS_LEAST = math.sqrt(0.5)
+"""Of the shape error with true positions to that with FTM: at least half of the mean square is control's."""
+
+
+def judge_beacon_period(book: Book, images: Path | None) -> Section:
+    """How often beacons have to come."""
+    cases = [beacon_period(period_ms) for period_ms in BEACON_PERIODS_MS]
+    sooner = book.ratio(beacon_period(SELDOM_MS), beacon_period(OFTEN_MS), "shape_m")
+    later = book.ratio(cases[-1], BASE, "estimate_m")
+    if images is not None:
+        figures.save_beacons(
+            images / "codesign-beacons.png", BEACON_PERIODS_MS,
+            {
+                label: [book.mean(case, what) for case in cases]
+                for label, what in (
+                    ("shape error", "shape_m"), ("error of the estimates", "estimate_m"),
+                    ("control's part", "control_m"),
+                )
+            },
+        )  # fmt: skip
+    return Section(
+        title="Beacon period",
+        conditions="8 UAVs with FTM in 5 N; everybody ranges to everybody once per second throughout.\n",
+        checks=(
+            formed_check(book, cases),
+            *sound_checks(book, cases),
+            fewest_pairs_check((sooner, later)),
+            largest_shape_check(book, cases, "any period"),
+            Check(
+                name=f"shape error at {SELDOM_MS} ms over that at {OFTEN_MS} ms", value=sooner.value, unit="",
+                at_most=NO_WORSE_MOST,
+            ),
+            Check(
+                name=f"error of the estimates at {BEACON_PERIODS_MS[-1]} ms over that at "
+                f"{BASE.beacon_period_ms} ms, lower end", value=later.low, unit="", at_least=1.0,
+            ),
+        ),
+        tables=(
+            Table(
+                caption="Means and 95 % confidence intervals.",
+                columns=("period ms", "shape m", "estimates m", "control m", "busy %", "collided"),
+                rows=tuple(
+                    (
+                        str(period_ms), book.mean(case, "shape_m").text(),
+                        book.mean(case, "estimate_m").text(), book.mean(case, "control_m").text(),
+                        book.mean(case, "busy_fraction").text(1, factor=100.0),
+                        book.of_flights(book.collided(case), case),
+                    )
+                    for period_ms, case in zip(BEACON_PERIODS_MS, cases, strict=True)
+                ),
+            ),
+        ),
+        figures=_if_drawn(images, "codesign-beacons.png", "shape error against the beacons' period"),
+    )  # fmt: skip
+
+
+def judge_ranging(book: Book, images: Path | None) -> Section:
+    """What airtime buys."""
+    policies = {
+        agents: [
+            *((f"all pairs, {period_s:g} s", all_pairs(agents, period_s)) for period_s in periods_s),
+            ("scheduled", scheduled(agents)),
+        ]
+        for agents, periods_s in FTM_PERIODS_S.items()
+    }
+    if images is not None:
+        figures.save_ranging(
+            images / "codesign-ranging.png",
+            {
+                f"{agents} UAVs": [
+                    (name, book.mean(case, "busy_fraction"), book.mean(case, "shape_m"))
+                    for name, case in entries
+                ]
+                for agents, entries in policies.items()
+            },
+        )
+    return Section(
+        title="Ranging policy",
+        conditions=(
+            "FTM in 5 N. All pairs: everybody to everybody once per period, as the article has it. "
+            "Scheduled: each pair by one of its ends, in a slot of its own, when the distance is worth its "
+            "airtime. 16 UAVs that range to all every 0.25 s ask for more than the channel has room for: the "
+            "table has them, and the checks are of the policies that fit.\n"
+        ),
+        checks=_ranging_checks(book),
+        tables=(
+            Table(
+                caption="Means and 95 % confidence intervals.",
+                columns=(
+                    "UAVs", "policy", "shape m", "estimates m", "busy %", "sessions/s", "completed %",
+                    "collided",
+                ),
+                rows=tuple(
+                    (
+                        str(agents), name, book.mean(case, "shape_m").text(),
+                        book.mean(case, "estimate_m").text(),
+                        book.mean(case, "busy_fraction").text(1, factor=100.0),
+                        book.mean(case, "sessions_per_s").text(0),
+                        book.mean(case, "completed_fraction").text(1, factor=100.0),
+                        book.of_flights(book.collided(case), case),
+                    )
+                    for agents, entries in policies.items()
+                    for name, case in entries
+                ),
+            ),
+        ),
+        figures=_if_drawn(images, "codesign-ranging.png", "shape error against the occupancy of the channel"),
+    )  # fmt: skip
+
+
+def _ranging_checks(book: Book) -> tuple[Check, ...]:
+    """Of all policies but those that are more than the channel has room for."""
+    pairs = [
+        all_pairs(agents, period_s) for agents, periods_s in FTM_PERIODS_S.items() for period_s in periods_s
+    ]
+    cases = [*(case for case in pairs if not case.last), *map(scheduled, FTM_PERIODS_S)]
+    often = all_pairs(8, 0.1)
+    shape_8, shape_16 = (
+        book.ratio(scheduled(agents), all_pairs(agents, 1.0), "shape_m") for agents in FTM_PERIODS_S
+    )
+    busy_16 = book.ratio(scheduled(16), all_pairs(16, 1.0), "busy_fraction")
+    busy_often, shape_often = (book.ratio(often, BASE, what) for what in ("busy_fraction", "shape_m"))
+    shares = [
+        book.mean(case, "busy_fraction").value / case.scenario(book.plan, 1).onboard.ranging_airtime
+        for case in map(scheduled, FTM_PERIODS_S)
+    ]
+    return (
+        formed_check(book, cases),
+        *sound_checks(book, cases),
+        fewest_pairs_check((shape_8, shape_16, busy_16, busy_often, shape_often)),
+        largest_shape_check(book, cases, "any policy that the channel has room for"),
+        Check(
+            name="share of ranging sessions that complete, any policy that the channel has room for, "
+            "smallest mean",
+            unit="",
+            value=extreme(book, cases, "completed_fraction", np.min), at_least=COMPLETED_LEAST,
+        ),
+        Check(
+            name="scheduled: occupancy of the channel over what is wanted, largest", unit="",
+            value=float(np.max(shares)), at_most=SHARE_MOST,
+        ),
+        Check(
+            name="8 UAVs: shape error scheduled over all pairs once a second, lower end", unit="",
+            value=shape_8.low, at_most=1.0,
+        ),
+        Check(
+            name="16 UAVs: shape error scheduled over all pairs once a second", unit="",
+            value=shape_16.value, at_most=NO_WORSE_MOST,
+        ),
+        Check(
+            name="16 UAVs: occupancy of the channel scheduled over all pairs once a second", unit="",
+            value=busy_16.value, at_most=THRIFT_MOST,
+        ),
+        Check(
+            name="8 UAVs: occupancy of the channel, all pairs every 0.1 s over every second", unit="",
+            value=busy_often.value, at_least=WASTE_LEAST,
+        ),
+        Check(
+            name="8 UAVs: shape error, all pairs every 0.1 s over every second", unit="",
+            value=shape_often.value, at_least=WASTED_LEAST,
+        ),
+    )  # fmt: skip
+
+
+def judge_baselines(book: Book, images: Path | None) -> Section:  # noqa: ARG001  # one shape
+    """One factor changed at a time."""
+    cases = (
+        ("told by the simulator", TRUTH), ("FTM over an ideal channel", IDEAL),
+        ("FTM over the emulated channel", BASE), ("GPS alone", GPS_ALONE),
+    )  # fmt: skip
+    held = (TRUTH, IDEAL, BASE)
+    told, ideal, emulated = (
+        book.ratio(*pair, "shape_m") for pair in ((TRUTH, BASE), (IDEAL, BASE), (BASE, IDEAL))
+    )
+    return Section(
+        title="Baselines",
+        conditions=(
+            "8 UAVs in 5 N. With true positions what is left is control's; over an ideal channel nothing "
+            "contends, collides or fades, and time stamps keep their errors.\n"
+        ),
+        checks=(
+            formed_check(book, (*held, GPS_ALONE)),
+            *sound_checks(book, held, "with FTM or true positions"),
+            fewest_pairs_check((told, ideal)),
+            Check(
+                name="shape error with true positions over that with FTM, lower end",
+                value=told.low,
+                unit="",
+                at_most=1.0,
+            ),
+            Check(
+                name="shape error with true positions over that with FTM",
+                value=told.value,
+                unit="",
+                at_least=CONTROLS_LEAST,
+            ),
+            Check(
+                name="shape error over an ideal channel over that over the emulated one, lower end",
+                value=ideal.low,
+                unit="",
+                at_most=1.0,
+            ),
+            Check(
+                name="shape error over the emulated channel over that over an ideal one",
+                unit="",
+                value=emulated.value,
+                at_most=NO_WORSE_MOST,
+            ),
+        ),
+        tables=(
+            Table(
+                caption="Means and 95 % confidence intervals.",
+                columns=("positions", "shape m", "estimates m", "control m", "absolute m", "collided"),
+                rows=tuple(
+                    (
+                        name,
+                        *(
+                            book.mean(case, what).text()
+                            for what in ("shape_m", "estimate_m", "control_m", "absolute_m")
+                        ),
+                        book.of_flights(book.collided(case), case),
+                    )
+                    for name, case in cases
+                ),
+            ),
+        ),
+    )
+
+
+def _if_drawn(images: Path | None, name: str, shows: str) -> tuple[tuple[str, str], ...]:
+    return () if images is None else ((name, shows),)

@@ -1,0 +1,311 @@
+"""What is kept of a flight: numbers from the tables of its run folder, and its track at a low rate.
+
+The formation of these flights stands still, so desired places are the scenario's.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+import numpy as np
+import pyarrow.parquet as pq
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from antenna.model.config import AntennaConfig
+from harness.launch.processes import RADIO
+from harness.records.flight import Array, Flight
+from harness.records.run_folder import RunFolder
+from harness.report.analysis import gain_series
+from harness.report.formation_error import formation_error
+from harness.scenario.scenario import Scenario
+
+TRACK_PERIOD_S = 0.2
+GAIN_RATE_HZ = 1.0
+FLOWN_HEIGHT_M = 0.5
+"""Of a vehicle in the air, over the ground at the site's origin"""
+_NS_PER_US = 1_000
+
+
+class Measures(Struct, frozen=True, kw_only=True):
+    """One flight; lengths in metres, times in seconds of simulated time unless they say otherwise.
+
+    What is of the formation counts from when it was reached, and is None where it was not. A formation is
+    sound until two of it touch or one falls down.
+    """
+
+    formed_s: float | None
+    simulated_s: float
+    wall_s: float
+    real_time_factor: float | None
+    collisions: int
+    """Contacts that began, of the whole flight"""
+    first_collision_s: float | None
+    """From the start"""
+    down: int
+    """Vehicles that are not in the air at the end"""
+    least_distance_m: float | None
+    """Between any two vehicles in the air, whole flight"""
+    least_distance_formed_m: float | None = None
+    shape_m: float | None = None
+    """Horizontal rms after the best rigid alignment, of the sound formation"""
+    shape_whole_m: float | None = None
+    """The same to the end, whoever has touched or fallen down"""
+    absolute_m: float | None = None
+    """Horizontal rms distance from the places, of the sound formation"""
+    vertical_m: float | None = None
+    """Rms of height errors about their mean over the vehicles, of the sound formation"""
+    estimate_m: float | None = None
+    """Shape error of the vehicles' own positions against the true ones: localisation's part"""
+    control_m: float | None = None
+    """Shape error of the vehicles' own positions against the places: control's part"""
+    busy_fraction: float | None = None
+    sessions_per_s: float | None = None
+    """Ranging sessions that ended, completed or not"""
+    completed_fraction: float | None = None
+    beacons_lost_fraction: float | None = None
+    """Of the beacons that reached a station, whole flight, those that its host lost"""
+    longest_silence_s: float | None = None
+    """Without a distance from anybody's ranging"""
+    range_offsets_m: tuple[float | None, ...] = ()
+    """Median of measured less true distance of every vehicle's own sessions; None without any"""
+    gain_dbi: tuple[float, ...] = ()
+    """Maximum gain every second of the sound formation, if it was asked for"""
+    track_mm: tuple[tuple[int, ...], ...] = ()
+    """North and east of every vehicle from its place, one after the other, every `TRACK_PERIOD_S`"""
+
+    @property
+    def gain_mean_dbi(self) -> float | None:
+        """Over the flight."""
+        return float(np.mean(self.gain_dbi)) if self.gain_dbi else None
+
+    @property
+    def gain_std_db(self) -> float | None:
+        """Over the flight."""
+        return float(np.std(self.gain_dbi, ddof=1)) if len(self.gain_dbi) > 1 else None
+
+    @property
+    def track_ne_m(self) -> Array:
+        """(T, N, 2) from the places, T of them from the formation on."""
+        return np.array(self.track_mm, dtype=float).reshape(len(self.track_mm), -1, 2) / 1e3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tables:
+    """Of a run, T instants of N vehicles; frame: the site's NED."""
+
+    time_us: NDArray[np.int64]
+    """(T,)"""
+    alive: NDArray[np.bool_]
+    """(T, N)"""
+    pos_ned_m: Array
+    """(T, N, 3)"""
+    q_ned_frd: Array
+    """(T, N, 4)"""
+    own_pos_ned_m: Array
+    """(T, N, 3) where the application believes itself to be; NaN where it does not know"""
+    air_us: NDArray[np.int64]
+    """(K,)"""
+    busy_ns: NDArray[np.int64]
+    """(K,) since the start"""
+    session_us: NDArray[np.int64]
+    """(M,) when ranging sessions ended"""
+    session_ok: NDArray[np.bool_]
+    """(M,) which gave a distance"""
+    session_by: NDArray[np.int64]
+    """(M,) initiators"""
+    session_error_m: Array
+    """(M,) measured less true distance, of those that gave one"""
+    collisions_us: tuple[int, ...]
+    beacons_heard: int
+    """Beacons that reached a station, each as often as it reached one"""
+    beacons_lost: int
+    """Those of them that a host lost"""
+
+    def flight(
+        self, places_ned_m: Array, pos_ned_m: Array | None = None, *, heading_rad: float = 0.0
+    ) -> Flight:
+        """Positions, true ones without ``pos_ned_m``, against places (N, 3) or (T, N, 3)."""
+        pos_ned_m = self.pos_ned_m if pos_ned_m is None else pos_ned_m
+        known = np.asarray(np.isfinite(pos_ned_m).all(axis=-1), dtype=np.bool_)
+        return Flight(
+            time_us=self.time_us,
+            pos_ned_m=np.where(known[..., None], pos_ned_m, 0.0),
+            q_ned_frd=self.q_ned_frd,
+            desired_pos_ned_m=np.broadcast_to(places_ned_m, pos_ned_m.shape),
+            heading_rad=np.full(len(self.time_us), heading_rad),
+            alive=self.alive & known,
+            believed_pos_ned_m=self.own_pos_ned_m,
+        )
+
+    def rows(self, begin_us: int, end_us: int) -> "Tables":
+        """Instants of [begin_us, end_us]; all that is counted over time likewise, but for the beacons."""
+        at = (self.time_us >= begin_us) & (self.time_us <= end_us)
+        air = (self.air_us >= begin_us) & (self.air_us <= end_us)
+        sessions = (self.session_us > begin_us) & (self.session_us <= end_us)
+        return Tables(
+            time_us=self.time_us[at],
+            alive=self.alive[at],
+            pos_ned_m=self.pos_ned_m[at],
+            q_ned_frd=self.q_ned_frd[at],
+            own_pos_ned_m=self.own_pos_ned_m[at],
+            air_us=self.air_us[air],
+            busy_ns=self.busy_ns[air],
+            session_us=self.session_us[sessions],
+            session_ok=self.session_ok[sessions],
+            session_by=self.session_by[sessions],
+            session_error_m=self.session_error_m[sessions],
+            collisions_us=tuple(time_us for time_us in self.collisions_us if begin_us <= time_us <= end_us),
+            beacons_heard=self.beacons_heard,
+            beacons_lost=self.beacons_lost,
+        )
+
+    @property
+    def in_the_air(self) -> NDArray[np.bool_]:
+        """(T, N) who flies."""
+        return self.alive & (self.pos_ned_m[..., 2] < -FLOWN_HEIGHT_M)
+
+
+def read_tables(folder: RunFolder, vehicles: int) -> Tables:
+    """Read what a run has written."""
+    vectors = {"pos_ned_m": "ned", "q_ned_frd": "wxyz", "onboard_pos_ned_m": "ned"}
+    names = [f"{name}.{label}" for name, labels in vectors.items() for label in labels]
+    flight = _columns(folder.flight, ["time_us", "alive", *names])
+    air = _columns(folder.air, ["time_us", "busy_ns"])
+    sessions = _columns(folder.ftm, ["measured_ns", "status", "initiator", "distance_m", "true_distance_m"])
+    stacked = {
+        name: np.stack([flight[f"{name}.{label}"] for label in labels], axis=-1).reshape(
+            -1, vehicles, len(labels)
+        )
+        for name, labels in vectors.items()
+    }
+    heard, lost = _beacons(folder)
+    events = [msgspec.json.decode(line) for line in folder.events.read_bytes().splitlines() if line]
+    return Tables(
+        time_us=flight["time_us"][::vehicles].astype(np.int64),
+        alive=flight["alive"].astype(np.bool_).reshape(-1, vehicles),
+        pos_ned_m=stacked["pos_ned_m"],
+        q_ned_frd=stacked["q_ned_frd"],
+        own_pos_ned_m=stacked["onboard_pos_ned_m"],
+        air_us=air["time_us"].astype(np.int64),
+        busy_ns=air["busy_ns"].astype(np.int64),
+        session_us=sessions["measured_ns"].astype(np.int64) // _NS_PER_US,
+        session_ok=np.asarray(sessions["status"] == "ok", dtype=np.bool_),
+        session_by=sessions["initiator"].astype(np.int64),
+        session_error_m=sessions["distance_m"] - sessions["true_distance_m"],
+        collisions_us=tuple(event["time_us"] for event in events if event["event"] == "collision"),
+        beacons_heard=heard,
+        beacons_lost=lost,
+    )
+
+
+def _beacons(folder: RunFolder) -> tuple[int, int]:
+    """Heard and lost ones, as the emulator has counted them; of a run in one process."""
+    manifest = msgspec.json.decode(folder.manifest.read_bytes())
+    (counters,) = (
+        process["details"][RADIO]["counters"]
+        for process in manifest["processes"]
+        if RADIO in process["details"]
+    )
+    return sum(counters["broadcasts_delivered"]), counters["lost_by_hosts"]
+
+
+def _columns(path: Any, names: list[str]) -> dict[str, NDArray[Any]]:  # noqa: ANN401  a path as pyarrow has it
+    table = pq.read_table(path, columns=names)
+    return {name: table.column(name).to_numpy() for name in names}
+
+
+def measure(
+    tables: Tables, scenario: Scenario, *, formed_us: int | None, wall_s: float, gains: bool
+) -> Measures:
+    """Turn a run's tables into its numbers."""
+    end_us = int(tables.time_us[-1]) if len(tables.time_us) else 0
+    first_us = min(tables.collisions_us, default=None)
+    numbers: dict[str, Any] = {
+        "formed_s": None if formed_us is None else formed_us / 1e6,
+        "simulated_s": end_us / 1e6,
+        "wall_s": wall_s,
+        "real_time_factor": end_us / 1e6 / wall_s if wall_s else None,
+        "collisions": len(tables.collisions_us),
+        "first_collision_s": None if first_us is None else first_us / 1e6,
+        "down": int((~tables.in_the_air[-1]).sum()) if len(tables.time_us) else scenario.agents,
+        "least_distance_m": _least_distance_m(tables),
+        "beacons_lost_fraction": tables.beacons_lost / tables.beacons_heard if tables.beacons_heard else None,
+    }
+    if formed_us is None:
+        return Measures(**numbers)
+    places_ned_m = scenario.places_ned_m()
+    whole = tables.rows(formed_us, end_us)
+    numbers |= _over_the_air(whole, scenario.agents)
+    numbers["least_distance_formed_m"] = _least_distance_m(whole)
+    numbers["shape_whole_m"] = formation_error(whole.flight(places_ned_m)).shape.horizontal_rms_m
+    numbers["track_mm"] = _track_mm(whole.flight(places_ned_m))
+    fallen_us = whole.time_us[~whole.in_the_air.all(axis=1)][:1].tolist()
+    sound = whole.rows(formed_us, min((*whole.collisions_us, *fallen_us), default=end_us + 1) - 1)
+    if len(sound.time_us):
+        numbers |= _errors(sound, places_ned_m)
+        if gains:
+            numbers["gain_dbi"] = _gains(sound, scenario)
+    return Measures(**numbers)
+
+
+def _errors(tables: Tables, places_ned_m: Array) -> dict[str, float | None]:
+    flown = tables.flight(places_ned_m)
+    error = formation_error(flown)
+    vertical_m = np.where(flown.alive, flown.pos_ned_m[..., 2] - flown.desired_pos_ned_m[..., 2], np.nan)
+    living = flown.alive.any(axis=1)
+    deviation_m = vertical_m[living] - np.nanmean(vertical_m[living], axis=1, keepdims=True)
+    believed = tables.flight(places_ned_m, tables.own_pos_ned_m)
+    estimated = tables.flight(tables.pos_ned_m, tables.own_pos_ned_m)
+    return {
+        "shape_m": error.shape.horizontal_rms_m,
+        "absolute_m": error.absolute.horizontal_rms_m,
+        "vertical_m": float(np.sqrt(np.nanmean(deviation_m**2))) if living.any() else None,
+        "estimate_m": formation_error(estimated).shape.horizontal_rms_m,
+        "control_m": formation_error(believed).shape.horizontal_rms_m,
+    }
+
+
+def _over_the_air(tables: Tables, vehicles: int) -> dict[str, Any]:
+    span_us = int(tables.time_us[-1] - tables.time_us[0]) if len(tables.time_us) else 0
+    air_us = int(tables.air_us[-1] - tables.air_us[0]) if len(tables.air_us) else 0
+    busy_ns = int(tables.busy_ns[-1] - tables.busy_ns[0]) if len(tables.air_us) else 0
+    sessions = len(tables.session_us)
+    heard_us = np.sort(tables.session_us[tables.session_ok])
+    ends_us = tables.time_us[[0, -1]] if span_us else heard_us[:0]
+    gaps_us = np.diff(np.concatenate((ends_us[:1], heard_us, ends_us[1:])))
+    own_m = [tables.session_error_m[tables.session_ok & (tables.session_by == i)] for i in range(vehicles)]
+    return {
+        "longest_silence_s": float(gaps_us.max()) / 1e6 if len(gaps_us) else None,
+        "range_offsets_m": tuple(float(np.median(each)) if len(each) else None for each in own_m),
+        "busy_fraction": busy_ns / (air_us * _NS_PER_US) if air_us else None,
+        "sessions_per_s": sessions / (span_us * 1e-6) if span_us else None,
+        "completed_fraction": float(tables.session_ok.mean()) if sessions else None,
+    }
+
+
+def _least_distance_m(tables: Tables) -> float | None:
+    """Of all pairs and instants with both in the air; None where there are none."""
+    in_the_air, least_m = tables.in_the_air, np.inf
+    for i in range(in_the_air.shape[1] - 1):
+        both = in_the_air[:, i + 1 :] & in_the_air[:, i : i + 1]
+        distance_m = np.linalg.norm(tables.pos_ned_m[:, i + 1 :] - tables.pos_ned_m[:, i : i + 1], axis=-1)
+        least_m = min(least_m, float(np.min(distance_m, where=both, initial=np.inf)))
+    return least_m if np.isfinite(least_m) else None
+
+
+def _track_mm(flight: Flight) -> tuple[tuple[int, ...], ...]:
+    sampled = flight.sampled(1.0 / TRACK_PERIOD_S)
+    offsets_m: Array = (sampled.pos_ned_m - sampled.desired_pos_ned_m)[..., :2]
+    rows: Sequence[Sequence[int]] = np.rint(1e3 * offsets_m).astype(int).reshape(len(sampled), -1).tolist()
+    return tuple(map(tuple, rows))
+
+
+def _gains(tables: Tables, scenario: Scenario) -> tuple[float, ...]:
+    heading_rad = math.radians(scenario.formation.heading_deg)
+    flight = tables.flight(scenario.places_ned_m(), heading_rad=heading_rad)
+    antenna: AntennaConfig = msgspec.structs.replace(scenario.antenna, snapshot_rate_hz=GAIN_RATE_HZ)
+    series = gain_series(flight, antenna)
+    return tuple(round(float(gain_dbi), 4) for gain_dbi in series.max_gain_dbi)

@@ -1,0 +1,140 @@
+"""How good the localisation is by itself: Monte Carlo runs against bound, optimum and own covariance."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from autopilot.onboard.localisation.kernels import STATES
+from studies.codesign.batch import batch_optimum
+from studies.codesign.bounds import aligned_error_m, posterior_bound, shape_basis
+from studies.codesign.simulated import Array, Trouble, simulate
+
+
+@dataclass(frozen=True, slots=True)
+class LocalisationResult:
+    """Of one setting; root mean squares over runs and UAVs, horizontal, after the best rigid alignment."""
+
+    count: int
+    loss: float
+    scheduled: bool
+    runs: int
+    bound_m: float
+    """Posterior Cramer-Rao bound."""
+    filter_m: float
+    batch_m: float | None
+    """Error of the batch optimum; None where it was not asked for."""
+    predicted_m: float
+    """What the filter itself says."""
+    nees: float
+    """Mean over runs of the aligned error squared, normalised by the filter's covariance."""
+    nees_band: tuple[float, float]
+    """In which it lies in 95 of 100 such studies of a consistent filter."""
+
+    @property
+    def filter_over_bound(self) -> float:
+        """Ratio of the filter's error to the bound."""
+        return self.filter_m / self.bound_m
+
+    @property
+    def batch_over_bound(self) -> float | None:
+        """Ratio of the batch optimum's error to the bound."""
+        return None if self.batch_m is None else self.batch_m / self.bound_m
+
+
+def localisation_run(
+    places_ned_m: Array,
+    seed: np.random.SeedSequence,
+    *,
+    duration_s: float,
+    trouble: Trouble,
+    scheduled: bool,
+    batch: bool,
+) -> tuple[float, float, float, float, float]:
+    """Mean squares of one run: bound, filter's error, optimum's (NaN if not ``batch``), predicted; NEES.
+
+    The odometry of the last instant is granted to all of them, so that the estimators alone are compared.
+    """
+    rng = np.random.default_rng(seed)
+    count = len(places_ned_m)
+    flight = simulate(
+        places_ned_m=places_ned_m,
+        duration_s=duration_s,
+        rng=rng,
+        own=int(rng.integers(count)),
+        trouble=trouble,
+        scheduled=scheduled,
+    )
+    filter_ = flight.filtered()
+    truth_m, odometry_m = flight.pos_ned_m[-1, :, :2], flight.odometry_ned_m[-1, :, :2]
+    found_m = odometry_m + filter_.state.reshape(count, -1)[:, :2]
+    horizontal = (STATES * np.arange(count)[:, np.newaxis] + np.arange(2)).ravel()
+    cov = filter_.cov[np.ix_(horizontal, horizontal)]
+
+    at_truth = shape_basis(flight.pos_ned_m[-1])
+    bound = at_truth.T @ posterior_bound(flight) @ at_truth
+    # The filter's covariance is about its own estimate, whose heading differs: errors are seen from there.
+    at_found = shape_basis(found_m)
+    error = at_found.T @ aligned_error_m(truth_m, found_m).ravel()
+    predicted = at_found.T @ cov @ at_found
+    optimum = np.nan
+    if batch:
+        optimum = float(
+            np.mean(np.square(aligned_error_m(odometry_m + batch_optimum(flight), truth_m))) * 2.0
+        )
+    return (
+        float(np.trace(bound)) / count,
+        float(error @ error) / count,
+        optimum,
+        float(np.trace(predicted)) / count,
+        float(error @ np.linalg.solve(predicted, error)),
+    )
+
+
+def localisation_study(
+    places_ned_m: Array,
+    *,
+    runs: int,
+    seed: int,
+    duration_s: float = 20.0,
+    trouble: Trouble | None = None,
+    scheduled: bool = False,
+    batch: bool = True,
+) -> LocalisationResult:
+    """Study the filter of a randomly chosen UAV of a formation.
+
+    Args:
+        places_ned_m: (N, 3)
+        runs: number of independent flights.
+        seed: of everything random.
+        duration_s: of a flight; the errors of its end count.
+        trouble: beyond the model; its loss is known to the bound, anything else is not.
+        scheduled: pairs are measured by one end only, else by both.
+        batch: work out the batch optimum too.
+
+    """
+    trouble = trouble or Trouble()
+    squares = np.array(
+        [
+            localisation_run(
+                places_ned_m, run, duration_s=duration_s, trouble=trouble, scheduled=scheduled, batch=batch
+            )
+            for run in np.random.SeedSequence(seed).spawn(runs)
+        ]
+    )
+    means = squares.mean(axis=0)
+    bound_m, filter_m, batch_m, predicted_m = np.sqrt(means[:4]).tolist()
+    freedom = runs * (2 * len(places_ned_m) - 3)
+    low, high = (chi2.ppf((0.025, 0.975), freedom) / runs).tolist()
+    return LocalisationResult(
+        count=len(places_ned_m),
+        loss=trouble.loss,
+        scheduled=scheduled,
+        runs=runs,
+        bound_m=bound_m,
+        filter_m=filter_m,
+        batch_m=batch_m if batch else None,
+        predicted_m=predicted_m,
+        nees=float(means[4]),
+        nees_band=(low, high),
+    )

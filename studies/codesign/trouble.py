@@ -1,0 +1,168 @@
+"""What a cut of the channel and a lying vehicle do to a formation, from its track. Pure."""
+
+import math
+
+import numpy as np
+from msgspec import Struct
+
+from harness.records.flight import Array, Flight
+from harness.report.formation_error import formation_error
+from studies.codesign.measures import TRACK_PERIOD_S
+
+SMOOTHED_S = 1.0
+"""Recovery is judged by the rms over so long, ..."""
+SETTLED_S = 3.0
+"""... that stays small for so long (or to the end, if that is sooner)."""
+RECOVERED_FACTOR = 1.2
+RECOVERED_M = 0.25
+PULL_WINDOW_S = 2.0
+"""A displacement is a mean over so long: what single gusts and distances make is not the liar's doing."""
+
+
+class CutResult(Struct, frozen=True, kw_only=True):
+    """Horizontal shape error around a cut, rms; metres and seconds."""
+
+    before_m: float
+    during_m: float
+    after_m: float
+    """From the recovery on; NaN without one"""
+    recovery_s: float
+    """From the channel's return until the error is back; infinite if it does not come back"""
+    largest_during_m: float
+    """Over the last `SMOOTHED_S`; NaN without a track"""
+    largest_after_m: float
+    """Likewise, from the channel's return on"""
+    left: bool
+    """Whether the error was too large at any time from the cut on: else there was nothing to recover from"""
+
+
+class Pull(Struct, frozen=True, kw_only=True):
+    """What a liar does to the others, against the same flight without lies; horizontal, metres."""
+
+    shape_m: float
+    """Shape error of the others with it, rms"""
+    shape_without_m: float
+    displacement_m: float
+    """Largest mean over `PULL_WINDOW_S` of one of them within the shape of the others"""
+    lasting_m: float
+    """Largest mean over all the time"""
+    shift_m: float
+    """Largest of the others' centre, over `PULL_WINDOW_S`"""
+    turn_deg: float
+    """Largest turn of the others as a whole, over `PULL_WINDOW_S`"""
+    moved_m: float
+    """Largest mean over `PULL_WINDOW_S` of one of them in space, so with shift and turn"""
+
+
+def shape_errors_ne_m(track_ne_m: Array, places_ned_m: Array) -> Array:
+    """(T, N, 2) errors after alignment, turned back into the desired formation's frame.
+
+    The track (T, N, 2) is of vehicles from their places (N, 3).
+    """
+    return _aligned(track_ne_m, places_ned_m)[0]
+
+
+def _aligned(track_ne_m: Array, places_ned_m: Array) -> tuple[Array, Array]:
+    """Errors as of `shape_errors_ne_m`, and the turns (T,) that were taken out, as unit complex numbers."""
+    pos_ned_m = np.broadcast_to(places_ned_m, (len(track_ne_m), *places_ned_m.shape)).copy()
+    pos_ned_m[..., :2] += track_ne_m
+    error = formation_error(_flight(pos_ned_m, places_ned_m))
+    turn = np.exp(1j * error.yaw_rad)
+    flown = (pos_ned_m[..., 0] + 1j * pos_ned_m[..., 1]) - (pos_ned_m[..., 0] + 1j * pos_ned_m[..., 1]).mean(
+        axis=1, keepdims=True
+    )
+    desired = places_ned_m[:, 0] + 1j * places_ned_m[:, 1]
+    left = flown * turn[:, None].conj() - (desired - desired.mean())
+    return np.stack((left.real, left.imag), axis=-1), turn
+
+
+def shape_over_time_m(track_ne_m: Array, places_ned_m: Array) -> Array:
+    """(T,) rms over the vehicles of their horizontal shape error."""
+    square = (shape_errors_ne_m(track_ne_m, places_ned_m) ** 2).sum(axis=-1)
+    return np.asarray(np.sqrt(square.mean(axis=1)))
+
+
+def judge_cut(shape_m: Array, *, cut_at_s: float, cut_s: float) -> CutResult:
+    """Split (T,) shape errors every `TRACK_PERIOD_S`, from the formation on, by the channel's absence.
+
+    The error is back when its rms over the last `SMOOTHED_S` falls below `RECOVERED_FACTOR` times what it was
+    before the cut, or `RECOVERED_M` if that is more, and stays there for `SETTLED_S`.
+    """
+    cut, back = round(cut_at_s / TRACK_PERIOD_S), round((cut_at_s + cut_s) / TRACK_PERIOD_S)
+    before_m = _rms(shape_m[:cut])
+    limit_m = max(RECOVERED_FACTOR * before_m, RECOVERED_M)
+    smooth_m = np.sqrt(_running_mean(shape_m**2, round(SMOOTHED_S / TRACK_PERIOD_S)))
+    stays = round(SETTLED_S / TRACK_PERIOD_S)
+    small = smooth_m[back:] <= limit_m
+    recovered = next((k for k in range(len(small)) if small[k : k + stays].all()), None)
+    return CutResult(
+        before_m=before_m,
+        during_m=_rms(shape_m[cut:back]),
+        after_m=math.nan if recovered is None else _rms(shape_m[back + recovered :]),
+        recovery_s=math.inf if recovered is None else recovered * TRACK_PERIOD_S,
+        largest_during_m=_largest(smooth_m[cut:back]),
+        largest_after_m=_largest(smooth_m[back:]),
+        left=bool((smooth_m[cut:] > limit_m).any()),
+    )
+
+
+def judge_liar(
+    track_ne_m: Array, without_ne_m: Array, places_ned_m: Array, *, liar: int, from_s: float
+) -> Pull:
+    """Compare two tracks (T, N, 2) of one seed from ``from_s`` after the formation on, without the liar.
+
+    All is NaN if one of them ends before that.
+    """
+    begin = round(from_s / TRACK_PERIOD_S)
+    length = min(len(track_ne_m), len(without_ne_m))
+    if length <= begin:
+        return Pull(**dict.fromkeys(Pull.__struct_fields__, math.nan))
+    others = [i for i in range(len(places_ned_m)) if i != liar]
+    places_ned_m = places_ned_m[others]
+    with_ne_m, without_ne_m = (each[begin:length][:, others] for each in (track_ne_m, without_ne_m))
+    errors_ne_m, turn = _aligned(with_ne_m, places_ned_m)
+    usual_ne_m, usual_turn = _aligned(without_ne_m, places_ned_m)
+    pulled_ne_m, moved_ne_m = errors_ne_m - usual_ne_m, with_ne_m - without_ne_m
+    turned_deg = np.degrees(np.angle(turn * usual_turn.conj()))
+
+    def largest(difference_ne_m: Array) -> float:
+        window = round(PULL_WINDOW_S / TRACK_PERIOD_S)
+        return _largest(np.linalg.norm(_running_mean(difference_ne_m, window), axis=-1))
+
+    return Pull(
+        shape_m=_rms(np.linalg.norm(errors_ne_m, axis=-1)),
+        shape_without_m=_rms(np.linalg.norm(usual_ne_m, axis=-1)),
+        displacement_m=largest(pulled_ne_m),
+        lasting_m=float(np.linalg.norm(pulled_ne_m.mean(axis=0), axis=-1).max()),
+        shift_m=largest(moved_ne_m.mean(axis=1)),
+        turn_deg=largest(turned_deg[:, None]),
+        moved_m=largest(moved_ne_m),
+    )
+
+
+def _flight(pos_ned_m: Array, places_ned_m: Array) -> Flight:
+    instants, vehicles = pos_ned_m.shape[:2]
+    return Flight(
+        time_us=np.arange(instants, dtype=np.int64),
+        pos_ned_m=pos_ned_m,
+        q_ned_frd=np.broadcast_to(np.array((1.0, 0.0, 0.0, 0.0)), (instants, vehicles, 4)),
+        desired_pos_ned_m=np.broadcast_to(places_ned_m, pos_ned_m.shape),
+        heading_rad=np.zeros(instants),
+        alive=np.ones((instants, vehicles), dtype=np.bool_),
+    )
+
+
+def _running_mean(values: Array, window: int) -> Array:
+    """Mean of the last ``window`` rows at every row, of all there are at the first ones."""
+    sums = np.cumsum(values, axis=0)
+    sums[window:] = sums[window:] - sums[:-window]
+    counts = np.minimum(np.arange(1, len(values) + 1), window)
+    return np.asarray(sums / counts.reshape(-1, *[1] * (values.ndim - 1)))
+
+
+def _largest(values: Array) -> float:
+    return float(values.max()) if values.size else math.nan
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan

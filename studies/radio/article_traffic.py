@@ -1,0 +1,119 @@
+"""What a swarm's radios are given to do, without the swarm: beacons and ranging of applications that hover.
+
+The applications' own schedule (`autopilot.onboard.radio.traffic`) hears and measures through the emulator;
+what it hands over is kept, so that the emulator can be played the same again by itself.
+"""
+
+import math
+
+import numpy as np
+from msgspec import Struct
+
+from autopilot.onboard.formation.own_state import OwnState
+from autopilot.onboard.radio.traffic import Traffic
+from foundation.types import Array
+from harness.scenario.scenario import Scenario
+from netsim.emulator.emulator import Emulator
+from netsim.wire.messages import Delivery, FtmResult, RxItem, TxBatch
+
+SWAY_M = 0.2
+SWAY_HZ = 0.3
+TILT_RAD = 0.1
+"""Of vehicles that hold their places in wind: more or less, so that no link stands still."""
+
+
+class Step(Struct, frozen=True, kw_only=True):
+    """One interval of the lockstep: what is handed over for it and how the vehicles move."""
+
+    at_us: int
+    to_us: int
+    batches: tuple[TxBatch, ...]
+    pos_ned_m: Array
+    vel_ned_m_s: Array
+    q_ned_frd: Array
+
+
+def emulator_of(scenario: Scenario) -> Emulator:
+    """Give a fresh emulator with the scenario's radio."""
+    seed = np.random.SeedSequence([scenario.run.seed])
+    return Emulator(config=scenario.radio, stations=scenario.agents, seed=seed)
+
+
+def record(scenario: Scenario, seconds: float) -> list[Step]:
+    """Let the applications of a scenario talk for some time."""
+    emulator, step_us = emulator_of(scenario), scenario.run.step_us
+    places_ned_m = scenario.places_ned_m()
+    talkers = [_Talker(scenario, i, places_ned_m[i]) for i in range(scenario.agents)]
+    arrived: list[dict[int, list[RxItem]]] = [{}, {}]
+    steps = []
+    for number in range(round(1e6 * seconds / step_us)):
+        now_us = number * step_us
+        # an interval's deliveries are seen two steps after it began
+        for station, heard in arrived.pop(0).items():
+            for item in heard:
+                talkers[station].hear(item, now_us)
+        batches = tuple(
+            TxBatch(station=i, now_us=now_us, items=items)
+            for i, talker in enumerate(talkers)
+            if (items := talker.traffic.due(talker.own, now_us, now_us + step_us, ranging=True))
+        )
+        pos_ned_m, vel_ned_m_s, q_ned_frd = _motion(places_ned_m, 1e-6 * now_us)
+        step = Step(
+            at_us=now_us,
+            to_us=now_us + step_us,
+            batches=batches,
+            pos_ned_m=pos_ned_m,
+            vel_ned_m_s=vel_ned_m_s,
+            q_ned_frd=q_ned_frd,
+        )
+        steps.append(step)
+        arrived.append(advance(emulator, step))
+    return steps
+
+
+def advance(emulator: Emulator, step: Step) -> dict[int, list[RxItem]]:
+    """Hand a step's items over and simulate it; returns what has reached each station."""
+    for batch in step.batches:
+        emulator.submit(batch)
+    return emulator.advance(
+        to_us=step.to_us,
+        at_us=step.at_us,
+        pos_ned_m=step.pos_ned_m,
+        vel_ned_m_s=step.vel_ned_m_s,
+        q_ned_frd=step.q_ned_frd,
+    )
+
+
+class _Talker:
+    """One vehicle's application as far as the radio is concerned."""
+
+    def __init__(self, scenario: Scenario, station: int, place_ned_m: Array) -> None:
+        config = scenario.vehicle(station, run_id="bench", radio_endpoint=None, log_path=None)
+        self.own = OwnState(site=config.site, gps_delay_s=config.devices.gps_delay_s)
+        self.own.time_us = 0
+        north_m, east_m, down_m = place_ned_m.tolist()
+        self.own.odometry_ned_m = (north_m, east_m, down_m)
+        self.traffic = Traffic(
+            station=station,
+            stations=scenario.agents,
+            config=config.onboard,
+            devices=config.devices,
+            rng=np.random.default_rng([scenario.run.seed, station]),
+        )
+
+    def hear(self, item: RxItem, now_us: int) -> None:
+        if isinstance(item, Delivery):
+            self.traffic.hearing.pages.put(item.source, item.payload)
+            self.traffic.hearing.read(now_us)
+        elif isinstance(item, FtmResult):
+            self.traffic.measured(item)
+
+
+def _motion(places_ned_m: Array, time_s: float) -> tuple[Array, Array, Array]:
+    """Positions (n, 3), velocities (n, 3) and attitudes (n, 4) of vehicles that sway, each for itself."""
+    stations = len(places_ned_m)
+    phases = np.arange(3 * stations).reshape(stations, 3) + 2.0 * math.pi * SWAY_HZ * time_s
+    half_rad = 0.5 * TILT_RAD * np.sin(phases[:, 0])
+    q_ned_frd = np.stack([np.cos(half_rad), np.sin(half_rad), np.zeros(stations), np.zeros(stations)], axis=1)
+    vel_ned_m_s = 2.0 * math.pi * SWAY_HZ * SWAY_M * np.cos(phases)
+    return places_ned_m + SWAY_M * np.sin(phases), vel_ned_m_s, q_ned_frd

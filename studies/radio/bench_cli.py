@@ -1,0 +1,110 @@
+"""The radio benchmark's command line. Exit status: 0 it costs what it may, 1 it costs more, 2 bad input."""
+
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from harness.scenario.scenario import ScenarioError, load
+from studies.common.command_line import BAD_INPUT, FINE, MISSED
+from studies.radio.bench import (
+    FASTER_LIMIT,
+    REAL_TIME_LIMIT,
+    ArticleCost,
+    Cost,
+    SaturatedCost,
+    bench_article,
+    bench_saturated,
+)
+from studies.radio.saturation_section import MODES
+
+ARTICLE = Path(__file__).parents[2] / "scenarios" / "article.toml"
+
+bench_radio_app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+@bench_radio_app.command()
+def bench_radio(
+    stations: Annotated[int, typer.Option(help="That are saturated.", min=1, max=1000)] = 20,
+    rate_mbps: Annotated[int, typer.Option(help=f"Of {', '.join(map(str, MODES))}.")] = 6,
+    seconds: Annotated[float, typer.Option(help="Simulated.", min=0.5)] = 10.0,
+    peer: Annotated[
+        str, typer.Option(help="Program that simulates the same, run in turn with ours.", metavar="COMMAND")
+    ] = "",
+    peer_seconds: Annotated[
+        float | None, typer.Option(help="That the peer simulates, if not --seconds.", min=0.5)
+    ] = None,
+    scenario: Annotated[Path, typer.Option(help="Whose swarm's traffic is played.")] = ARTICLE,
+    repeats: Annotated[int, typer.Option(help="Of everything; the medians count.", min=1)] = 3,
+    json: Annotated[bool, typer.Option("--json", help="The numbers alone on stdout.")] = False,  # noqa: FBT002
+) -> None:
+    """Measure what the emulated radio costs, and how much faster it is than a peer."""
+    messages = Console(stderr=True, highlight=False)
+    if rate_mbps not in MODES:
+        messages.print(f"bench_radio: --rate-mbps {rate_mbps}: expected one of {', '.join(map(str, MODES))}")
+        raise typer.Exit(BAD_INPUT)
+    try:
+        swarm = load(scenario)
+        saturated = bench_saturated(
+            stations=stations,
+            rate_mbps=rate_mbps,
+            seconds=seconds,
+            peer=shlex.split(peer),
+            peer_s=peer_seconds or seconds,
+            repeats=repeats,
+        )
+        article = bench_article(swarm, seconds=2.0 * seconds, repeats=repeats)
+    except (ScenarioError, OSError, subprocess.CalledProcessError) as error:
+        messages.print(f"bench_radio: {error}")
+        raise typer.Exit(BAD_INPUT) from None
+    if json:
+        sys.stdout.write(msgspec.json.encode({"saturated": saturated, "article": article}).decode() + "\n")
+    else:
+        console = Console(file=sys.stdout, highlight=False, width=110)
+        console.print(_saturated_table(saturated))
+        console.print(_article_table(article, swarm.name))
+    slow = saturated.faster_wall is not None and saturated.faster_wall < FASTER_LIMIT
+    raise typer.Exit(MISSED if slow or article.with_messages.cpu_s > REAL_TIME_LIMIT else FINE)
+
+
+def _saturated_table(cost: SaturatedCost) -> Table:
+    table = Table(
+        title=f"{cost.stations} saturated stations at {cost.rate_mbps} Mbit/s, per simulated second",
+        title_justify="left",
+    )
+    for column in ("", "wall, s", "processor, s", "times real time", "peer's time over it"):
+        table.add_column(column, justify="left" if not column else "right")
+    rows = [("process", cost.process), ("without start-up", cost.run)]
+    rows.append((f"Python's event queue alone ({cost.events:.0f} events)", cost.floor))
+    for name, one in rows:
+        table.add_row(name, *_cells(one), f"{cost.peer.wall_s / one.wall_s:.1f}" if cost.peer else "")
+    if cost.peer is not None:
+        table.add_row("peer's process", *_cells(cost.peer), "")
+    return table
+
+
+def _article_table(cost: ArticleCost, name: str) -> Table:
+    table = Table(
+        title=(
+            f"{cost.stations} UAVs' traffic ({name}): {cost.frames:.0f} frames a second, "
+            f"{100 * cost.steps_run:.0f} % of the steps not quiet; per simulated second"
+        ),
+        title_justify="left",
+    )
+    for column in ("", "wall, s", "processor, s", "times real time"):
+        table.add_column(column, justify="left" if not column else "right")
+    table.add_row("emulator", *_cells(cost.emulator))
+    table.add_row("with its messages", *_cells(cost.with_messages))
+    table.add_row(f"Python's event queue alone ({cost.events:.0f} events)", *_cells(cost.floor))
+    table.add_row("allowed", "", f"{REAL_TIME_LIMIT:.4f}", "")
+    return table
+
+
+def _cells(cost: Cost) -> tuple[str, str, str]:
+    return f"{cost.wall_s:.4f}", f"{cost.cpu_s:.4f}", f"{1.0 / cost.wall_s:.1f}"

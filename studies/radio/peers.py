@@ -1,0 +1,139 @@
+"""What others measured on the same work: the tables in tests/reference, whose README says how."""
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+
+from msgspec import Struct
+
+from netsim.model.config import BandwidthMhz, Mode
+
+REFERENCE = Path(__file__).parents[2] / "tests" / "reference"
+NS3_PAYLOAD_OVERHEAD_BYTES = 8 + 20 + 8
+"""UDP, IPv4 and LLC/SNAP headers around a payload of UDP."""
+BIANCHI_PACKET_BYTES = 1500
+BIANCHI_UDP_BYTES = BIANCHI_PACKET_BYTES + 8 - NS3_PAYLOAD_OVERHEAD_BYTES
+"""ns-3 sends its reference's packets without IP and UDP, so 1500 B and LLC/SNAP: as many bytes of MAC payload
+as this much UDP payload makes."""
+
+
+class Saturated(Struct, frozen=True, kw_only=True):
+    """Throughput of saturated stations."""
+
+    stations: int
+    rts: bool
+    rate_mbps: int
+    payload_bytes: int
+    throughput_mbps: float
+
+
+class Broadcasts(Struct, frozen=True, kw_only=True):
+    """What became of periodic broadcasts; a negative jitter is a phase for good, uniform in the period."""
+
+    stations: int
+    payload_bytes: int
+    period_s: float
+    jitter_s: float
+    seconds: float
+    """For how long ns-3 let them send"""
+    delivery_ratio: float
+    mean_delay_ms: float
+    """0 if nothing arrived"""
+
+
+class ErrorCurve(Struct, frozen=True, kw_only=True):
+    """Packet error rate of one mode and length over the signal-to-noise ratio."""
+
+    mode: Mode
+    width_mhz: BandwidthMhz
+    frame_bytes: int
+    model: str
+    """``nist`` or ``table``"""
+    snr_db: tuple[float, ...]
+    per: tuple[float, ...]
+
+
+def ns3_saturation() -> list[Saturated]:
+    """Runs of ns-3 3.37: 802.11a, UDP, control frames at 6 Mbit/s."""
+    return [
+        Saturated(
+            stations=int(row["n"]),
+            rts=row["rts"] == "1",
+            rate_mbps=int(row["rate"].removeprefix("OfdmRate").removesuffix("Mbps")),
+            payload_bytes=int(row["payload_bytes"]),
+            throughput_mbps=float(row["throughput_mbps"]),
+        )
+        for row in _rows("ns3_saturation.csv")
+    ]
+
+
+def bianchi() -> list[Saturated]:
+    """Bianchi's model as ns-3 checks itself by it, for packets of `BIANCHI_PACKET_BYTES`."""
+    return [
+        Saturated(
+            stations=int(row["n"]),
+            rts=False,
+            rate_mbps=int(row["rate_mbps"]),
+            payload_bytes=BIANCHI_PACKET_BYTES,
+            throughput_mbps=float(row["throughput_mbps"]),
+        )
+        for row in _rows("bianchi.csv")
+    ]
+
+
+def ns3_broadcasts() -> list[Broadcasts]:
+    """Runs of ns-3 3.37: 802.11a at 6 Mbit/s, UDP."""
+    return [
+        Broadcasts(
+            stations=int(row["n"]),
+            payload_bytes=int(row["payload_bytes"]),
+            period_s=float(row["period_s"]),
+            jitter_s=float(row["jitter_s"]),
+            seconds=_broadcast_seconds(float(row["period_s"])),
+            delivery_ratio=float(row["delivery_ratio"]),
+            mean_delay_ms=float(row["mean_delay_ms"]),
+        )
+        for row in _rows("ns3_broadcast.csv")
+    ]
+
+
+def ns3_phase_draws() -> dict[tuple[int, float], list[tuple[float, float]]]:
+    """Delivery ratio and mean delay in ms of ns-3's runs with further seeds, by (stations, period in s).
+
+    Of rows whose stations draw their phases once, and send so often that what is delivered hangs on them.
+    """
+    draws: dict[tuple[int, float], list[tuple[float, float]]] = {}
+    for row in _rows("ns3_broadcast_phases.csv"):
+        key = (int(row["n"]), float(row["period_s"]))
+        draws.setdefault(key, []).append((float(row["delivery_ratio"]), float(row["mean_delay_ms"])))
+    return draws
+
+
+def _broadcast_seconds(period_s: float) -> float:
+    """Length of ns-3's run: with these its program gives the table's rows digit by digit."""
+    return 60.0 if period_s == 0.1 else 20.0  # two sets of runs
+
+
+def ns3_error_curves() -> list[ErrorCurve]:
+    """ns-3 3.37's models: NIST for non-HT modes, its tables of link simulations for VHT."""
+    points: dict[tuple[str, int, int], list[tuple[float, float]]] = {}
+    for row in _rows("ns3_per.csv"):
+        column = "per_table" if row["mode"].startswith("vht") else "per_nist"
+        key = (row["mode"], int(row["width_mhz"]), int(row["bytes"]))
+        points.setdefault(key, []).append((float(row["snr_db"]), float(row[column])))
+    return [
+        ErrorCurve(
+            mode=mode,  # type: ignore[arg-type]  # the table names no others
+            width_mhz=width_mhz,  # type: ignore[arg-type]
+            frame_bytes=frame_bytes,
+            model="table" if mode.startswith("vht") else "nist",
+            snr_db=tuple(snr_db for snr_db, _ in curve),
+            per=tuple(per for _, per in curve),
+        )
+        for (mode, width_mhz, frame_bytes), curve in points.items()
+    ]
+
+
+def _rows(name: str) -> Iterator[dict[str, str]]:
+    with (REFERENCE / name).open(encoding="utf-8", newline="") as file:
+        yield from csv.DictReader(file)

@@ -1,0 +1,146 @@
+"""Upsets and allocation against their requirements."""
+
+from pathlib import Path
+
+import numpy as np
+
+from studies.common.report import Check, Section, Table
+from studies.vehicle.allocation import AllocationResult, check_allocation
+from studies.vehicle.figures import save_upsets
+from studies.vehicle.plan import Job, Plan, Results
+from studies.vehicle.solo import STEP_S
+from studies.vehicle.upsets import (
+    ALIGNED_DEG,
+    CATCH_S,
+    LIMIT_S,
+    RATE_MAX_RAD_S,
+    TILT_LIMIT_DEG,
+    TRACE_EVERY,
+    UPRIGHT_DEG,
+    Catch,
+    Upset,
+    recover,
+    throw,
+)
+
+ROUNDING_N_M = 1e-9
+_ALLOCATION_SEED = 1
+
+
+def upset_jobs(plan: Plan) -> dict[str, list[Job]]:
+    """Recoveries of the controller, throws of the whole vehicle."""
+    return {
+        "recover": [(recover, seed) for seed in range(plan.recoveries)],
+        "throw": [(throw, seed) for seed in range(plan.throws)],
+    }
+
+
+def judge_upsets(plan: Plan, results: Results, images: Path | None) -> Section:
+    """Check the slowest."""
+    recoveries: list[Upset] = results["recover"]
+    catches: list[Catch] = results["throw"]
+    checks = (
+        Check(
+            name="controller: upright, slowest", value=max(case.upright_s for case in recoveries), unit="s",
+            at_most=LIMIT_S,
+        ),
+        Check(
+            name="whole vehicle: thrust axis where it is wanted, slowest",
+            value=max(case.aligned_s for case in catches), unit="s", at_most=LIMIT_S,
+        ),
+        Check(
+            name=f"whole vehicle: tilt below {TILT_LIMIT_DEG + UPRIGHT_DEG:.0f}°, slowest",
+            value=max(case.within_limit_s for case in catches), unit="s", at_most=LIMIT_S,
+        ),
+        Check(
+            name="whole vehicle: from its place at the end, worst",
+            value=max(case.away_m for case in catches), unit="m", at_most=0.5,
+        ),
+    )  # fmt: skip
+    columns: list[tuple[str, list[float]]] = [
+        ("controller: rate at the start, rad/s", [case.start_rate_rad_s for case in recoveries]),
+        ("controller: tilt at the start, deg", [case.tilt_deg[0] for case in recoveries]),
+        ("controller: upright after, s", [case.upright_s for case in recoveries]),
+        ("vehicle: tilt when let go, deg", [case.start_tilt_deg for case in catches]),
+        ("vehicle: rate when let go, rad/s", [case.start_rate_rad_s for case in catches]),
+        ("vehicle: aligned after, s", [case.aligned_s for case in catches]),
+        ("vehicle: height lost, m", [case.sunk_m for case in catches]),
+        ("vehicle: attitude estimate's greatest error, deg", [case.attitude_error_deg for case in catches]),
+    ]
+    figures: tuple[tuple[str, str], ...] = ()
+    if images is not None:
+        save_upsets(
+            images / "validation-upsets.png", period_s=TRACE_EVERY * STEP_S,
+            tilts_deg=np.array([case.tilt_deg for case in recoveries]), limit_s=LIMIT_S,
+            upright_deg=UPRIGHT_DEG,
+        )  # fmt: skip
+        figures = (("validation-upsets.png", "tilt over time from random attitudes and rates"),)
+    return Section(
+        title="Upsets",
+        conditions=(
+            f"{plan.recoveries} starts of the controller at 30 m in random attitudes, turned over ones "
+            f"first, with rates of up to {RATE_MAX_RAD_S:g} rad/s, over a 6-DOF Iris with the inertial "
+            f"sensors' noise, asked for level flight: upright is a tilt that stays below {UPRIGHT_DEG:g} "
+            f"degrees. And {plan.throws} throws of the whole vehicle, estimator in the loop, from its hold "
+            "at 30 m: for 0.15 to 0.9 s its motors are flown towards a random attitude, then it has them "
+            "back. The hold leans against the speed that it was given, so there the thrust axis has to "
+            f"come within {ALIGNED_DEG:g} degrees of the one that the position controller wants and stay "
+            f"so; {CATCH_S:g} s later it is back in its place. Those {ALIGNED_DEG:g} degrees are ours: "
+            "what is wanted moves while it brakes, and within 10 degrees of that it takes up to 2.3 s.\n"
+        ),
+        checks=checks,
+        tables=(
+            Table(
+                caption="Distribution:",
+                columns=("what", "median", "95 %", "greatest"),
+                rows=tuple(
+                    (name, *(f"{value:.3g}" for value in np.quantile(values, (0.5, 0.95, 1.0))))
+                    for name, values in columns
+                ),
+            ),
+        ),
+        figures=figures,
+    )
+
+
+def allocation_jobs(plan: Plan) -> dict[str, list[Job]]:
+    """One job: it takes seconds."""
+    return {"all": [(_check_allocation, plan.demands)]}
+
+
+def _check_allocation(demands: int) -> AllocationResult:
+    return check_allocation(demands, _ALLOCATION_SEED)
+
+
+def judge_allocation(plan: Plan, results: Results, images: Path | None) -> Section:  # noqa: ARG001  # one shape
+    """Check the worst demand."""
+    worst: AllocationResult = results["all"][0]
+    return Section(
+        title="Allocation",
+        conditions=(
+            f"{worst.demands} random demands of thrust 0 to 1 and torque up to twice what is full, with "
+            f"and without airmode, against the motors' curve; for {worst.achievable} with airmode some "
+            "rotor thrusts give the roll and pitch torque asked for. Torques that are refused must keep "
+            "their direction.\n"
+        ),
+        checks=(
+            Check(name="lowest control", value=worst.lowest_control, unit="", at_least=0.0),
+            Check(name="highest control", value=worst.highest_control, unit="", at_most=1.0),
+            Check(
+                name="achievable roll and pitch torque that was not given", value=worst.lost_torque_n_m,
+                unit="N m", at_most=ROUNDING_N_M,
+            ),
+            Check(
+                name="direction of torque that is not achievable", value=worst.turned_rad, unit="rad",
+                at_most=ROUNDING_N_M,
+            ),
+            Check(
+                name="torque given against torque reported", value=worst.misreported_n_m, unit="N m",
+                at_most=ROUNDING_N_M,
+            ),
+            Check(
+                name="thrust that torque added without airmode", value=worst.added_thrust, unit="",
+                at_most=1e-12,
+            ),
+        ),
+    )  # fmt: skip

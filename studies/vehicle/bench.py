@@ -1,0 +1,246 @@
+"""What one step of one vehicle costs, part by part: a recorded flight's bytes, played to a fresh vehicle.
+
+The sequence is that of the vehicle's process: bytes in, a compiled step or else messages and a whole step,
+bytes out; sockets, the radio and the log are left out. The vehicle flies itself to its place, as in a swarm
+of one, so nobody has to be told anything: equal bytes make an equal flight. Wall time is read here and
+nowhere below.
+"""
+
+import gc
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from autopilot.commander.commander import Commander
+from autopilot.control.flight import FlightController
+from autopilot.estimation.sensor_input import SensorInput
+from autopilot.mavlink.codec import Encoder
+from autopilot.mavlink.hil import TO_VEHICLE, HilActuatorControls, HilEncoder, HilParser
+from autopilot.onboard.app import OnboardApp
+from autopilot.parameters.config import OnboardConfig, VehicleConfig
+from autopilot.services.services import Services
+from autopilot.services.streams import Streams
+from autopilot.vehicle.fast_step import InertialSteps
+from autopilot.vehicle.host import Host
+from autopilot.vehicle.monitor import Monitor
+from autopilot.vehicle.pilot import Pilot
+from harness.world.wind import WindConfig
+from studies.vehicle.solo import STEP_S, Solo
+
+LIMIT_US = 60.0
+"""Mean of a whole step, streams off, on a quiet machine"""
+CHILD_STEPS = 4_000
+"""Of the flight without compiler, which is slow: after this many the mean no longer moves."""
+_PARTS: tuple[tuple[str, type, tuple[str, ...]], ...] = (
+    ("steps of an inertial sample", InertialSteps, ("step",)),
+    ("decode", HilParser, ("push",)),
+    ("encode", Encoder, ("encode",)),
+    ("encode", HilEncoder, ("encode",)),
+    ("estimator, with its input", SensorInput, ("take",)),
+    ("monitor and commander", Monitor, ("update",)),
+    ("monitor and commander", Commander, ("update",)),
+    ("on-board application", OnboardApp, ("on_timer", "on_mavlink", "on_radio")),
+    ("setpoints and land detector", Pilot, ("feel", "fly")),
+    ("control", FlightController, ("update",)),
+    ("services", Services, ("on_timer", "on_message")),
+    ("streams", Streams, ("on_timer",)),
+)
+"""Part, class and methods; what is called within another part is taken off that one."""
+REST = "the step around them"
+
+
+class Recording(Struct, frozen=True, kw_only=True):
+    """A flight's bytes to the vehicle, step by step, and when it was armed."""
+
+    stream: list[bytes]
+    armed_from: int
+    """First step in which it was armed; the costs are of those from there on"""
+
+
+class Cost(Struct, frozen=True, kw_only=True):
+    """Means over the steps, microseconds."""
+
+    step_us: float
+    """Processor time from bytes in to bytes out: who else runs on the machine is not in it"""
+    floor_us: float
+    """Decoding and encoding alone"""
+    parts_us: dict[str, float]
+    """Of a pass with stop-watches in it, scaled to ``step_us``"""
+    longest_us: float
+    """Wall time that 99 % of the steps stay below"""
+
+
+def record_flight(seconds: float) -> Recording:
+    """Fly to a place 5 m up in the article's wind and stay there."""
+    with Solo(_config(), wind=WindConfig(), seed=np.random.SeedSequence(17), recording=False) as solo:
+        solo.stream = []
+        armed_from = None
+        for step in range(round(seconds / STEP_S)):
+            solo.step()
+            if armed_from is None and solo.vehicle.commander.armed:
+                armed_from = step
+        if armed_from is None:
+            raise RuntimeError(f"the vehicle did not arm within {seconds:g} s")
+        return Recording(stream=solo.stream, armed_from=armed_from)
+
+
+def measure(recording: Recording, *, streams: bool, repeats: int) -> Cost:
+    """Play the flight ``repeats`` times and take the quickest: what else runs here only adds."""
+    step_us, longest_us = min(_play(recording, streams=streams) for _ in range(repeats))
+    passes = [_play_by_part(recording, streams=streams) for _ in range(repeats)]
+    parts_us = {part: min(spent_us[part] for spent_us in passes) for part in passes[0]}
+    scale = step_us / sum(parts_us.values())
+    return Cost(
+        step_us=step_us,
+        floor_us=min(_play_floor(recording) for _ in range(repeats)),
+        parts_us={part: scale * spent_us for part, spent_us in parts_us.items()},
+        longest_us=longest_us,
+    )
+
+
+def measure_without_compiler(recording: Recording) -> Cost:
+    """Play the air-borne beginning in a process of its own with NUMBA_DISABLE_JIT=1, streams off."""
+    short = Recording(
+        stream=recording.stream[: recording.armed_from + CHILD_STEPS], armed_from=recording.armed_from
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "recording.msgpack"
+        path.write_bytes(msgspec.msgpack.encode(short))
+        code = f"from studies.vehicle.bench import play_file; play_file({str(path)!r})"
+        done = subprocess.run(
+            [sys.executable, "-c", code], env=os.environ | {"NUMBA_DISABLE_JIT": "1"}, capture_output=True,
+            check=True,
+        )  # fmt: skip
+    return msgspec.json.decode(done.stderr.splitlines()[-1], type=Cost)
+
+
+def play_file(path: str) -> None:
+    """Be the child: play what is in the file once and write the cost as the last line of stderr."""
+    recording = msgspec.msgpack.decode(Path(path).read_bytes(), type=Recording)
+    sys.stderr.write(msgspec.json.encode(measure(recording, streams=False, repeats=1)).decode() + "\n")
+
+
+class _Process:
+    """The vehicle's process without its edges: see ``autopilot.__main__``."""
+
+    def __init__(self, *, streams: bool) -> None:
+        self.host = Host(_config(), None)
+        self._active = (streams, streams)
+        self._link_encoder = Encoder(system=1, component=1)
+
+    def step(self, data: bytes) -> None:
+        host = self.host
+        size = host.put(data)
+        if host.inertial_step(size) is not None:
+            return
+        for messages in host.push(size):
+            _, links = host.step(messages, link_messages=[], link_active=self._active)
+            for _, message in links:
+                self._link_encoder.encode(message)
+
+
+def _play(recording: Recording, *, streams: bool) -> tuple[float, float]:
+    """Mean processor time and 99 % quantile of the wall time of the steps from the arming on."""
+    process, wall_us = _Process(streams=streams), []
+    with _no_collection():
+        for data in recording.stream[: recording.armed_from]:
+            process.step(data)
+        start_ns = time.thread_time_ns()
+        for data in recording.stream[recording.armed_from :]:
+            wall_ns = time.perf_counter_ns()
+            process.step(data)
+            wall_us.append(1e-3 * (time.perf_counter_ns() - wall_ns))
+        spent_ns = time.thread_time_ns() - start_ns
+    if not process.host.vehicle.commander.armed:
+        raise RuntimeError("the recorded flight did not come about again")
+    return 1e-3 * spent_ns / len(wall_us), float(np.quantile(wall_us, 0.99))
+
+
+def _play_floor(recording: Recording) -> float:
+    """Mean of decoding and of encoding an answer, microseconds."""
+    parser, encoder = HilParser(*TO_VEHICLE), HilEncoder(system=1, component=1)
+    answer = HilActuatorControls(1, [0.7] * 4 + [0.0] * 12, 129, 1)
+    flown = recording.stream[recording.armed_from :]
+    start_ns = time.thread_time_ns()
+    for data in flown:
+        parser.push(data)
+        encoder.encode(answer)
+    return 1e-3 * (time.thread_time_ns() - start_ns) / len(flown)
+
+
+def _play_by_part(recording: Recording, *, streams: bool) -> dict[str, float]:
+    """Mean of every part, microseconds, by stop-watches around its methods."""
+    process, watch = _Process(streams=streams), _StopWatch()
+    originals = []
+    try:
+        for part, owner, names in _PARTS:
+            for name in names:
+                method = getattr(owner, name)
+                originals.append((owner, name, method))
+                setattr(owner, name, watch.around(part, method))
+        step = watch.around(REST, process.step)
+        with _no_collection():
+            for number, data in enumerate(recording.stream):
+                if number == recording.armed_from:
+                    watch.spent_ns = dict.fromkeys(watch.spent_ns, 0)
+                step(data)
+    finally:
+        for owner, name, method in originals:
+            setattr(owner, name, method)
+    steps = len(recording.stream) - recording.armed_from
+    return {part: 1e-3 * spent_ns / steps for part, spent_ns in watch.spent_ns.items()}
+
+
+class _StopWatch:
+    """Wall time by part, each without the parts that it calls."""
+
+    def __init__(self) -> None:
+        self.spent_ns: dict[str, int] = {}
+        self._within_ns = 0
+        """Spent in parts called by the present one"""
+
+    def around(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        self.spent_ns.setdefault(part, 0)
+
+        def timed(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401  # stands for any function
+            outer_ns, self._within_ns = self._within_ns, 0
+            wall_ns = time.perf_counter_ns()
+            try:
+                return function(*args, **kwargs)
+            finally:
+                whole_ns = time.perf_counter_ns() - wall_ns
+                self.spent_ns[part] += whole_ns - self._within_ns
+                self._within_ns = outer_ns + whole_ns
+
+        return timed
+
+
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """As in the vehicle's process: what lives at the start is not walked in flight."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+
+
+def _config() -> VehicleConfig:
+    return VehicleConfig(
+        run_id="bench",
+        instance=0,
+        seed=7,
+        onboard=OnboardConfig(localisation="gps"),
+        places_ned_m=((0.0, 0.0, -5.0),),
+    )

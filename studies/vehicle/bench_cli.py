@@ -1,0 +1,56 @@
+"""The benchmark's command line. Exit status: 0 a step costs what it may, 1 it costs more."""
+
+from typing import Annotated
+
+import msgspec
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from harness.launch import kernel_cache
+from studies.common.standard_output import keep_stdout
+from studies.vehicle.bench import LIMIT_US, Cost, measure, measure_without_compiler, record_flight
+
+bench_app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+@bench_app.command()
+def bench(
+    seconds: Annotated[float, typer.Option(help="Length of the flight.", min=20.0)] = 60.0,
+    repeats: Annotated[int, typer.Option(help="Passes, of which the quickest counts.", min=1)] = 3,
+    json: Annotated[bool, typer.Option("--json", help="The numbers alone on stdout.")] = False,  # noqa: FBT002
+) -> None:
+    """Play a recorded flight to a vehicle and print what its steps cost, in microseconds."""
+    messages = Console(stderr=True, highlight=False)
+    kernel_cache.prepare(messages.print)
+    stdout = keep_stdout()
+    messages.print(f"recording a flight of {seconds:g} s, and playing it")
+    recording = record_flight(seconds)
+    costs = {
+        "streams off": measure(recording, streams=False, repeats=repeats),
+        "streams on": measure(recording, streams=True, repeats=repeats),
+        "off, no compiler": measure_without_compiler(recording),
+    }
+    if json:
+        print(msgspec.json.encode({"limit_us": LIMIT_US, **costs}).decode(), file=stdout)
+    else:
+        steps = len(recording.stream) - recording.armed_from
+        Console(file=stdout, highlight=False, width=100).print(_table(costs, steps))
+    raise typer.Exit(0 if costs["streams off"].step_us <= LIMIT_US else 1)
+
+
+def _table(costs: dict[str, Cost], steps: int) -> Table:
+    table = Table(
+        title=f"Microseconds per step, mean of {steps} steps from the arming on", title_justify="left"
+    )
+    table.add_column("part")
+    for name in costs:
+        table.add_column(name, justify="right")
+    for part in next(iter(costs.values())).parts_us:
+        table.add_row(part, *(f"{cost.parts_us.get(part, 0.0):.1f}" for cost in costs.values()))
+    table.add_section()
+    table.add_row("whole step", *(f"{cost.step_us:.1f}" for cost in costs.values()), style="bold")
+    table.add_row("99 % of the steps, by the clock", *(f"{cost.longest_us:.0f}" for cost in costs.values()))
+    table.add_row("decode and encode alone", *(f"{cost.floor_us:.1f}" for cost in costs.values()))
+    table.add_row("allowed", f"{LIMIT_US:g}", "", "")
+    return table

@@ -1,0 +1,167 @@
+"""The estimator against its requirements; the arithmetic is `studies.vehicle.estimation`'s."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from studies.common.report import Check, Section, Table
+from studies.vehicle.estimation import (
+    MEASUREMENTS,
+    SETTLED_S,
+    Consistency,
+    WrongCompass,
+    consistency,
+    outage_drift_m,
+    pooled,
+    whiteness,
+    wrong_compass,
+)
+from studies.vehicle.figures import save_nees
+from studies.vehicle.plan import Job, Plan, Results
+
+REQUIRED = ("position", "velocity")
+CAMPAIGN_SEEDS = (1, 2, 3)
+DRIFT_LIMIT_M = 5.0
+CAUGHT_LIMIT_S = 10.0
+HEADING_LIMIT_DEG = 10.0
+
+
+def jobs(plan: Plan) -> dict[str, list[Job]]:
+    """Consistency is one job for each seed, for its runs are drawn together."""
+    return {
+        "consistency": [(_consistency, (plan.estimator_runs, seed)) for seed in CAMPAIGN_SEEDS],
+        "outage": [(outage_drift_m, seed) for seed in range(plan.seeds)],
+        "compass": [(_turned_compass, seed) for seed in range(max(plan.seeds // 2, 1))],
+    }
+
+
+def _consistency(runs_and_seed: tuple[int, int]) -> Consistency:
+    runs, seed = runs_and_seed
+    return consistency(runs=runs, seed=seed)
+
+
+def _turned_compass(seed: int) -> WrongCompass:
+    return wrong_compass(seed, math.pi)
+
+
+def judge(plan: Plan, results: Results, images: Path | None) -> Section:
+    """Check consistency, whiteness, outage and a compass that is turned round."""
+    campaigns: list[Consistency] = results["consistency"]
+    found = pooled(campaigns)
+    drifts_m: list[float] = results["outage"]
+    compasses: list[WrongCompass] = results["compass"]
+    checks = [
+        _nees_check(group, told, one)
+        for group in REQUIRED
+        for told, one in (
+            *((f"seed {seed}", one) for seed, one in zip(CAMPAIGN_SEEDS, campaigns, strict=True)),
+            ("all seeds", found),
+        )
+    ]
+    rows = []
+    for name in MEASUREMENTS:
+        white = whiteness(found.innovations[name])
+        checks.append(
+            Check(
+                name=f"innovations of {name}: greatest autocorrelation",
+                value=white.greatest,
+                unit="",
+                at_most=white.greatest_limit,
+            )
+        )
+        rows.append((
+            name, f"{white.inside:.3f} ({white.band[0]:.3f} to {white.band[1]:.3f})",
+            f"{white.mean_square:.3f} ({white.mean_square_band[0]:.3f} to {white.mean_square_band[1]:.3f})",
+        ))  # fmt: skip
+    caught_s = [math.inf if case.caught_s is None else case.caught_s for case in compasses]
+    checks += [
+        Check(
+            name="drift in 10 s without GPS, calm hover, worst", value=max(drifts_m), unit="m",
+            at_most=DRIFT_LIMIT_M,
+        ),
+        Check(
+            name="compass turned by 180°: caught after motion begins, slowest", value=max(caught_s), unit="s",
+            at_most=CAUGHT_LIMIT_S,
+        ),
+        Check(
+            name="compass turned by 180°: heading at the end, worst rms",
+            value=math.degrees(max(case.heading_error_rad for case in compasses)), unit="deg",
+            at_most=HEADING_LIMIT_DEG,
+        ),
+    ]  # fmt: skip
+    figures: tuple[tuple[str, str], ...] = ()
+    if images is not None:
+        save_nees(
+            images / "validation-nees.png",
+            time_s=found.time_s,
+            means={group: found.mean(group) for group in found.nees},
+            band=found.band(),
+        )
+        figures = (("validation-nees.png", "normalised estimation errors over time, mean of the runs"),)
+    return Section(
+        title="Estimator",
+        conditions=(
+            "Consistency is asked of data that obey the filter's model: for each of the seeds "
+            f"{', '.join(map(str, CAMPAIGN_SEEDS))} a campaign of {plan.estimator_runs} Monte Carlo runs of "
+            "a figure of eight with white sensor noises of the size that the filter is told and biases that "
+            f"walk as it believes, from {SETTLED_S:g} s on. The normalised estimation error squared (NEES) "
+            "is the mean over all runs and epochs of a campaign, and required is the two-sided 95 % "
+            "chi-squared band of that mean: epochs of a run are not independent, and count for as many as "
+            "their own autocorrelation leaves of them. All seeds are required to be inside, each by itself "
+            "and their runs together; of a consistent filter one of these bands is missed in about one "
+            "draw of seeds of four. Innovations, of all seeds, are white if the greatest of their mean "
+            "autocorrelations at 20 lags stays below its limit at 95 % for all lags together. "
+            f"{len(drifts_m)} outages; {len(compasses)} flights in which the compass is turned by 180 "
+            "degrees from the start on.\n"
+        ),
+        checks=tuple(checks),
+        tables=(
+            Table(
+                caption="NEES per degree of freedom of all groups (in brackets its 95 % band), by seed:",
+                columns=("seed", *found.nees),
+                rows=tuple(
+                    (str(seed), *(_told(one, group) for group in found.nees))
+                    for seed, one in zip(CAMPAIGN_SEEDS, campaigns, strict=True)
+                ),
+            ),
+            Table(
+                caption=(
+                    "Share of epochs in which the mean over a campaign's runs is inside the 95 % band of one "
+                    "epoch:"
+                ),
+                columns=("seed", *found.nees),
+                rows=tuple(
+                    (str(seed), *(f"{one.inside(group):.2f}" for group in found.nees))
+                    for seed, one in zip(CAMPAIGN_SEEDS, campaigns, strict=True)
+                ),
+            ),
+            Table(
+                caption="Innovations (in brackets the 95 % band of a white one):",
+                columns=("measurement", "autocorrelations within ±1.96/√n", "mean square"),
+                rows=tuple(rows),
+            ),
+            Table(
+                caption="Distribution:",
+                columns=("what", "median", "greatest"),
+                rows=tuple(
+                    (name, *(f"{value:.3g}" for value in np.quantile(values, (0.5, 1.0))))
+                    for name, values in (("drift, m", drifts_m), ("compass caught after, s", caught_s))
+                ),
+            ),
+        ),
+        figures=figures,
+    )
+
+
+def _nees_check(group: str, told: str, found: Consistency) -> Check:
+    mean, (low, high) = found.overall(group)
+    return Check(
+        name=f"{group}: NEES per degree of freedom, {told}", value=mean, unit="", at_least=low, at_most=high
+    )
+
+
+def _told(found: Consistency, group: str) -> str:
+    mean, (low, high) = found.overall(group)
+    outside = "" if low <= mean <= high else ", outside"
+    return f"{mean:.3f} ({low:.3f} to {high:.3f}){outside}"

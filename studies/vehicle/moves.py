@@ -1,0 +1,143 @@
+"""Moves: position steps along jerk-limited references and bare velocity steps, by the whole vehicle.
+
+A companion would do the same: it streams the reference of a move, or a velocity, as offboard setpoints. The
+sensors' noise moves a vehicle that only hovers by some centimetres, so the response is the mean of several
+flights that differ in nothing but their noise and their course; the worst single flight is told beside it.
+"""
+
+import math
+
+import numpy as np
+from msgspec import Struct
+
+from autopilot.control import ControlParams, PositionTrajectory
+from autopilot.control.params import TrajectoryParams
+from foundation.types import Array
+from studies.vehicle.hover import SENSORS
+from studies.vehicle.solo import STEP_S, Solo, solo_config
+
+HEIGHT_M = 10.0
+LEAD_S = 2.0
+"""Of hover before the step, the origin of its trace."""
+TRACE_EVERY = 5
+"""Steps between the samples of a trace: 50 Hz."""
+TRACE_S = STEP_S * TRACE_EVERY
+BAND_M = 0.1
+BAND_FRACTION = 0.05
+"""Settled is what stays within 5 % of the step or 0.1 m, whichever is more."""
+_SETTLE_S = 5.0
+
+
+class Move(Struct, frozen=True, kw_only=True):
+    """One flight to make: a position step of some metres."""
+
+    seed: int
+    distance_m: float
+
+
+class VelocityStep(Struct, frozen=True, kw_only=True):
+    """One flight to make: from rest to a velocity, unshaped."""
+
+    seed: int
+    vel_ned_m_s: tuple[float, float, float]
+
+
+class Response(Struct, frozen=True, kw_only=True):
+    """A step, and what came of it in the mean of several flights."""
+
+    overshoot: float
+    """Beyond the target over the step, of the mean response; 0 if none"""
+    worst_overshoot: float
+    """Of the worst single flight, noise included"""
+    settled_s: float
+    """From the step on, of the mean response"""
+    trace: tuple[float, ...]
+    """Mean response along the step, every `TRACE_S`, from the step on"""
+
+
+def minimum_time_s(distance_m: float, limits: TrajectoryParams) -> float:
+    """Time of a horizontal move from rest to rest at the limits of jerk J, acceleration A and speed V.
+
+    Jerk alone: four phases of (d / 2 J)^(1/3). With A reached: twice A/2J + sqrt((A/2J)^2 + d/A). With V
+    reached as well: d/V + V/A + A/J; without A, d/V + 2 sqrt(V/J).
+    """
+    speed, acc, jerk = limits.xy_cruise_m_s, limits.acc_xy_m_s2, limits.jerk_m_s3
+    to_speed_s = speed / acc + acc / jerk if speed > acc * acc / jerk else 2.0 * math.sqrt(speed / jerk)
+    if distance_m >= speed * to_speed_s:
+        return distance_m / speed + to_speed_s
+    if distance_m >= 2.0 * acc**3 / jerk**2:
+        half_s = acc / (2.0 * jerk)
+        return 2.0 * (half_s + math.sqrt(half_s * half_s + distance_m / acc))
+    return 4.0 * float(np.cbrt(distance_m / (2.0 * jerk)))
+
+
+def allowed_s(distance_m: float, limits: TrajectoryParams | None = None) -> float:
+    """Give what a move may take until it has settled: 1.15 times the minimum time and a second."""
+    return 1.15 * minimum_time_s(distance_m, limits or ControlParams().trajectory) + 1.0
+
+
+def fly_move(move: Move) -> Array:
+    """(T,) way along the step over the way asked for, every `TRACE_S`."""
+    limits = ControlParams().trajectory
+    course_rad = _course_rad(move.seed)
+    along = np.array((math.cos(course_rad), math.sin(course_rad), 0.0))
+    hover = np.array((0.0, 0.0, -HEIGHT_M))
+    with _hovering(move.seed) as solo:
+        solo.set_position(*hover.tolist())
+        solo.offboard()
+        solo.run(_SETTLE_S + LEAD_S)
+        start_s = solo.now_s
+        reference = PositionTrajectory(limits)
+        reference.reset(hover, yaw_rad=0.0)
+        for _ in range(round((allowed_s(move.distance_m, limits) + 5.0) / TRACE_S)):
+            reached = reference.update(hover + move.distance_m * along, TRACE_S)
+            solo.set_reference(reached)
+            solo.run(TRACE_S)
+        track = solo.track.after(start_s)
+    return np.asarray((track.pos_ned_m[::TRACE_EVERY] - hover) @ along / move.distance_m)
+
+
+def fly_velocity_step(step: VelocityStep) -> Array:
+    """(T,) speed along the step over the speed asked for, every `TRACE_S`, for 8 s."""
+    wanted = np.array(step.vel_ned_m_s)
+    speed_m_s = float(np.linalg.norm(wanted))
+    with _hovering(step.seed) as solo:
+        solo.set_velocity(0.0, 0.0, 0.0)
+        solo.offboard()
+        solo.run(_SETTLE_S + LEAD_S)
+        start_s = solo.now_s
+        solo.set_velocity(*step.vel_ned_m_s)
+        solo.run(8.0)
+        track = solo.track.after(start_s)
+    return np.asarray(track.vel_ned_m_s[::TRACE_EVERY] @ wanted / speed_m_s**2)
+
+
+def respond(traces: list[Array], *, band: float) -> Response:
+    """Judge the flights of one step; ``band`` is what counts as settled, over the step."""
+    all_traces = np.array(traces)
+    mean = all_traces.mean(axis=0)
+    outside = np.flatnonzero(np.abs(mean - 1.0) > band)
+    return Response(
+        overshoot=max(float(mean.max()) - 1.0, 0.0),
+        worst_overshoot=max(float(all_traces.max()) - 1.0, 0.0),
+        settled_s=TRACE_S * (int(outside[-1]) + 1 if outside.size else 0),
+        trace=tuple(mean.tolist()),
+    )
+
+
+def band_of(distance_m: float) -> float:
+    """Part of a move within which it counts as settled."""
+    return max(BAND_FRACTION, BAND_M / distance_m)
+
+
+def _hovering(seed: int) -> Solo:
+    """Take off to 10 m in calm air, with the sensors of Gazebo."""
+    sensors = SENSORS["gazebo"]
+    config = solo_config(seed=seed, gps_delay_s=sensors.gps_model().delay_s)
+    solo = Solo(config, sensors=sensors, seed=np.random.SeedSequence([seed, 2]))
+    solo.take_off(HEIGHT_M)
+    return solo
+
+
+def _course_rad(seed: int) -> float:
+    return float(np.random.default_rng([seed, 3]).uniform(-math.pi, math.pi))

@@ -1,0 +1,376 @@
+"""One whole vehicle over the real physics, sensors and simulator messages: one process, no sockets.
+
+The bytes of the simulator's link are packed and parsed as in a swarm, so what cannot be sent fails here. What
+happens in a flight depends on the arguments alone.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from msgspec import structs
+from pymavlink.dialects.v20 import common
+
+from autopilot.mavlink.codec import Message
+from autopilot.mavlink.hil import TO_VEHICLE, HilActuatorControls, HilEncoder, HilParser
+from autopilot.mavlink.modes import FlightMode, mode_from_custom
+from autopilot.parameters.config import AutopilotConfig, Devices, OnboardConfig, Vector, VehicleConfig
+from autopilot.services.service import GROUND_STATION, Partner, reply
+from autopilot.vehicle.vehicle import StepOutput, Vehicle
+from foundation.types import Array, TrajectorySetpoint
+from harness.simulator.actuator_inbox import is_armed
+from harness.simulator.hil import SensorEncoder
+from harness.world import esc
+from harness.world.physics.model import IRIS, VehicleModel
+from harness.world.physics.world import World
+from harness.world.sensors.config import SensorsConfig
+from harness.world.sensors.suite import SensorFrame, SensorSuite
+from harness.world.wind import GustyWind, WindConfig
+
+STEP_US = 4_000
+STEP_S = STEP_US * 1e-6
+SETPOINT_PERIOD_US = 48_000
+"""Of offboard setpoints: about 20 Hz, in whole steps."""
+ARM = common.MAV_CMD_COMPONENT_ARM_DISARM
+MODE = common.MAV_CMD_DO_SET_MODE
+TAKE_OFF = common.MAV_CMD_NAV_TAKEOFF
+CALM = WindConfig(mean_n=0.0)
+_NO_GPS = common.MAVLINK_MSG_ID_HIL_GPS
+_YAW_RATE_IGNORED = common.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
+_POSITION_ONLY = 0b0001_1111_1000 | _YAW_RATE_IGNORED
+_ACCELERATION_ONLY = 0b0000_0011_1111 | _YAW_RATE_IGNORED
+_VELOCITY_ONLY = 0b0001_1100_0111 | _YAW_RATE_IGNORED
+_READY_LIMIT_S = 30.0
+_ASK_AGAIN_S = 0.5
+_TAKE_OFF_LIMIT_S = 40.0
+
+PLAIN = replace(IRIS, rotor_drag_n_s2_m=0.0, rolling_moment_n_s2=0.0, drag_n_s_m=0.25)
+"""The Iris as the plain 6-DOF body on which a real PX4 was measured: linear drag of 0.25 N/(m/s) alone."""
+
+
+class FlightError(RuntimeError):
+    """A flight did not get where it should; the text is one line."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Track:
+    """What was flown, step by step: T rows. Positions are from the place of the start, its ground at down = 0
+    for the centre of mass; estimates are laid there by the origin that the estimator took.
+    """  # noqa: D205 - one sentence and its terms
+
+    time_s: Array
+    """(T,) since the simulation began"""
+    pos_ned_m: Array
+    """(T, 3) truth, as the next two"""
+    vel_ned_m_s: Array
+    q_ned_frd: Array
+    """(T, 4) wxyz"""
+    estimated_pos_ned_m: Array
+    """(T, 3)"""
+    own_pos_ned_m: Array
+    """(T, 3) the estimate from the vehicle's own origin, in which its setpoints are"""
+    estimated_vel_ned_m_s: Array
+    estimated_q_ned_frd: Array
+
+    def after(self, time_s: float) -> "Track":
+        """Give the part that begins at a time."""
+        first = int(np.searchsorted(self.time_s, time_s - 0.5 * STEP_S))
+        return Track(**{name: getattr(self, name)[first:] for name in self.__slots__})
+
+    @property
+    def attitude_error_rad(self) -> Array:
+        """(T,) angle between estimated and true attitude."""
+        dot = np.abs((self.q_ned_frd * self.estimated_q_ned_frd).sum(axis=1))
+        return np.asarray(2.0 * np.arccos(np.minimum(dot, 1.0)))
+
+    @property
+    def tilt_error_rad(self) -> Array:
+        """(T,) angle between the estimated and the true vertical."""
+        cosine = (_vertical_frd(self.q_ned_frd) * _vertical_frd(self.estimated_q_ned_frd)).sum(axis=1)
+        return np.asarray(np.arccos(np.minimum(cosine, 1.0)))
+
+
+def _vertical_frd(q_ned_frd: Array) -> Array:
+    """(T, 3) down in body axes."""
+    w, x, y, z = q_ned_frd.T
+    return np.stack((2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z), axis=1)
+
+
+_COLUMNS = {
+    "pos_ned_m": 3, "vel_ned_m_s": 3, "q_ned_frd": 4,
+    "estimated_pos_ned_m": 3, "estimated_vel_ned_m_s": 3, "estimated_q_ned_frd": 4,
+}  # fmt: skip
+
+
+def solo_config(
+    *, params: dict[str, float] | None = None, seed: int = 0, gps_delay_s: float = Devices().gps_delay_s
+) -> VehicleConfig:
+    """Give the settings of a vehicle that flies alone, without the on-board application."""
+    return VehicleConfig(
+        run_id="solo",
+        instance=0,
+        seed=seed,
+        onboard=OnboardConfig(enabled=False, localisation="gps"),
+        autopilot=AutopilotConfig(params=params or {}),
+        devices=Devices(gps_delay_s=gps_delay_s),
+        places_ned_m=((0.0, 0.0, -5.0),),
+    )
+
+
+class Solo:
+    """Steps world and vehicle in lockstep; the ground station's side is `send`, `command` and ``heard``."""
+
+    def __init__(
+        self,
+        config: VehicleConfig,
+        *,
+        plant: VehicleModel = IRIS,
+        sensors: SensorsConfig | None = None,
+        wind: WindConfig = CALM,
+        seed: np.random.SeedSequence,
+        spawn_yaw_rad: float = 0.0,
+        imu_noise: float = 1.0,
+        recording: bool = True,
+    ) -> None:
+        """Put it on the ground. ``imu_noise`` scales the inertial sensor's errors of the profile."""
+        self.vehicle = Vehicle(config)
+        self._start_ned_m = np.array((0.0, 0.0, -plant.standing_height_m))
+        self.world = World(
+            model=plant, spawn_pos_ned_m=[self._start_ned_m], spawn_yaw_rad=spawn_yaw_rad, step_us=STEP_US
+        )
+        self._standing_height_m = plant.standing_height_m
+        self._wind = GustyWind(wind, 1, np.random.default_rng(seed))
+        self._sensors = SensorSuite(
+            config=sensors if sensors is not None else SensorsConfig(),
+            site=config.site,
+            vehicles=1,
+            step_us=STEP_US,
+            seed=seed,
+        )
+        self._imu_noise = imu_noise
+        self._hil = SensorEncoder()
+        self._parser = HilParser(*TO_VEHICLE)
+        self._from_vehicle = HilParser(HilActuatorControls)
+        self._encoder = HilEncoder(system=config.instance + 1, component=1)
+        self._not_stopped = np.zeros(1, dtype=np.bool_)
+        self.gps = True
+        """False loses the fixes on the way to the vehicle."""
+        self.stream: list[bytes] | None = None
+        """Bytes to the vehicle, one step each, if somebody puts a list here"""
+        self.now_us = 0
+        self.heard: list[tuple[int, Message]] = []
+        """(time_us, message) to the ground station, less heartbeats."""
+        self.modes: list[tuple[int, str, bool]] = []
+        """(time_us, mode, armed) of heartbeats to the simulator, at each change."""
+        self._to_send: list[Message] = []
+        self._setpoint: Message | None = None
+        self._recording = recording
+        self._rows = np.empty((4096, 1 + sum(_COLUMNS.values())))
+        self._taken = 0
+
+    def __enter__(self) -> Self:
+        """Nothing is started: the world is there already."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.world.close()
+
+    # ---- stepping
+
+    @property
+    def now_s(self) -> float:
+        """Simulated time since the beginning."""
+        return self.now_us * 1e-6
+
+    @property
+    def height_m(self) -> float:
+        """Truth, over the ground that it stood on."""
+        return -float(self.world.truth.pos_ned_m[0, 2]) - self._standing_height_m
+
+    def step(self, *, streams: bool = False, controls: Array | None = None) -> StepOutput:
+        """Advance vehicle, then world, by one step.
+
+        ``streams``: somebody listens on both links. ``controls`` (4,) go to the motors in place of the
+        vehicle's, which does not learn of it.
+        """
+        self.now_us += STEP_US
+        if self._setpoint is not None and self.now_us % SETPOINT_PERIOD_US == 0:
+            self._to_send.append(self._setpoint)
+        (frame,) = self._hil.encode(self.now_us, self._read_sensors(), self._escs())
+        data = bytes(frame)  # to be kept: a frame holds until the next one
+        if self.stream is not None:
+            self.stream.append(data)
+        messages = self._parser.push(data)
+        if not self.gps:
+            messages = [message for message in messages if message.get_msgId() != _NO_GPS]
+        sent, self._to_send = self._to_send, []
+        output = self.vehicle.step(
+            sim_messages=messages,
+            link_messages=reply(Partner(GROUND_STATION, 0), *sent),
+            link_active=(streams, streams),
+        )
+        self._listen(output)
+        (answer,) = self._from_vehicle.push(self._encoder.encode(output.actuators))
+        if not isinstance(answer, HilActuatorControls):
+            raise FlightError(f"the vehicle answered with {answer!r}")
+        self.world.step(
+            np.array([answer.controls[:4] if controls is None else controls]),
+            np.array([is_armed(answer)]),
+            self._wind.step(STEP_S),
+            rotors_stopped=self._not_stopped,
+        )
+        if self._recording:
+            self._record()
+        return output
+
+    def run(self, seconds: float, *, until: Callable[[], bool] | None = None) -> bool:
+        """Step for some time, or until a condition holds; returns whether it did."""
+        for _ in range(round(seconds / STEP_S)):
+            self.step()
+            if until is not None and until():
+                return True
+        return False
+
+    # ---- the ground station
+
+    def send(self, *messages: Message) -> None:
+        """Send with the next step."""
+        self._to_send += messages
+
+    def command(self, command: int, *params: float) -> int:
+        """Send a command, step once and return the result of its acknowledgement."""
+        padded = (*params, *[0.0] * (7 - len(params)))
+        self.send(common.MAVLink_command_long_message(1, 1, command, 0, *padded))
+        self.step()
+        results = [
+            message.result
+            for time_us, message in self.heard
+            if time_us == self.now_us and message.get_type() == "COMMAND_ACK" and message.command == command
+        ]
+        if len(results) != 1:
+            raise FlightError(f"command {command} was acknowledged {len(results)} times")
+        result: int = results[0]
+        return result
+
+    def texts(self) -> list[str]:
+        """Give what the vehicle said in words so far."""
+        return [message.text for _, message in self.heard if message.get_type() == "STATUSTEXT"]
+
+    def set_position(self, north_m: float, east_m: float, down_m: float) -> None:
+        """Stream this offboard setpoint from now on, in the estimator's frame, heading north."""
+        self._setpoint = _target(_POSITION_ONLY, (north_m, east_m, down_m), (0.0, 0.0, 0.0))
+
+    def set_velocity(self, north_m_s: float, east_m_s: float, down_m_s: float) -> None:
+        """Stream this offboard setpoint from now on, heading north."""
+        self._setpoint = _target(_VELOCITY_ONLY, (0.0, 0.0, 0.0), (north_m_s, east_m_s, down_m_s))
+
+    def set_acceleration(self, north_m_s2: float, east_m_s2: float, down_m_s2: float) -> None:
+        """Stream this offboard setpoint from now on, heading north."""
+        self._setpoint = _target(
+            _ACCELERATION_ONLY, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (north_m_s2, east_m_s2, down_m_s2)
+        )
+
+    def set_reference(self, setpoint: TrajectorySetpoint) -> None:
+        """Stream this offboard setpoint from now on, and with the next step; all three groups must be set."""
+        groups = (setpoint.pos_ned_m, setpoint.vel_ned_m_s, setpoint.acc_ned_m_s2)
+        values = [value for group in groups if group is not None for value in map(float, group)]
+        self._setpoint = common.MAVLink_set_position_target_local_ned_message(
+            0, 1, 1, common.MAV_FRAME_LOCAL_NED, _YAW_RATE_IGNORED, *values, setpoint.yaw_rad or 0.0, 0.0
+        )
+        self.send(self._setpoint)
+
+    def take_off(self, height_m: float) -> None:
+        """Wait for the estimator, arm, take off and wait for the hold. Raises FlightError."""
+        vehicle = self.vehicle
+        while self.command(ARM, 1.0) != common.MAV_RESULT_ACCEPTED:
+            if self.now_s > _READY_LIMIT_S:
+                raise FlightError(f"not ready after {_READY_LIMIT_S:g} s: {' / '.join(self.texts()[-1:])}")
+            self.run(_ASK_AGAIN_S)
+        altitude_m = vehicle.flight.state.origin_alt_m + height_m
+        self._demand(TAKE_OFF, *[0.0] * 3, *[math.nan] * 3, altitude_m)
+        if not self.run(_TAKE_OFF_LIMIT_S, until=lambda: vehicle.commander.mode is FlightMode.HOLD):
+            raise FlightError(f"no hold {_TAKE_OFF_LIMIT_S:g} s after take-off to {height_m:g} m")
+
+    def offboard(self) -> None:
+        """Switch to offboard, which follows the streamed setpoint. Raises FlightError."""
+        self.run(2 * SETPOINT_PERIOD_US * 1e-6)
+        self._demand(MODE, 1.0, float(FlightMode.OFFBOARD.custom_mode >> 16), 0.0)
+
+    def _demand(self, command: int, *params: float) -> None:
+        result = self.command(command, *params)
+        if result != common.MAV_RESULT_ACCEPTED:
+            raise FlightError(f"command {command} refused: {' / '.join(self.texts()[-1:])}")
+
+    # ---- records
+
+    @property
+    def track(self) -> Track:
+        """What was flown so far."""
+        rows = self._rows[: self._taken]
+        columns, at = {"time_s": rows[:, 0].copy()}, 1
+        for name, width in _COLUMNS.items():
+            columns[name] = rows[:, at : at + width].copy()
+            at += width
+        columns["pos_ned_m"] -= self._start_ned_m
+        columns["own_pos_ned_m"] = columns["estimated_pos_ned_m"].copy()
+        columns["estimated_pos_ned_m"] += self.vehicle.site.origin_ned_m(self.vehicle.flight.state)
+        return Track(**columns)
+
+    def _record(self) -> None:
+        if self._taken == len(self._rows):
+            self._rows = np.concatenate((self._rows, np.empty_like(self._rows)))
+        row = self._rows[self._taken]
+        self._taken += 1
+        truth, state = self._measured, self.vehicle.flight.state
+        row[0] = self.now_us * 1e-6
+        row[1:4] = truth.pos_ned_m[0]
+        row[4:7] = truth.vel_ned_m_s[0]
+        row[7:11] = truth.q_ned_frd[0]
+        row[11:14] = state.pos_ned_m
+        row[14:17] = state.vel_ned_m_s
+        row[17:21] = state.q_ned_frd
+
+    def _read_sensors(self) -> SensorFrame:
+        truth = self._measured = self.world.truth
+        frame = self._sensors.sample(self.now_us, truth)
+        if self._imu_noise == 1.0:
+            return frame
+        accel, gyro = truth.specific_force_frd_m_s2, truth.mean_omega_frd_rad_s
+        return structs.replace(
+            frame,
+            accel_frd_m_s2=accel + self._imu_noise * (frame.accel_frd_m_s2 - accel),
+            gyro_frd_rad_s=gyro + self._imu_noise * (frame.gyro_frd_rad_s - gyro),
+        )
+
+    def _escs(self) -> esc.EscReadings | None:
+        """What the motors' controllers report, when they do: as the physics server has it."""
+        if self.now_us % esc.PERIOD_US >= STEP_US:
+            return None
+        return esc.readings(self._measured.rotor_speed_rad_s)
+
+    def _listen(self, output: StepOutput) -> None:
+        self.heard += [
+            (self.now_us, message)
+            for partner, message in output.links
+            if partner.link == GROUND_STATION and message.get_type() != "HEARTBEAT"
+        ]
+        for message in output.simulator:
+            if message.get_type() == "HEARTBEAT" and message.autopilot == common.MAV_AUTOPILOT_PX4:
+                mode = mode_from_custom(message.custom_mode)
+                if mode is None:
+                    raise FlightError(f"a heartbeat speaks of the unknown mode {message.custom_mode}")
+                seen = (mode.label, bool(message.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED))
+                if not self.modes or self.modes[-1][1:] != seen:
+                    self.modes.append((self.now_us, *seen))
+
+
+def _target(
+    mask: int, pos_ned_m: Vector, vel_ned_m_s: Vector, acc_ned_m_s2: Vector = (0.0, 0.0, 0.0)
+) -> Message:
+    yaw_rad, yaw_rate_rad_s = 0.0, 0.0
+    return common.MAVLink_set_position_target_local_ned_message(
+        0, 1, 1, common.MAV_FRAME_LOCAL_NED, mask, *pos_ned_m, *vel_ned_m_s, *acc_ned_m_s2,
+        yaw_rad, yaw_rate_rad_s,
+    )  # fmt: skip
