@@ -29,7 +29,7 @@ _FOLDER = re.compile(r"[0-9a-f]{16}")
 _COMPILERS = {
     "the vehicles'": "from autopilot.process.warm_up import rehearse; rehearse()",
     "the radio's": "from netsim.emulator.warm_up import rehearse; rehearse()",
-    "the physics'": "from harness.world.physics.rehearsal import rehearse; rehearse()",
+    "the physics'": "from harness.world.physics.warm_up import rehearse; rehearse()",
     "the antenna's": "from antenna.solvers.warm_up import rehearse; rehearse()",
 }
 

@@ -6,15 +6,15 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import psutil
 import pytest
+from paths import ROOT
 
 from harness.launch.profiling import VEHICLES
 
 pytestmark = pytest.mark.multiprocess
-BENCH = Path(__file__).parents[2] / "scripts" / "bench.py"
+BENCH = ROOT / "scripts" / "bench.py"
 WALL_LIMIT_S = 60.0
 
 

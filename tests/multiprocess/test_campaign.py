@@ -14,6 +14,7 @@ import psutil
 import pyarrow.parquet as pq
 import pytest
 from distributed import LocalCluster
+from paths import ROOT
 
 from harness.campaign import Campaign, ClusterError, flights, running, worker
 from harness.campaign import run as fly_campaign
@@ -22,7 +23,6 @@ from harness.launch.processes import SwarmError
 
 pytestmark = pytest.mark.multiprocess
 
-ROOT = Path(__file__).parents[2]
 WALL_LIMIT_S = 60.0
 CAMPAIGN = f"""
 scenario = "{ROOT / "scenarios" / "article.toml"}"

@@ -6,10 +6,10 @@ import subprocess
 import sys
 import textwrap
 import time
-from pathlib import Path
 
 import psutil
 import pytest
+from paths import ROOT, SUPPORT
 
 from harness.launch.one_process import OneProcessSwarm
 from harness.launch.processes import HANGAR, application, uav
@@ -18,8 +18,7 @@ from harness.simulator.messages import VehicleLost
 
 pytestmark = pytest.mark.multiprocess
 
-ROOT = Path(__file__).parents[2]
-STAND_IN = ROOT / "tests" / "px4_stand_in.py"
+STAND_IN = SUPPORT / "px4_stand_in.py"
 COMMAND = (
     '["{build}/bin/px4", "-i", "{i}", "-d", "{build}/etc", "-w", "{work}", "--tcp", "{tcp}",'
     ' "--gcs", "{gcs_local}:{gcs_remote}", "--companion", "{companion_local}:{companion_remote}"]'

@@ -1,6 +1,6 @@
 """What Wireshark makes of a capture. It takes 4 s, most of it starts of tshark.
 
-Without tshark these tests are skipped; what they rest on is read back in tests/unit/test_netsim_capture*.py.
+Without tshark these tests are skipped; what they rest on is read back in tests/unit/netsim/capture.
 """
 
 import contextlib

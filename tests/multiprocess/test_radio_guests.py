@@ -7,9 +7,9 @@ import signal
 import subprocess
 import sys
 import threading
-from pathlib import Path
 
 import pytest
+from paths import ROOT
 
 from netsim.transport.guest import Guest
 from netsim.transport.lockstep_radio import RadioLost
@@ -18,7 +18,6 @@ from netsim.wire.messages import Delivery, FtmResult, Sent
 
 pytestmark = pytest.mark.multiprocess
 
-ROOT = Path(__file__).parents[2]
 PROGRAMS = re.findall(
     r"<!-- the tests run it -->\n```python\n(.*?)```", (ROOT / "docs/radio-api.md").read_text(), re.DOTALL
 )

@@ -1,13 +1,13 @@
 """What the README shows a user works as it stands there."""
 
 import re
-from pathlib import Path
 
 import pytest
+from paths import ROOT
 
 pytestmark = pytest.mark.multiprocess
 
-README = Path(__file__).parents[2] / "README.md"
+README = ROOT / "README.md"
 
 
 def test_the_readmes_test_of_a_users_passes(swarm):

@@ -23,7 +23,7 @@ pytestmark = pytest.mark.multiprocess
 
 POLITE = """
     import os, queue
-    from netsim.child import Finished, Ready, Stop, commands, emit
+    from foundation.processes.child_protocol import Finished, Ready, Stop, commands, emit
     inbox = queue.SimpleQueue()
     commands(Stop, inbox)
     emit(Ready(name="uav 3", pid=os.getpid(), details={"gcs_local_udp": 18573}))
@@ -32,7 +32,7 @@ POLITE = """
 """
 STUBBORN = """
     import os, signal
-    from netsim.child import Ready, emit
+    from foundation.processes.child_protocol import Ready, emit
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     emit(Ready(name="stubborn", pid=os.getpid()))
     while True:
@@ -46,7 +46,7 @@ CRASHING = """
 """
 PARENT = """
     import os, subprocess, sys
-    from netsim.child import Ready, emit
+    from foundation.processes.child_protocol import Ready, emit
     child = subprocess.Popen([sys.executable, "-c", "import signal; signal.pause()"], start_new_session=True)
     emit(Ready(name="parent", pid=os.getpid(), details={"grandchild": child.pid}))
     sys.stdin.read()
@@ -195,7 +195,7 @@ def test_only_the_given_descriptors_are_inherited(supervisor: Supervisor) -> Non
     with bind(socket.SOCK_STREAM, "127.0.0.1", 0) as given, bind(socket.SOCK_STREAM, "127.0.0.1", 0):
         code = """
             import os, socket, sys
-            from netsim.child import Ready, emit
+            from foundation.processes.child_protocol import Ready, emit
             inherited = [int(fd) for fd in os.listdir("/proc/self/fd") if int(fd) > 2]
             sockets = [fd for fd in inherited if os.path.exists(f"/proc/self/fd/{fd}")]
             port = socket.socket(fileno=int(sys.argv[1])).getsockname()[1]

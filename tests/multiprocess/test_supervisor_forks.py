@@ -19,8 +19,8 @@ pytestmark = pytest.mark.multiprocess
 
 FORKER = """
     import faulthandler, os, queue, signal, socket, sys
-    from netsim.child import Finished, Ready, Stop, commands, emit, end_with_parent
-    from netsim.forking import serve
+    from foundation.processes.child_protocol import Finished, Ready, Stop, commands, emit, end_with_parent
+    from foundation.processes.prefork import serve
 
     def polite(name):
         inbox = queue.SimpleQueue()

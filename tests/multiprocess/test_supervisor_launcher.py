@@ -12,6 +12,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from paths import SUPPORT
 
 pytestmark = pytest.mark.multiprocess
 
@@ -31,7 +32,7 @@ import harness.launch.processes
 from harness.cli.fly import main
 
 def python_module(module, *arguments):
-    return [sys.executable, {str(Path(__file__).with_name("supervisor_stand_ins.py"))!r}, module, *arguments]
+    return [sys.executable, {str(SUPPORT / "supervisor_stand_ins.py")!r}, module, *arguments]
 
 def finish(folder, scenario, outcome, *, draw=True):
     return {SUMMARY}

@@ -6,6 +6,7 @@ import textwrap
 from pathlib import Path
 
 import pytest
+from paths import SUPPORT
 
 pytestmark = pytest.mark.multiprocess
 
@@ -17,9 +18,9 @@ import harness.launch.processes
 @pytest.fixture(autouse=True)
 def stand_ins(monkeypatch):
     def python_module(module, *arguments):
-        stand_ins = {str(Path(__file__).with_name("supervisor_stand_ins.py"))!r}
+        stand_ins = {str(SUPPORT / "supervisor_stand_ins.py")!r}
         return [sys.executable, stand_ins, module, *arguments]
-    monkeypatch.setattr(harness.processes, "python_module", python_module)
+    monkeypatch.setattr(harness.launch.processes, "python_module", python_module)
 """
 
 
@@ -114,7 +115,9 @@ def test_process_that_is_left_fails_the_test(tmp_path: Path) -> None:
 
 
 def test_plugin_is_light(tmp_path: Path) -> None:
-    code = "import sys, harness.pytest_plugin; print({'numpy', 'msgspec', 'psutil'} & sys.modules.keys())"
+    code = (
+        "import sys, harness.launch.pytest_plugin; print({'numpy', 'msgspec', 'psutil'} & sys.modules.keys())"
+    )
     loaded = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True
     )

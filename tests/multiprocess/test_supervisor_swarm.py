@@ -12,6 +12,7 @@ from typing import Any
 
 import psutil
 import pytest
+from paths import SUPPORT
 from supervisor_stand_ins import FAILS_AT_LAST_M, FORMED_US, SEED_RADIO_DIES, STEP_US
 
 import harness.launch.processes
@@ -24,7 +25,7 @@ from harness.simulator.messages import Formed, VehicleLost
 
 pytestmark = pytest.mark.multiprocess
 
-STAND_INS = Path(__file__).with_name("supervisor_stand_ins.py")
+STAND_INS = SUPPORT / "supervisor_stand_ins.py"
 Launch = Callable[..., Swarm]
 
 
@@ -33,7 +34,7 @@ def _stand_ins(monkeypatch: pytest.MonkeyPatch) -> None:
     def command(module: str, *arguments: str) -> list[str]:
         return [sys.executable, str(STAND_INS), module, *arguments]
 
-    monkeypatch.setattr(harness.processes, "python_module", command)
+    monkeypatch.setattr(harness.launch.processes, "python_module", command)
 
 
 @pytest.fixture
@@ -188,7 +189,7 @@ def test_killed_hangar_ends_the_run_and_the_vehicles_with_it(launch: Launch) -> 
 def test_hung_physics_ends_with_the_wall_time_and_by_force(
     launch: Launch, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(harness.processes, "STOP_LIMIT_S", 3.0)  # the vehicles' too, on a busy machine
+    monkeypatch.setattr(harness.launch.processes, "STOP_LIMIT_S", 3.0)  # the vehicles' too, on a busy machine
     swarm = launch("physics-hangs", agents=2, wall_limit_s=2.0)
     with swarm, pytest.raises(SwarmTimeoutError, match="the wall time of 2 s is over"):
         swarm.run(until_s=5.0)

@@ -4,12 +4,12 @@ import json
 import shutil
 import subprocess
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 import psutil
 import pyarrow.parquet as pq
 import pytest
+from paths import SCENARIOS
 
 from harness.launch import kernel_cache
 from harness.launch.swarm import Swarm
@@ -17,7 +17,7 @@ from harness.simulator.messages import Collision, Formed, VehicleLost
 
 pytestmark = pytest.mark.multiprocess
 
-ARTICLE = Path(__file__).parents[2] / "scenarios" / "article.toml"
+ARTICLE = SCENARIOS / "article.toml"
 HOLD_S = 8.0
 
 

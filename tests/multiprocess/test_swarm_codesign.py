@@ -3,11 +3,10 @@
 One seed each; statistics over many are the co-design experiment's. Some 90 s.
 """
 
-from pathlib import Path
-
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from paths import SCENARIOS
 
 from harness.launch.one_process import OneProcessSwarm
 from harness.simulator.messages import FormationMoves
@@ -15,7 +14,7 @@ from harness.world.faults import RadioAttenuation, RangingBias
 
 pytestmark = pytest.mark.multiprocess
 
-ARTICLE = Path(__file__).parents[2] / "scenarios" / "article.toml"
+ARTICLE = SCENARIOS / "article.toml"
 SMALL = ["formation.columns=2", "antenna.snapshot_rate_hz=0.001"]
 """Four UAVs, two by two"""
 

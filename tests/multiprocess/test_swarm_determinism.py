@@ -6,9 +6,9 @@ import os
 import subprocess
 import sys
 import threading
-from pathlib import Path
 
 import pytest
+from paths import SCENARIOS
 
 from harness.launch.one_process import OneProcessSwarm
 from harness.launch.swarm import Swarm
@@ -17,7 +17,7 @@ from harness.world.faults import MotorLoss
 
 pytestmark = pytest.mark.multiprocess
 
-ARTICLE = Path(__file__).parents[2] / "scenarios" / "article.toml"
+ARTICLE = SCENARIOS / "article.toml"
 UNTIL_S = 9.0
 """On the ground, take-off, and under way in offboard; beacons and distances from second two."""
 

@@ -9,11 +9,11 @@ import subprocess
 import sys
 import threading
 import time
-from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from paths import ROOT
 from pymavlink import mavutil  # noqa: TID251  the client that the tests are about
 
 from harness.launch.resources import PortError, bind
@@ -220,8 +220,8 @@ def test_an_autopilot_without_a_simulator_says_so_in_one_line():
     assert result.stderr == "uav: no simulator at 127.0.0.1:4637 within 0.3 s (Connection refused)\n"
 
 
-LAUNCHER = Path(__file__).parents[2] / "scripts" / "launch_swarm.py"
-ARTICLE_PATH = Path(__file__).parents[2] / ARTICLE
+LAUNCHER = ROOT / "scripts" / "launch_swarm.py"
+ARTICLE_PATH = ROOT / ARTICLE
 
 
 def launch(out, *options):

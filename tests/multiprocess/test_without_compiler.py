@@ -3,12 +3,12 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from paths import SCENARIOS
 
 pytestmark = pytest.mark.multiprocess
-ARTICLE = Path(__file__).parents[2] / "scenarios" / "article.toml"
+ARTICLE = SCENARIOS / "article.toml"
 FLY = """
 import sys
 from harness.launch.one_process import OneProcessSwarm

@@ -1,0 +1,8 @@
+"""Places of the checkout that tests read and start."""
+
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+SCENARIOS = ROOT / "scenarios"
+REFERENCE = ROOT / "tests" / "reference"
+SUPPORT = ROOT / "tests" / "support"

@@ -1,0 +1,132 @@
+"""Swarms that hold, at the pace of the wall clock, and what clients found on them."""
+
+import contextlib
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+from paths import ROOT
+
+from harness.launch.resources import PortError, bind
+from harness.scenario.scenario import PortsConfig
+
+AGENTS = 3
+START_S = 150.0
+END_S = 60.0
+KILL_S = 10.0
+OFFSETS = range(1_000, 14_000, 50)
+"""With them all ports are below those that Linux gives to whoever asks for any."""
+
+
+def free_offset() -> int:
+    """Give an offset with which all ports of a swarm are free; processes begin to look at different ones."""
+    begin = os.getpid() % len(OFFSETS)
+    for offset in (*OFFSETS[begin:], *OFFSETS[:begin]):
+        with contextlib.ExitStack() as stack, contextlib.suppress(PortError):
+            for name, base in PortsConfig().numbers().items():
+                kind = socket.SOCK_STREAM if name.endswith("tcp") else socket.SOCK_DGRAM
+                for i in range(AGENTS):
+                    stack.enter_context(bind(kind, "127.0.0.1", base + offset + i))
+            return offset
+    raise AssertionError("no free ports for a swarm")
+
+
+class Held:
+    """A swarm of the command line that waits for ground stations; its ports are PX4's plus an offset."""
+
+    def __init__(self, folder: Path, *options: str) -> None:
+        self.folder = folder
+        self._options = options
+        self.said: list[str] = []
+        self._ready = threading.Event()
+        self._process: subprocess.Popen[str] | None = None
+
+    def start(self) -> None:
+        """Start it; returns when its vehicles wait."""
+        port_offset = free_offset()
+        self.ground_station_port, self.companion_port = 14550 + port_offset, 14540 + port_offset
+        command = [sys.executable, str(ROOT / "scripts" / "launch_swarm.py")]
+        command += [
+            str(ROOT / "scenarios" / "article.toml"),
+            "--agents",
+            str(AGENTS),
+            "--speed",
+            "1",
+            "--hold",
+        ]
+        command += ["--port-offset", str(port_offset), "--out", str(self.folder), *self._options]
+        self._process = subprocess.Popen(
+            command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True
+        )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+        assert self._ready.wait(START_S), self.said
+        assert self._process.poll() is None, self.said
+
+    def _read(self) -> None:
+        assert self._process is not None and self._process.stderr is not None  # noqa: PT018
+        for line in self._process.stderr:
+            self.said.append(line.rstrip())
+            if line.startswith("uav 0, system 1:"):  # the first of the addresses: all have started
+                self._ready.set()
+        self._ready.set()
+
+    def end(self) -> dict[str, Any]:
+        """End the run as its user does; returns its manifest."""
+        assert self._process is not None
+        self._process.send_signal(signal.SIGINT)
+        assert self._process.wait(END_S) == 0, self.said
+        self._reader.join(END_S)
+        return json.loads((self.folder / "manifest.json").read_text())
+
+    def kill(self) -> None:
+        """Make sure that it is gone: its processes end when it does, however that is."""
+        if self._process is None:
+            return
+        if self._process.poll() is None:
+            self._process.terminate()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(END_S)
+            self._process.kill()
+            self._process.wait(KILL_S)
+        self._reader.join(END_S)
+        if self._process.stderr is not None:
+            self._process.stderr.close()
+
+    @property
+    def pace(self) -> list[float]:
+        """Speeds against the wall clock that it told, one every few seconds."""
+        return [float(x) for line in self.said for x in re.findall(r"([\d.]+) x real time", line)]
+
+
+def findings(process: subprocess.Popen[str], *, wall_limit_s: float) -> list[dict[str, Any]]:
+    """What a client found, which has so long to end by itself; its lines that are no JSON tell of trouble."""
+    wall_deadline_s = time.monotonic() + wall_limit_s
+    try:
+        said, _ = process.communicate(timeout=wall_limit_s)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        said, _ = process.communicate()
+    lines = said.splitlines()
+    found = [json.loads(line) for line in lines if line.startswith("{")]
+    if process.returncode != 0 or time.monotonic() > wall_deadline_s:
+        rest = [line for line in lines if not line.startswith("{")][-20:]
+        found.append({"check": "the client ends by itself", "ok": False, "trouble": "\n".join(rest)})
+    return found
+
+
+def failures(found: list[dict[str, Any]]) -> list[str]:
+    """A line for each check that failed."""
+    return [
+        f"{one['check']}: {one['trouble']} ({one.get('wall_s')} s, of the vehicle's {one.get('vehicle_s')} s)"
+        for one in found
+        if not one["ok"]
+    ]

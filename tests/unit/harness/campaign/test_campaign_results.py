@@ -1,0 +1,413 @@
+"""What a campaign keeps: runs on disk, their table, and the time that is left."""
+
+import csv
+import errno
+import importlib.metadata
+import io
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec.structs import replace
+from paths import SCENARIOS
+
+from antenna.solvers.interface import BackendUnavailable
+from harness.campaign import Campaign, CampaignError, load, running, sources
+from harness.campaign import flights as flying
+from harness.campaign.definition import expand
+from harness.campaign.display import Pace, duration_text
+from harness.campaign.flights import fly_task
+from harness.campaign.running import known
+from harness.campaign.store import FAILED, Flown, Store, write_whole
+from harness.campaign.table import make_rows, write_table
+from harness.campaign.task import Task
+from harness.campaign.worker import _MEASURED_BY, sources_state
+from harness.cli import campaign as cli
+from harness.launch.processes import SetupError, SwarmError
+from harness.scenario.scenario import load as load_scenario
+
+ARTICLE = SCENARIOS / "article.toml"
+KEEPING = (
+    "__init__", "cluster", "definition", "running", "sources", "store", "table", "values", "worker",
+)  # fmt: skip
+"""Modules of campaigns that neither fly nor measure"""
+SMALL = (
+    "agents=2", "formation.columns=2", "formation.rows=1", "formation.height_m=2", "onboard.localisation=gps",
+    "antenna.snapshot_rate_hz=4",
+)  # fmt: skip
+
+
+def campaign(**changed):
+    return Campaign(**{"name": "one", "scenario": ARTICLE, "seeds": (1, 2)} | changed)
+
+
+def flown(run, **changed):
+    summary = {"scenario": "article", "seed": run.seed, "status": "completed", "wall_s": 9.0, "agents": 8}
+    return Flown(**{"digest": run.digest, "status": "completed", "summary": summary} | changed)
+
+
+# ---- the store
+
+
+def test_a_run_is_there_when_it_is_whole_with_its_series(tmp_path):
+    one, other = expand(campaign(), state="")
+    store = Store(tmp_path)
+    assert store.get(one.digest) is None
+    store.put(flown(one), {})
+    assert store.get(one.digest) == flown(one)
+    assert store.get(one.digest, ["gains"]) is None  # it was not kept then
+    kept = store.put(flown(one), {"gains": b"1"})
+    assert store.get(one.digest, ["gains"]) == kept == flown(one, series=kept.series)
+    store.put(flown(other, status=FAILED, reason="fell", summary={}), {})
+    assert store.get(other.digest, ["gains"]).reason == "fell"  # it has none
+    path = tmp_path / "runs" / f"{one.digest}.json"
+    whole = path.read_bytes()
+    for size in range(len(whole) - 1):
+        path.write_bytes(whole[:size])
+        assert store.get(one.digest) is None
+    path.write_bytes(whole.replace(one.digest.encode(), other.digest.encode()))
+    assert store.get(one.digest) is None
+
+
+def test_a_series_that_has_been_damaged_is_not_there(tmp_path):
+    """Cut short, emptied, a bit turned, or gone: the run is flown again for it, but not for another one."""
+    (run, _) = expand(campaign(), state="")
+    store, content = Store(tmp_path), b"PAR1 of the test PAR1"
+    kept = store.put(flown(run), {"gains": content, "air": b"a"})
+    path = store.series_path(run.digest, "gains")
+    for damaged in (content[:-1], b"", content + b"\0", content.replace(b"t", b"u", 1)):
+        path.write_bytes(damaged)
+        assert store.get(run.digest, ["air", "gains"]) is None
+        assert store.get(run.digest, ["air"]) == store.get(run.digest) == kept
+    path.unlink()
+    assert store.get(run.digest, ["gains"]) is None
+    store.put(flown(run), {"gains": content})
+    assert store.get(run.digest, ["gains", "air"]) == kept  # what was kept before is so still
+
+
+def test_a_run_that_did_not_fail_is_not_replaced_by_one_that_did(tmp_path):
+    """Flown again for one more series it may fail, by what the first flight did not need."""
+    (run, _) = expand(campaign(), state="")
+    store = Store(tmp_path)
+    fell = flown(run, status=FAILED, reason="fell", summary={})
+    for first in (flown(run), flown(run, status="not_formed", reason="late")):
+        store.put(fell, {})
+        kept = store.put(first, {"air": b"a"})  # one that had failed is replaced
+        assert store.put(fell, {}) == kept
+        assert store.get(run.digest, ["air"]) == kept
+        (tmp_path / "runs" / f"{run.digest}.json").unlink()
+
+
+def test_a_disk_that_is_full_leaves_no_half_of_a_file(tmp_path, monkeypatch):
+    path = tmp_path / "whole"
+    write_whole(path, b"before")
+
+    def full(_descriptor):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        write_whole(path, b"after")
+    assert [(each.name, each.read_bytes()) for each in tmp_path.iterdir()] == [("whole", b"before")]
+
+
+def test_what_is_missing_is_flown_once_and_what_failed_when_it_is_asked_for(tmp_path):
+    plan = campaign(seeds=(1, 2, 3), sweep={"wind.mean_n": (5, 5.0)})  # two ways to say the same
+    runs = expand(plan, state="")
+    store = Store(tmp_path)
+    store.put(flown(runs[0]), {})
+    store.put(flown(runs[1], status=FAILED, reason="fell"), {})
+    there, missing = known(plan, runs, store)
+    assert set(there) == {runs[0].digest, runs[1].digest}
+    assert [run.seed for run in missing] == [3]
+    _, missing = known(plan, runs, store, retry=True)
+    assert [run.seed for run in missing] == [2, 3]
+
+
+def test_a_folder_has_one_campaign_at_a_time_which_tidies_up_after_a_killed_one(tmp_path):
+    store = Store(tmp_path)
+    for name in ("runs/.half.json", "runs/.half.gains.parquet", ".table.parquet", ".table.csv"):
+        (tmp_path / name).write_text("{")
+    others = {tmp_path / "runs" / name for name in (".ipynb_checkpoints", ".folder.json", ".nfs0001")}
+    for folder in sorted(others)[:2]:
+        folder.mkdir()
+    max(others).write_text("somebody's")
+    (store.flying / "run-1").mkdir(parents=True)
+    with store.alone():
+        assert set((tmp_path / "runs").iterdir()) == others
+        assert {path.name for path in tmp_path.iterdir()} == {"runs", "lock"}
+        assert not store.flying.exists()
+        with pytest.raises(CampaignError, match="another campaign flies into it"), Store(tmp_path).alone():
+            pass
+    with store.alone():
+        pass
+    (tmp_path / "file").touch()
+    with pytest.raises(CampaignError, match="cannot be a campaign's folder"):
+        Store(tmp_path / "file")
+
+
+def complete_campaign(tmp_path):
+    """Give the command of a campaign of two runs that have all ended."""
+    path = tmp_path / "two.toml"
+    path.write_text(f'scenario = "{ARTICLE}"\nseeds = 2\n')
+    store = Store(tmp_path / "out")
+    for run in expand(load(path), state=sources_state()):
+        store.put(flown(run), {})
+    return [str(path), "--out", str(tmp_path / "out")]
+
+
+def test_the_runs_of_a_command_are_made_once(tmp_path, monkeypatch):
+    made = []
+    monkeypatch.setattr(cli, "expand", lambda *args, **named: made.append(0) or expand(*args, **named))
+    monkeypatch.setattr(running, "expand", cli.expand)
+    assert cli.main(complete_campaign(tmp_path)) == cli.FINE
+    assert len(made) == 1
+
+
+def test_a_schedulers_address_is_checked_though_nothing_is_to_be_flown(tmp_path, capfd):
+    command = complete_campaign(tmp_path)
+    for more in ([], ["--dry-run"]):
+        assert cli.main([*command, "--scheduler", "bogus", *more]) == cli.BAD_INPUT
+        line = "campaign: bogus: expected the address of a dask scheduler, tcp://HOST:PORT\n"
+        assert capfd.readouterr() == ("", line)
+    with pytest.raises(CampaignError, match="bogus: expected the address"):
+        running.run(campaign(), out=tmp_path / "other", scheduler="bogus")
+    assert not (tmp_path / "other").exists()
+
+
+# ---- the table
+
+
+def test_the_table_has_the_campaigns_order_every_number_and_no_wall_time(tmp_path):
+    """Whole numbers stay whole, and what a run does not have is empty."""
+    plan = campaign(sweep={"wind.mean_n": (0, 2.5), "faults": ([], ["x", {"a": 1}])})
+    swept = {0: (0, []), 2.5: (2.5, ["x", {"a": 1}])}  # which no scenario has
+    winds = expand(campaign(sweep={"wind.mean_n": tuple(swept)}), state="")
+    runs = [replace(run, swept=swept[run.swept[0]]) for run in winds]
+    summary = {
+        "scenario": "article", "seed": 1, "status": "completed", "reason": None, "agents": 8, "wall_s": 3.1,
+        "real_time_factor": 2.0, "moves_s": None, "rms": {"shape": 0.5, "deep": {"er": 1}},
+        "deterministic": True, "vehicles": [{"uav": 0, "alive": True}, {"uav": 1, "alive": False}],
+        "log_sha256": "ab", "list": [1],
+    }  # fmt: skip
+    ended = {runs[0].digest: flown(runs[0], summary=summary)}
+    ended[runs[1].digest] = flown(runs[1], status=FAILED, reason='a "bad", end', summary={})
+    ended[runs[2].digest] = flown(runs[2], summary=summary | {"rms": {"shape": 1, "late": 2}, "moves_s": 3.0})
+    ended[runs[3].digest] = flown(runs[3], summary=summary | {"log_sha256": "cd"})
+    backwards = dict(reversed(ended.items()))
+    table = write_table(plan, runs, backwards, Store(tmp_path))
+    rows = pq.read_table(table.parquet)
+    assert rows.column_names == [
+        "case", "wind.mean_n", "faults", "seed", "status", "reason", "digest", "agents", "moves_s",
+        "rms.shape", "rms.deep.er", "deterministic", "vehicles_lost", "log_sha256", "rms.late",
+    ]  # fmt: skip
+    columns = rows.to_pydict()
+    assert columns["case"] == ["one"] * 4
+    assert columns["seed"] == [1, 2, 1, 2]
+    assert columns["wind.mean_n"] == [0.0, 0.0, 2.5, 2.5]
+    assert columns["faults"] == ["[]", "[]", '["x", {"a" = 1}]', '["x", {"a" = 1}]']
+    assert columns["reason"] == [None, 'a "bad", end', None, None]
+    assert columns["rms.shape"] == [0.5, None, 1.0, 0.5]
+    assert columns["moves_s"] == [None, None, 3.0, None]
+    assert columns["rms.late"] == [None, None, 2, None]
+    assert columns["vehicles_lost"] == [1, None, 1, 1]
+    assert str(rows.schema.field("rms.late").type) == "int64"
+    with table.csv.open() as file:
+        lines = list(csv.DictReader(file))
+    assert [line["reason"] for line in lines] == ["", 'a "bad", end', "", ""]
+    assert [line["rms.shape"] for line in lines] == ["0.5", "", "1", "0.5"]
+    before = table.parquet.read_bytes(), table.csv.read_bytes()
+    again = write_table(plan, runs, ended, Store(tmp_path / "again"))
+    assert (again.parquet.read_bytes(), again.csv.read_bytes()) == before
+
+
+def test_a_campaign_of_failures_has_a_table_as_well():
+    plan = campaign()
+    runs = expand(plan, state="")
+    rows = make_rows(
+        plan, runs, {run.digest: Flown(digest=run.digest, status=FAILED, reason="x") for run in runs}
+    )
+    assert rows.column("reason").to_pylist() == ["x", "x"]
+
+
+# ---- one flight
+
+
+def task(*settings, keep=()):
+    return Task(
+        digest="d",
+        state="s",
+        state_bytes="b",
+        scenario=load_scenario(ARTICLE, settings),
+        settings=settings,
+        keep=keep,
+    )
+
+
+def test_the_gains_that_are_kept_are_those_of_the_summary(tmp_path):
+    """4 per second over 1 s of formation, of which the summary has number, mean and standard deviation."""
+    settings = (*SMALL, "run.duration_s=1", "antenna.feeds_for=estimates")  # all that a flight's record has
+    ended, series = fly_task(task(*settings, keep=("gains", "air")), tmp_path)
+    assert ended.status == "completed", ended.reason
+    assert ended.settings == settings
+    gains = pq.read_table(io.BytesIO(series["gains"]))
+    gain_dbi = np.array(gains["max_gain_dbi"])
+    said = ended.summary["max_gain_dbi"]
+    assert len(gain_dbi) == said["patterns"] + said["missing"] >= 4
+    assert gain_dbi.mean() == pytest.approx(said["mean"], abs=1e-4)
+    assert gain_dbi.std(ddof=1) == pytest.approx(said["std"], abs=1e-4)
+    times_us = np.array(gains["time_us"])
+    assert np.diff(times_us) == pytest.approx(250_000, abs=40_000)  # of a log with 25 rows per second
+    assert times_us[0] * 1e-6 == pytest.approx(ended.summary["formed_s"], abs=0.041)
+    assert "busy_ns" in pq.read_table(io.BytesIO(series["air"])).column_names
+    assert not list(tmp_path.iterdir())
+
+
+def test_gains_that_a_flight_does_not_give_fail_the_run_that_was_to_keep_them(tmp_path, monkeypatch):
+    """Without keeping them it is a run like others, whose summary has the note."""
+    summary = {"status": "completed", "reason": None, "max_gain_dbi": {"mean": None, "note": "of the test"}}
+    monkeypatch.setattr(flying, "fly", lambda _scenario, _folder: summary)
+    ended, series = fly_task(task(keep=("gains",)), tmp_path)
+    assert (ended.status, series) == (FAILED, {})
+    assert ended.reason == "NoSeries: no gains to keep: of the test"
+    ended, _ = fly_task(task(), tmp_path)
+    assert ended.status == "completed"
+
+
+def test_a_solver_that_is_not_installed_flies_nothing(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr(flying, "fly", None)
+    with pytest.raises(BackendUnavailable, match="nec2c patterns need"):
+        fly_task(task("antenna.backend=nec2c"), tmp_path)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [OSError(errno.ENOSPC, "No space left on device"), MemoryError(), SetupError("No space left on device")],
+    ids=repr,
+)
+def test_trouble_of_the_machine_is_no_runs_result(tmp_path, monkeypatch, error):
+    """It would be kept for good: the run would not be flown again where there is room."""
+
+    def fail(_scenario, folder):
+        (folder / "left").touch()
+        raise error
+
+    monkeypatch.setattr(flying, "fly", fail)
+    with pytest.raises(type(error)) as caught:
+        fly_task(task(), tmp_path)
+    assert caught.value is error
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_formation_that_is_not_reached_is_a_result_without_gains(tmp_path):
+    ended, series = fly_task(task(*SMALL, "run.reach_timeout_s=0.2", keep=("gains",)), tmp_path)
+    assert (ended.status, ended.reason) == ("not_formed", "the formation was not reached within 0.2 s")
+    assert pq.read_table(io.BytesIO(series["gains"])).num_rows == 0
+
+
+def test_a_failure_is_a_line_that_the_same_run_would_say_again(tmp_path, monkeypatch):
+    """Neither process ids nor the names of folders that are gone are in it."""
+
+    def fail(_scenario, folder):
+        (folder / "left").touch()
+        log = folder / "logs" / "one process.log"
+        raise SwarmError(
+            f"physics (pid {id(folder)}) ended with status 1: no {folder}/x (log: {log})\nand more"
+        )
+
+    monkeypatch.setattr(flying, "fly", fail)
+    ended, series = fly_task(task(), tmp_path)
+    assert (ended.status, ended.reason) == (FAILED, "SwarmError: physics ended with status 1: no x")
+    assert series == {}
+    assert not list(tmp_path.iterdir())
+
+
+FLOWN_FILES = ("antenna/a.py", "autopilot/b.py", "harness/campaign/flights.py", "harness/report/report.py")
+OTHER_FILES = (
+    "antenna/lab/cli.py", "antenna/analysis/plots.py", "harness/cli/campaign.py", "harness/cli/fly.py",
+    "harness/cli/export_deck.py", "harness/report/figures.py", "harness/cli/progress.py",
+    "harness/launch/pytest_plugin.py", "studies/vehicle/page.py",
+)  # fmt: skip
+MEASURED_BY = ("harness/campaign/flights.py",)
+
+
+def hashes(root):
+    read = sources.read_sources(root, measured_by=MEASURED_BY)
+    return sources.hash_said(read), sources.hash_bytes(read)
+
+
+def test_the_state_of_the_sources_is_of_what_flies_and_measures(tmp_path):
+    """How a campaign is shown changes no flight; how its numbers are made does, and comments do not."""
+    for name in (*FLOWN_FILES, *OTHER_FILES):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("A = 1\n")
+    said, as_bytes = hashes(tmp_path)
+    for name in OTHER_FILES:
+        (tmp_path / name).write_text("A = 2\n")
+        assert hashes(tmp_path) == (said, as_bytes), name
+    (tmp_path / "antenna" / "a.py").write_text('"""What it is."""\n\nA = (\n    1  # one\n)\n')
+    assert sources.hash_sources(tmp_path, measured_by=MEASURED_BY) == said
+    assert hashes(tmp_path)[1] != as_bytes
+    seen = {hashes(tmp_path)}
+    for name in FLOWN_FILES:
+        (tmp_path / name).write_text("A = 2\n")
+        seen.add(hashes(tmp_path))
+    assert [len(set(each)) for each in zip(*seen, strict=True)] == [1 + len(FLOWN_FILES)] * 2
+
+
+@pytest.mark.parametrize("library", ["numpy", "scipy", "numba", "pybullet", "PyNEC"])
+def test_another_version_of_a_library_that_computes_is_another_state(tmp_path, monkeypatch, library):
+    before = hashes(tmp_path)
+    installed = importlib.metadata.version
+    monkeypatch.setattr(
+        importlib.metadata, "version", lambda name: "0.0.1" if name == library else installed(name)
+    )
+    assert not set(hashes(tmp_path)) & set(before)
+
+
+def test_every_module_that_a_flight_loads_is_of_the_state_but_what_draws():
+    program = (
+        "import sys; import harness.campaign.flights, harness.report\n"
+        "print(*(each.__file__ for name, each in sys.modules.items()\n"
+        "        if name.partition('.')[0] in ('antenna', 'netsim', 'autopilot', 'harness')), sep='\\n')"
+    )
+    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+    paths = {Path(line) for line in said.splitlines() if line.endswith(".py")}
+    loaded = {path.relative_to(sources.ROOT).as_posix() for path in paths}
+    flown = sources.read_sources(sources.ROOT, measured_by=_MEASURED_BY).keys()
+    assert len(loaded & flown) > 100
+    kept_by = {f"harness/campaign/{name}.py" for name in KEEPING}
+    assert loaded - flown == {"antenna/analysis/plots.py", "harness/report/figures.py", *kept_by}
+
+
+# ---- the time that is left
+
+
+@given(
+    each_s=st.floats(0.1, 1e4), start_s=st.floats(0.0, 1e3), total=st.integers(4, 1000), data=st.data(),
+)  # fmt: skip
+def test_the_time_left_is_that_of_the_rest_at_the_pace_so_far(each_s, start_s, total, data):
+    """One run every ``each_s``, the first later: after k of n, (n - k) of them are left, counting down."""
+    pace = Pace(5.0)
+    assert pace.left_s(5.0) is None
+    done = data.draw(st.integers(4, total))
+    for number in range(1, done + 1):
+        now_s = 5.0 + start_s + number * each_s
+        pace.landed(total, now_s)
+    about = {"rel": 1e-6, "abs": 1e-6 * total}
+    assert pace.left_s(now_s) == pytest.approx((total - done) * each_s, **about)
+    later_s = max(0.0, (total - done - 0.5) * each_s)
+    assert pace.left_s(now_s + each_s / 2) == pytest.approx(later_s, **about)
+    assert pace.left_s(now_s + 2 * total * each_s) == 0.0
+
+
+def test_durations_are_in_words():
+    texts = [duration_text(seconds) for seconds in (None, 0.0, 59.4, 59.6, 250.0, 3599.7, 11_100.0)]
+    assert texts == ["?", "0 s", "59 s", "1 min 00 s", "4 min 10 s", "1 h 00 min", "3 h 05 min"]

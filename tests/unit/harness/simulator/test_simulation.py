@@ -1,0 +1,110 @@
+"""The physics server's core: what becomes of who is gone, and that nothing stays open whatever fails."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import psutil
+import pytest
+from paths import SCENARIOS
+
+from autopilot.mavlink.hil import HilActuatorControls
+from foundation.records.record_log import read
+from harness.records.run_folder import PhysicsConfig, RunFolder
+from harness.scenario.scenario import load
+from harness.simulator.actuator_inbox import Answers
+from harness.simulator.simulation import Simulation
+from harness.simulator.truth_record import TRUTH_RECORD
+
+ARMED = 128
+"""MAV_MODE_FLAG_SAFETY_ARMED"""
+SCENARIO = load(SCENARIOS / "article.toml", ["agents=2"])
+
+
+class _Seat:
+    def __init__(self, instance):
+        self.instance = instance
+        self.alive = True
+
+
+class _Armed:
+    """Vehicles that are armed with their motors at rest, as long as they live."""
+
+    def __init__(self, error=None):
+        self.seats = [_Seat(i) for i in range(2)]
+        self.error = error
+        self._answers = Answers(2)
+
+    @property
+    def living(self):
+        return sum(seat.alive for seat in self.seats)
+
+    def send(self, frames):
+        assert len(list(frames)) == 2
+
+    def answers(self, time_us):
+        for seat in self.seats:
+            if seat.alive:
+                self._answers.put(seat.instance, HilActuatorControls(time_us, (0.0,) * 16, ARMED, 1))
+        return self._answers
+
+    def close(self):
+        if self.error is not None:
+            raise self.error
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return RunFolder.create(tmp_path / "run")
+
+
+def simulation_of(folder, meet):
+    path = folder.write_physics_config(SCENARIO, run_id="test")
+    config = msgspec.json.decode(path.read_bytes(), type=PhysicsConfig)
+    return Simulation(config, meet=meet, air=None, emit=lambda _: None)
+
+
+def open_files(folder):
+    return [
+        file.path for file in psutil.Process().open_files() if Path(file.path).is_relative_to(folder.path)
+    ]
+
+
+def test_the_lost_are_disarmed_from_their_last_step_on(folder):
+    vehicles = _Armed()
+    simulation = simulation_of(folder, lambda _: vehicles)
+    simulation.step()
+    assert [vehicle.armed for vehicle in simulation.vehicles()] == [True, True]
+    vehicles.seats[1].alive = False
+    simulation.on_lost(1, "of the test")
+    for _ in range(11):  # a record is made each 40 ms, of 10 steps
+        simulation.step()
+    assert [vehicle.armed for vehicle in simulation.vehicles()] == [True, False]
+    simulation.close()
+    truth = read(folder.raw_truth, TRUTH_RECORD)
+    assert truth["armed"][-2:].tolist() == [True, False]
+    assert np.array_equal(truth["alive"][-2:], truth["armed"][-2:])
+
+
+def test_a_rendezvous_that_fails_leaves_nothing_open(folder):
+    met = []
+
+    def meet(simulation):
+        met.append(simulation)
+        assert len(open_files(folder)) == 3
+        raise OSError("of the test")
+
+    with pytest.raises(OSError, match="of the test"):
+        simulation_of(folder, meet)
+    assert open_files(folder) == []
+    assert met[0]._world._bullet._client is None
+
+
+def test_vehicles_that_do_not_close_keep_neither_logs_nor_world_open(folder):
+    simulation = simulation_of(folder, lambda _: _Armed(error=OSError("no space")))
+    simulation.step()
+    with pytest.raises(OSError, match="no space"):
+        simulation.close()
+    assert open_files(folder) == []
+    assert simulation._world._bullet._client is None
+    simulation.close()
