@@ -37,7 +37,7 @@ from autopilot.parameters import parameter_file
 from autopilot.parameters.config import AutopilotConfig, VehicleConfig, VehiclePorts
 from autopilot.parameters.parameter_file import ParameterFileError
 from autopilot.parameters.table import ParameterError
-from autopilot.process.profile_groups import PARTS
+from autopilot.process.profile_groups import PROFILE_GROUPS
 from autopilot.services.service import COMPANION, GROUND_STATION, Addressed, Partner
 from autopilot.vehicle.host import Host, Links, warnings
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Warned, emit, end_with_parent
@@ -93,7 +93,7 @@ def _connect_unix(name: str) -> socket.socket:
     return connection
 
 
-class Process:
+class VehicleProcess:
     """A vehicle and its edges."""
 
     def __init__(self, config: VehicleConfig, stack: contextlib.ExitStack) -> None:
@@ -145,7 +145,7 @@ class Process:
         gc.freeze()
         flight = self._host.vehicle.flight
         with (
-            profiled(PARTS, now_us=lambda: flight.now_us, from_us=self._profile_from_us) as profile,
+            profiled(PROFILE_GROUPS, now_us=lambda: flight.now_us, from_us=self._profile_from_us) as profile,
             contextlib.suppress(ConnectionResetError, BrokenPipeError),  # a simulator that died hangs up too
         ):
             host, simulator = self._host, self._simulator
@@ -192,7 +192,7 @@ class Process:
         while not any(key.fileobj is self._simulator for key, _ in self._waiting.select(WALL_LINK_PERIOD_S)):
             incoming = self._receive()
             if incoming:
-                self._send(self._host.attend(incoming))
+                self._send(self._host.serve_while_paused(incoming))
             self._wall_poll_s = time.monotonic()
             self._keep_beating()
 
@@ -251,7 +251,7 @@ class Process:
 def _open_links(config: VehicleConfig) -> Iterator[UdpLink]:
     """Open the links in the order of their numbers. Raises OSError and SigningKeyError."""
     links, ports = config.links, config.ports
-    key, heard = None, signing.Streams()
+    key, heard = None, signing.SigningStreams()
     if links.signing_key_file is not None:
         key = signing.key_of(Path(links.signing_key_file).read_bytes())
     remotes = (
@@ -299,7 +299,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             end_with_parent()
             _yield_to_the_simulator()
         with contextlib.ExitStack() as stack:
-            Process(config, stack).run()
+            VehicleProcess(config, stack).run()
     except (
         OSError,
         msgspec.DecodeError,

@@ -85,7 +85,7 @@ def benchmark(seconds: float) -> Benchmark:
 
 def compare(config: AntennaConfig, seconds: float) -> tuple[Speed, int]:
     """Time both solvers in turns; the number of rounds is the second of what is given."""
-    from antenna.solvers.nec2 import FarField, Nec2  # noqa: PLC0415 - optional: PyNEC
+    from antenna.solvers.nec2 import Nec2, PynecFarField  # noqa: PLC0415 - optional: PyNEC
 
     snapshots = formations(config, SNAPSHOTS)
     parts = [snapshots[first : first + SLICE] for first in range(0, SNAPSHOTS, SLICE)]
@@ -97,7 +97,7 @@ def compare(config: AntennaConfig, seconds: float) -> tuple[Speed, int]:
     def nec2_grids() -> None:
         for snapshot in islice(few, NEC2_AT_A_TIME):
             check_apart(snapshot, element, grounded=False)
-            to_dbi(FarField(snapshot, config).partial_gains(config.grid_deg))
+            to_dbi(PynecFarField(snapshot, config).partial_gains(config.grid_deg))
 
     def solve() -> None:
         solved[:] = [batch.currents(part) for part in parts]

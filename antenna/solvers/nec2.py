@@ -14,7 +14,7 @@ from antenna.model.config import AntennaConfig
 from antenna.model.deck import SPEED_OF_LIGHT_M_S, feed
 from antenna.model.geometry import Array, Snapshot
 from antenna.solvers.interface import BackendUnavailable
-from antenna.solvers.nec2_common import Witness
+from antenna.solvers.nec2_common import Nec2Solver
 
 
 class Nec2Unavailable(BackendUnavailable):
@@ -27,17 +27,17 @@ except ImportError as error:
     raise Nec2Unavailable("NEC2 patterns need PyNEC: pip install 'coflight[nec2]'") from error
 
 
-class Nec2(Witness):
+class Nec2(Nec2Solver):
     """Patterns by PyNEC."""
 
     name = "nec2"
 
-    def far_field(self, snapshot: Snapshot) -> "FarField":
+    def far_field(self, snapshot: Snapshot) -> "PynecFarField":
         """Build an array in NEC2."""
-        return FarField(snapshot, self._config)
+        return PynecFarField(snapshot, self._config)
 
 
-class FarField:
+class PynecFarField:
     """One array in NEC2: built on construction, solved by the first request for gains."""
 
     def __init__(self, snapshot: Snapshot, config: AntennaConfig) -> None:

@@ -39,7 +39,7 @@ class FarField(Protocol):
         ...
 
 
-class Witness(ABC):
+class Nec2Solver(ABC):
     """Patterns of arrays of alike elements, each solved by itself."""
 
     name: str

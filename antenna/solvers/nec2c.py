@@ -17,7 +17,7 @@ from antenna.model.config import AntennaConfig
 from antenna.model.deck import write_deck
 from antenna.model.geometry import Array, Snapshot
 from antenna.solvers.interface import BackendUnavailable
-from antenna.solvers.nec2_common import NoPower, Witness
+from antenna.solvers.nec2_common import Nec2Solver, NoPower
 
 ETA_NEC_OHM = 376.73
 TIMEOUT_S = 120.0
@@ -31,7 +31,7 @@ class Nec2cFailed(RuntimeError):
     """The program did not give a pattern; the text is one line."""
 
 
-class Nec2c(Witness):
+class Nec2c(Nec2Solver):
     """Patterns by nec2c."""
 
     name = "nec2c"
@@ -43,12 +43,12 @@ class Nec2c(Witness):
             raise Nec2cUnavailable("nec2c patterns need the program nec2c, which Debian has as a package")
         self._program = program
 
-    def far_field(self, snapshot: Snapshot) -> "FarField":
+    def far_field(self, snapshot: Snapshot) -> "Nec2cFarField":
         """Keep an array for the program."""
-        return FarField(snapshot, self._config, self._program)
+        return Nec2cFarField(snapshot, self._config, self._program)
 
 
-class FarField:
+class Nec2cFarField:
     """One array, solved anew by every request; raises Nec2cFailed."""
 
     def __init__(self, snapshot: Snapshot, config: AntennaConfig, program: str) -> None:
@@ -69,7 +69,7 @@ class FarField:
         return gains
 
     def gains_dbi(self, theta_deg: Array, phi_deg: Array) -> Array:
-        """See `antenna.solvers.nec2_common.FarField`."""
+        """See `antenna.solvers.nec2_common.Nec2cFarField`."""
         if self._ground is not None:
             theta_deg = np.minimum(theta_deg, 180.0 - theta_deg)
         asked = [

@@ -15,7 +15,7 @@ from antenna.model.config import AntennaConfig
 from antenna.model.excitation import end_fire, hansen_woodyard, optimum
 from antenna.model.geometry import Array, Complex, ElementsTouch, Snapshot, Voltages, upright
 from antenna.solvers.batch.coupling import solve_arrays
-from antenna.solvers.batch.kind import Kind, make_kind
+from antenna.solvers.batch.kind import ElementKind, make_kind
 from antenna.solvers.batch.moments import ETA_OHM
 
 MAIN_LOBE_DEG = (90.0, 90.0)
@@ -124,6 +124,6 @@ def _directions(theta_deg: float, phi_deg: float) -> tuple[Array, Array, Array]:
 
 
 @lru_cache(maxsize=8)
-def _kind(config: AntennaConfig) -> Kind:
+def _kind(config: AntennaConfig) -> ElementKind:
     """Response of the elements that a configuration has."""
     return make_kind(config.element(), config.wavelength_m, image=config.ground == "perfect")

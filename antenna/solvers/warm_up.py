@@ -12,18 +12,15 @@ from antenna.model.config import AntennaConfig
 from antenna.model.geometry import grid, upright
 from antenna.solvers.ports import feed
 from antenna.solvers.selection import make_backend
+from foundation.kernels.warm_up import WarmUpError
 
 HEIGHT_M = 10.0
 
 
-class RehearsalError(RuntimeError):
-    """An array that has a pattern was found to have none; something is wrong with the antenna."""
-
-
-def rehearse() -> None:
+def warm_up() -> None:
     """Solve dipoles apart and near each other, in free space and over a ground, and count their gains.
 
-    Raises RehearsalError.
+    Raises WarmUpError.
     """
     for ground in ("none", "perfect"):
         config = AntennaConfig(ground=ground, excitation="optimum", grid_deg=30.0)
@@ -35,5 +32,5 @@ def rehearse() -> None:
         counted = RunningEnvelope()
         for pattern in make_backend(config).patterns(arrays):
             if not isinstance(pattern, Pattern):
-                raise RehearsalError(f"the antenna's rehearsal has no pattern: {pattern}")
+                raise WarmUpError(f"the antenna's rehearsal has no pattern: {pattern}")
             counted.add(pattern)

@@ -72,7 +72,7 @@ class Ends(Enum):
         return self.value
 
 
-class Response(NamedTuple):
+class FailsafeResponse(NamedTuple):
     """What a parameter's value stands for."""
 
     action: Action
@@ -90,21 +90,21 @@ class Row(NamedTuple):
     """PX4's name; None where there is nothing to choose."""
     field: str
     """Of `CommanderParams`."""
-    responses: Mapping[int, Response]
+    responses: Mapping[int, FailsafeResponse]
     """By the parameter's value; of a value that is not here nothing follows."""
 
 
-_WARN = Response(Action.WARN, Ends.WITH_CAUSE)
-_HOLD = Response(Action.HOLD)
-_TERMINATE = Response(Action.TERMINATE, Ends.NEVER)
-_DISARM = Response(Action.DISARM, Ends.WITH_CAUSE)
+_WARN = FailsafeResponse(Action.WARN, Ends.WITH_CAUSE)
+_HOLD = FailsafeResponse(Action.HOLD)
+_TERMINATE = FailsafeResponse(Action.TERMINATE, Ends.NEVER)
+_DISARM = FailsafeResponse(Action.DISARM, Ends.WITH_CAUSE)
 
 
-def _delayed(action: Action, ends: Ends = Ends.MODE_CHANGE) -> Response:
-    return Response(action, ends, delayed=True)
+def _delayed(action: Action, ends: Ends = Ends.MODE_CHANGE) -> FailsafeResponse:
+    return FailsafeResponse(action, ends, delayed=True)
 
 
-_LINK_LOSS: Mapping[int, Response] = MappingProxyType({
+_LINK_LOSS: Mapping[int, FailsafeResponse] = MappingProxyType({
     1: _delayed(Action.HOLD), 2: _delayed(Action.RETURN), 3: _delayed(Action.LAND), 5: _TERMINATE, 6: _DISARM,
 })  # fmt: skip
 _WITH_CAUSE = Ends.WITH_CAUSE
@@ -112,7 +112,8 @@ _WITH_CAUSE = Ends.WITH_CAUSE
 ROWS: tuple[Row, ...] = (
     Row(Cause.TIPPED_OVER, "not upright", "CBRK_FLIGHTTERM", "termination_breaker",
         {0: _TERMINATE, 121_212: _WARN}),
-    Row(Cause.ESTIMATOR_FAILED, "estimator failed", None, "", {0: Response(Action.DESCEND, _WITH_CAUSE)}),
+    Row(Cause.ESTIMATOR_FAILED, "estimator failed", None, "",
+        {0: FailsafeResponse(Action.DESCEND, _WITH_CAUSE)}),
     Row(Cause.MOTOR_FAILED, "motor failure", "COM_ACT_FAIL_ACT", "motor_failure_action",
         {0: _WARN, 1: _delayed(Action.HOLD, _WITH_CAUSE), 2: _delayed(Action.LAND),
          3: _delayed(Action.RETURN), 4: _TERMINATE}),
@@ -131,9 +132,10 @@ ROWS: tuple[Row, ...] = (
 )  # fmt: skip
 """In the order of what is named first when two ask for the same."""
 
-OFFBOARD_LOSS: Mapping[int, Response] = MappingProxyType({
-    0: Response(Action.POSITION), 1: Response(Action.ALTITUDE), 2: Response(Action.STABILIZED),
-    3: Response(Action.RETURN), 4: Response(Action.LAND), 5: Response(Action.HOLD),
+OFFBOARD_LOSS: Mapping[int, FailsafeResponse] = MappingProxyType({
+    0: FailsafeResponse(Action.POSITION), 1: FailsafeResponse(Action.ALTITUDE),
+    2: FailsafeResponse(Action.STABILIZED), 3: FailsafeResponse(Action.RETURN),
+    4: FailsafeResponse(Action.LAND), 5: FailsafeResponse(Action.HOLD),
     6: _TERMINATE, 7: _DISARM,
 })  # fmt: skip
 """COM_OBL_RC_ACT. A stick mode without sticks falls through to hold; setpoints that come again do not bring
@@ -173,7 +175,7 @@ NOTHING = Decision()
 
 
 class _Active(NamedTuple):
-    response: Response
+    response: FailsafeResponse
     text: str
     present: bool
 
@@ -250,8 +252,8 @@ class Failsafe:
     def _responses(
         self, now_us: int, params: CommanderParams, causes: int, conditions: int, mode: FlightMode,
         missing: int,
-    ) -> dict[Cause, tuple[Response, str]]:  # fmt: skip
-        present: dict[Cause, tuple[Response, str]] = {}
+    ) -> dict[Cause, tuple[FailsafeResponse, str]]:  # fmt: skip
+        present: dict[Cause, tuple[FailsafeResponse, str]] = {}
         for row in ROWS:
             if causes & row.cause:
                 response = row.responses[_value(row, params)]
@@ -269,7 +271,7 @@ class Failsafe:
         return now_us - armed_us < params.spool_up_s * US_PER_S + _SETTLING_US
 
     def _note(
-        self, present: Mapping[Cause, tuple[Response, str]], now_us: int, params: CommanderParams,
+        self, present: Mapping[Cause, tuple[FailsafeResponse, str]], now_us: int, params: CommanderParams,
         *, mode_chosen: bool,
     ) -> None:  # fmt: skip
         """Bring the active ones up to date, and who flies."""
@@ -356,13 +358,17 @@ def feasible(action: Action, conditions: int) -> Action:
     return next(able, Action.TERMINATE)
 
 
-def _mode_response(mode: FlightMode, missing: int, conditions: int, params: CommanderParams) -> Response:
+def _mode_response(
+    mode: FlightMode, missing: int, conditions: int, params: CommanderParams
+) -> FailsafeResponse:
     """Give the way out of a mode that cannot go on."""
     if missing & Condition.SETPOINTS:
         return OFFBOARD_LOSS[params.offboard_loss_action]
     if mode in MANUAL_MODES and conditions & Condition.MANUAL:
-        return Response(Action.ALTITUDE if mode is FlightMode.POSITION else Action.STABILIZED, _WITH_CAUSE)
-    return Response(Action.HOLD if mode in MANUAL_MODES else Action.RETURN, _WITH_CAUSE)
+        return FailsafeResponse(
+            Action.ALTITUDE if mode is FlightMode.POSITION else Action.STABILIZED, _WITH_CAUSE
+        )
+    return FailsafeResponse(Action.HOLD if mode in MANUAL_MODES else Action.RETURN, _WITH_CAUSE)
 
 
 def _value(row: Row, params: CommanderParams) -> int:

@@ -41,7 +41,7 @@ class FailureDetectorParams(Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """FD_ACT_MOT_TOUT (there in ms): how long the current must be too low"""
 
 
-class Failure(IntFlag):
+class AttitudeFailure(IntFlag):
     """Something that is wrong."""
 
     ROLL = 1
@@ -65,7 +65,7 @@ class FailureDetector:
         self.failed_motors: frozenset[int] = frozenset()
         """Indices of the motor controls; it only grows until the vehicle is disarmed."""
         self._attitude = 0
-        """`Failure` bits of roll and pitch."""
+        """`AttitudeFailure` bits of roll and pitch."""
         self._roll_us: int | None = None
         self._pitch_us: int | None = None
         """Since when the angle is beyond its limit."""
@@ -89,14 +89,14 @@ class FailureDetector:
 
     @property
     def failures(self) -> int:
-        """`Failure` bits."""
+        """`AttitudeFailure` bits."""
         bits = self._attitude
         if self.failed_motors:
             bits |= _MOTOR
         return bits | _ESC_TELEMETRY if self._esc_lost else bits
 
     def update(self, now_us: int, q_ned_frd: Array, *, armed: bool) -> int:
-        """Take the attitude (4,), wxyz; returns the `Failure` bits.
+        """Take the attitude (4,), wxyz; returns the `AttitudeFailure` bits.
 
         Roll and pitch are judged disarmed, too, so that arming can be refused.
         """
@@ -157,7 +157,7 @@ class FailureDetector:
         self._low_us.clear()
 
 
-_ROLL, _PITCH, _MOTOR, _ESC_TELEMETRY = (int(failure) for failure in Failure)
+_ROLL, _PITCH, _MOTOR, _ESC_TELEMETRY = (int(failure) for failure in AttitudeFailure)
 """Plain integers: the flag type's operations cost more than all the rest of a step."""
 
 

@@ -25,7 +25,7 @@ LEFT_GROUND_HEIGHT_M = 0.15
 LEFT_GROUND_CLIMB_M_S = 0.5
 
 
-class Stage(IntEnum):
+class LandStage(IntEnum):
     """How sure it is that the vehicle is down."""
 
     AIRBORNE = 0
@@ -50,7 +50,7 @@ class LandDetector:
 
     def __init__(self, params: LandDetectorParams) -> None:
         self.params = params
-        self.stage = Stage.LANDED
+        self.stage = LandStage.LANDED
         self._since_us = 0
         """Since when the conditions of the next stage hold."""
         self._climb_from_down_m: float | None = None
@@ -59,7 +59,7 @@ class LandDetector:
     @property
     def landed(self) -> bool:
         """On the ground for certain."""
-        return self.stage is Stage.LANDED
+        return self.stage is LandStage.LANDED
 
     def update(
         self,
@@ -72,9 +72,9 @@ class LandDetector:
     ) -> None:
         """Take the estimate, the vertical speed asked for, and thrust as a share of the hover thrust."""
         if not armed:
-            self.stage = Stage.LANDED
+            self.stage = LandStage.LANDED
             self._climb_from_down_m = None
-        elif self.stage is Stage.LANDED:
+        elif self.stage is LandStage.LANDED:
             self._watch_for_take_off(now_us, state, down_demand_m_s)
         else:
             # in flight neither is so, and the motion need not be looked at
@@ -103,25 +103,25 @@ class LandDetector:
         elif self._climb_from_down_m is None:
             self._climb_from_down_m = down_m
         elif self._climb_from_down_m - down_m > LEFT_GROUND_HEIGHT_M or -vel_down_m_s > LEFT_GROUND_CLIMB_M_S:
-            self.stage = Stage.AIRBORNE
+            self.stage = LandStage.AIRBORNE
             self._since_us = now_us
             self._climb_from_down_m = None
 
     def _advance(self, now_us: int, *, contact: bool, resting: bool) -> None:
         if not contact:
-            self.stage = Stage.AIRBORNE
+            self.stage = LandStage.AIRBORNE
             self._since_us = now_us
-        elif self.stage is Stage.AIRBORNE:
-            self._climb_stage(now_us, Stage.GROUND_CONTACT, GROUND_CONTACT_US)
+        elif self.stage is LandStage.AIRBORNE:
+            self._climb_stage(now_us, LandStage.GROUND_CONTACT, GROUND_CONTACT_US)
         elif not resting:
-            self.stage = Stage.GROUND_CONTACT
+            self.stage = LandStage.GROUND_CONTACT
             self._since_us = now_us
-        elif self.stage is Stage.GROUND_CONTACT:
-            self._climb_stage(now_us, Stage.MAYBE_LANDED, MAYBE_LANDED_US)
+        elif self.stage is LandStage.GROUND_CONTACT:
+            self._climb_stage(now_us, LandStage.MAYBE_LANDED, MAYBE_LANDED_US)
         else:
-            self._climb_stage(now_us, Stage.LANDED, LANDED_US)
+            self._climb_stage(now_us, LandStage.LANDED, LANDED_US)
 
-    def _climb_stage(self, now_us: int, stage: Stage, after_us: int) -> None:
+    def _climb_stage(self, now_us: int, stage: LandStage, after_us: int) -> None:
         if now_us - self._since_us >= after_us:
             self.stage = stage
             self._since_us = now_us

@@ -23,7 +23,7 @@ from autopilot.control.position import (
     PositionController,
 )
 from autopilot.control.rates import RateController
-from autopilot.control.takeoff import Phase, TakeoffRamp, wants_climb
+from autopilot.control.takeoff import TakeoffPhase, TakeoffRamp, wants_climb
 from foundation.geometry.rotations import quat_to_euler
 from foundation.types import (
     Array,
@@ -119,7 +119,7 @@ class FlightController:
         return (
             isinstance(setpoint, TrajectorySetpoint)
             and (setpoint.yaw_rad is not None or setpoint.yaw_rate_rad_s == 0.0)  # else the heading goes on
-            and self._takeoff.phase is Phase.FLYING
+            and self._takeoff.phase is TakeoffPhase.FLYING
         )
 
     @property
@@ -138,7 +138,7 @@ class FlightController:
         setpoint = self._setpoint
         if not isinstance(setpoint, TrajectorySetpoint):
             return setpoint
-        idles = self._takeoff.phase is Phase.GROUND
+        idles = self._takeoff.phase is TakeoffPhase.GROUND
         return AttitudeSetpoint(
             q_ned_frd=self._decided[ATTITUDE].copy(),
             yaw_rate_rad_s=0.0 if idles else setpoint.yaw_rate_rad_s,
@@ -184,7 +184,7 @@ class FlightController:
         motors up only when it asks to climb.
         """
         takeoff = self._takeoff
-        if landed or takeoff.phase is not Phase.FLYING:
+        if landed or takeoff.phase is not TakeoffPhase.FLYING:
             climb = isinstance(setpoint, TrajectorySetpoint) and landed and wants_climb(state, setpoint)
             takeoff.update(landed=landed, wants_climb=climb, dt_s=dt_s)
         if landed:
@@ -220,7 +220,11 @@ class FlightController:
         phase = self._takeoff.phase
         if setpoint.yaw_rad is not None:
             self._yaw_rad = setpoint.yaw_rad
-        elif self._yaw_rad is None or phase is Phase.GROUND or state.reset_counter != self._reset_counter:
+        elif (
+            self._yaw_rad is None
+            or phase is TakeoffPhase.GROUND
+            or state.reset_counter != self._reset_counter
+        ):
             self._yaw_rad = float(quat_to_euler(state.q_ned_frd)[2])
         else:
             self._yaw_rad = math.remainder(self._yaw_rad + setpoint.yaw_rate_rad_s * dt_s, math.tau)
@@ -228,7 +232,7 @@ class FlightController:
         self._position.take(state, setpoint)
         _SAMPLE.pack_into(
             self._octets, 0, self._yaw_rad, setpoint.yaw_rate_rad_s, self._takeoff.climb_max_m_s,
-            dt_s, state.velocity_valid, phase is Phase.GROUND, landed, phase is Phase.FLYING,
+            dt_s, state.velocity_valid, phase is TakeoffPhase.GROUND, landed, phase is TakeoffPhase.FLYING,
         )  # fmt: skip
         self._setpoint = setpoint
         self._rates.start(state.omega_frd_rad_s)

@@ -12,7 +12,7 @@ _CLIMB_ACC_M_S2 = 1.0
 """What a setpoint must ask for beyond these to count as a wish to leave the ground"""
 
 
-class Phase(Enum):
+class TakeoffPhase(Enum):
     """Where the vehicle is between standing and flying."""
 
     GROUND = "ground"
@@ -35,7 +35,7 @@ class TakeoffRamp:
 
     def __init__(self, params: PositionParams) -> None:
         self._set(params)
-        self.phase = Phase.GROUND
+        self.phase = TakeoffPhase.GROUND
         self.climb_max_m_s = self._start_m_s
         """Climb limit; negative early in the ramp, where the thrust does not carry yet"""
         self._ramp_s = 0.0
@@ -43,30 +43,30 @@ class TakeoffRamp:
     def set_params(self, params: PositionParams) -> None:
         """Act by these from the next update on; the phase and the time spent in it stay."""
         self._set(params)
-        if self.phase is Phase.GROUND:
+        if self.phase is TakeoffPhase.GROUND:
             self.climb_max_m_s = self._start_m_s
 
     def reset(self) -> None:
         """On the ground, disarmed."""
-        self._enter(Phase.GROUND)
+        self._enter(TakeoffPhase.GROUND)
 
-    def update(self, *, landed: bool, wants_climb: bool, dt_s: float) -> Phase:
+    def update(self, *, landed: bool, wants_climb: bool, dt_s: float) -> TakeoffPhase:
         """Advance by ``dt_s``: a wish to climb starts the ramp, its end is flight."""
-        if self.phase is Phase.GROUND:
+        if self.phase is TakeoffPhase.GROUND:
             if landed and wants_climb:
-                self._enter(Phase.RAMP)
+                self._enter(TakeoffPhase.RAMP)
             elif not landed:
-                self._enter(Phase.FLYING)
-        elif self.phase is Phase.RAMP:
+                self._enter(TakeoffPhase.FLYING)
+        elif self.phase is TakeoffPhase.RAMP:
             self._ramp_s += dt_s
             share = min(self._ramp_s / self._params.tko_ramp_s, 1.0)
             self.climb_max_m_s = self._start_m_s + share * (self._params.tko_speed_m_s - self._start_m_s)
             if landed and not wants_climb:
-                self._enter(Phase.GROUND)
+                self._enter(TakeoffPhase.GROUND)
             elif share >= 1.0 and not landed:
-                self._enter(Phase.FLYING)
+                self._enter(TakeoffPhase.FLYING)
         elif landed:
-            self._enter(Phase.GROUND)
+            self._enter(TakeoffPhase.GROUND)
         return self.phase
 
     def _set(self, params: PositionParams) -> None:
@@ -74,7 +74,7 @@ class TakeoffRamp:
         # the vertical speed error at which the velocity P term takes all thrust away
         self._start_m_s = -GRAVITY_M_S2 / params.z_vel_p_acc
 
-    def _enter(self, phase: Phase) -> None:
+    def _enter(self, phase: TakeoffPhase) -> None:
         self.phase = phase
         self._ramp_s = 0.0
-        self.climb_max_m_s = float("inf") if phase is Phase.FLYING else self._start_m_s
+        self.climb_max_m_s = float("inf") if phase is TakeoffPhase.FLYING else self._start_m_s

@@ -167,7 +167,7 @@ class Estimator:
     # -- steps of inertial samples alone, which compiled code makes on the filter's memory
 
     @property
-    def sound_until_us(self) -> int:
+    def valid_until_us(self) -> int:
         """Up to when a horizon finds nothing to fuse, and all of the state stays known; -1: not even now."""
         live = self.live
         if self._failed or not (live.velocity_valid and live.position_valid and live.height_valid):
@@ -175,7 +175,7 @@ class Estimator:
         return min(self._due_us, self._aided_until_us + 1, self._height_until_us + 1)
 
     def catch_up(self, time_us: int) -> None:
-        """Note that inertial samples up to this one have gone to the filter, within `sound_until_us`."""
+        """Note that inertial samples up to this one have gone to the filter, within `valid_until_us`."""
         self._time_us = self.live.time_us = time_us
         self._state = None
 

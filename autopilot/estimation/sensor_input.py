@@ -60,7 +60,7 @@ class SensorInput:
         self._seen_us = dict.fromkeys(TIMEOUTS_US, _LONG_AGO_US)
         self._mag_us = self._baro_us = 0
         """From when on the next reading is taken: multiples of the periods, so that both come in one step."""
-        self.aids_us = 0
+        self.next_aiding_us = 0
         """The earlier of the two: before it, readings of magnetometer and barometer are passed over."""
         self.set_params(params)
 
@@ -110,7 +110,7 @@ class SensorInput:
                 self._seen_us[_BARO] = now_us
                 self._baro_us = now_us - now_us % self._baro_period_us + self._baro_period_us
                 self._estimator.on_baro(now_us, message.abs_pressure, message.temperature)
-        self.aids_us = min(self._mag_us, self._baro_us)
+        self.next_aiding_us = min(self._mag_us, self._baro_us)
         if fields & IMU_FIELDS == IMU_FIELDS:
             self._seen_us[_IMU] = now_us
             self._estimator.on_imu(

@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink import dialect  # noqa: F401  # completes the dialect: without it nobody should parse
 from autopilot.mavlink.counters import Counters
-from autopilot.mavlink.signing import INCOMPAT_SIGNED, SIGNATURE_BYTES, Signer, Verdict
+from autopilot.mavlink.signing import INCOMPAT_SIGNED, SIGNATURE_BYTES, SignatureVerdict, Signer
 
 Message: TypeAlias = common.MAVLink_message
 
@@ -130,12 +130,12 @@ class Parser:
         if self._signer is None:
             return True
         verdict = self._signer.judge(frame, now)
-        if verdict is Verdict.GOOD:
+        if verdict is SignatureVerdict.GOOD:
             return True
         counters = self.counters
-        if verdict is Verdict.UNSIGNED:
+        if verdict is SignatureVerdict.UNSIGNED:
             counters.unsigned += 1
-        elif verdict is Verdict.BAD:
+        elif verdict is SignatureVerdict.BAD:
             counters.signature_bad += 1
         else:
             counters.replayed += 1

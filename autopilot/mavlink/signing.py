@@ -33,7 +33,7 @@ class SigningKeyError(ValueError):
     """A signing key that cannot be used; the text is one line."""
 
 
-class Verdict(Enum):
+class SignatureVerdict(Enum):
     """What a frame's signature says."""
 
     GOOD = "good"
@@ -42,7 +42,7 @@ class Verdict(Enum):
     REPLAYED = "replayed"
 
 
-class Streams:
+class SigningStreams:
     """Last timestamps of the senders that a vehicle has heard, by link id and source.
 
     Its ports share them, or what was recorded at one could be played to another.
@@ -81,7 +81,7 @@ class Signer:
     ``heard`` are the streams that the vehicle hears; without it the port has its own.
     """
 
-    def __init__(self, key: bytes, *, link_id: int, heard: Streams | None = None) -> None:
+    def __init__(self, key: bytes, *, link_id: int, heard: SigningStreams | None = None) -> None:
         """Raise SigningKeyError for a key that is not of 32 bytes."""
         if len(key) != KEY_BYTES:
             raise SigningKeyError(f"a signing key has {KEY_BYTES} bytes, not {len(key)}")
@@ -89,7 +89,7 @@ class Signer:
         self._link_id = link_id
         self._sent = 0
         """Timestamp of the last frame that was signed, or of a later one that was heard."""
-        self._heard = Streams() if heard is None else heard
+        self._heard = SigningStreams() if heard is None else heard
 
     def sign(self, frame: bytes, now: int) -> bytes:
         """Append the signature to a frame whose header already says that it is signed.
@@ -100,22 +100,22 @@ class Signer:
         stamp = struct.pack("<BQ", self._link_id, self._sent)[: 1 + _TIMESTAMP_BYTES]
         return b"".join((frame, stamp, self._digest(frame + stamp)))
 
-    def judge(self, frame: bytes | bytearray, now: int) -> Verdict:
+    def judge(self, frame: bytes | bytearray, now: int) -> SignatureVerdict:
         """Judge a whole frame whose checksum is right. Only a good one leaves a trace.
 
         The signature is looked at before the timestamp: a forged one must not make those to come look old.
         """
         if frame[0] != 0xFD or not frame[2] & INCOMPAT_SIGNED:
-            return Verdict.UNSIGNED
+            return SignatureVerdict.UNSIGNED
         if not hmac.compare_digest(self._digest(frame[:-_DIGEST_BYTES]), bytes(frame[-_DIGEST_BYTES:])):
-            return Verdict.BAD
+            return SignatureVerdict.BAD
         stream = (frame[-SIGNATURE_BYTES], bytes(frame[_SOURCE]))
         timestamp = int.from_bytes(frame[-SIGNATURE_BYTES + 1 : -_DIGEST_BYTES], "little")
         if not self._heard.take(stream, timestamp, now):
-            return Verdict.REPLAYED
+            return SignatureVerdict.REPLAYED
         # whoever is ahead of this clock would take what is signed by it for old
         self._sent = max(self._sent, timestamp)
-        return Verdict.GOOD
+        return SignatureVerdict.GOOD
 
     def _digest(self, signed: bytes | bytearray) -> bytes:
         return hashlib.sha256(self._key + signed).digest()[:_DIGEST_BYTES]

@@ -40,7 +40,7 @@ _SAME_PLACE_M = 0.01
 _ABEAM_M = 1e-6
 
 
-class Stage(Enum):
+class MissionStage(Enum):
     """What is done about the present item."""
 
     NONE = "none"
@@ -59,7 +59,7 @@ class MissionFlight:
         position: PositionParams,
     ) -> None:  # fmt: skip
         self.runner = MissionRunner()
-        self.stage = Stage.NONE
+        self.stage = MissionStage.NONE
         self.return_wanted = False
         """The mission asks for Return mode; until then it holds."""
         self.place_ned_m: Array = np.zeros(3)
@@ -97,7 +97,7 @@ class MissionFlight:
 
     def apply_limits(self) -> None:
         """Go on with the present leg, or take-off, within the present limits."""
-        if self.stage is Stage.TAKE_OFF:
+        if self.stage is MissionStage.TAKE_OFF:
             self._take_off.set_limits(self._limits, speed_m_s=self._position.tko_speed_m_s)
         else:
             self._guide.set_limits(self._leg_limits())
@@ -120,14 +120,14 @@ class MissionFlight:
             self._begin(moment, params)
         if self._is_done(moment, params):
             self._advance(moment, params)
-        if self.stage is Stage.TAKE_OFF:
+        if self.stage is MissionStage.TAKE_OFF:
             return self._take_off.update(moment)
         if moment.landed:
             self._stood = True
             return IDLE
         if self._stood:
             self._lift(moment, params)
-        if self.stage is Stage.LAND:
+        if self.stage is MissionStage.LAND:
             return self._landing.update(moment, params)
         guide = self._guide
         if not guide.resting:
@@ -140,9 +140,9 @@ class MissionFlight:
     def _lift(self, moment: Moment, params: NavigationParams) -> None:
         """Off the ground unasked: go on with a leg, else stay here instead of going back up."""
         self._stood = False
-        if self.stage is Stage.FLY:
+        if self.stage is MissionStage.FLY:
             self.resume(moment, params)
-        elif self.stage is not Stage.LAND:
+        elif self.stage is not MissionStage.LAND:
             self._guide.restart(moment.state)
 
     def _advance(self, moment: Moment, params: NavigationParams) -> None:
@@ -157,7 +157,7 @@ class MissionFlight:
         item = self.runner.item
         if item is None:
             return False
-        if self.stage is Stage.TAKE_OFF:
+        if self.stage is MissionStage.TAKE_OFF:
             if self._take_off.airborne and self._is_high_enough(moment.state, params):
                 self._fly(item, moment, params)
             return False
@@ -165,7 +165,7 @@ class MissionFlight:
             return True
         if item.command is MissionCommand.RETURN:
             return True
-        if self.stage is Stage.FLY and self._is_there(item, moment.state, params):
+        if self.stage is MissionStage.FLY and self._is_there(item, moment.state, params):
             if item.command is MissionCommand.LAND:
                 self._land(moment.state)
                 return False
@@ -173,15 +173,15 @@ class MissionFlight:
                 self._level = False
                 self._fly(item, moment, params)
                 return False
-            self.stage = Stage.STAY
+            self.stage = MissionStage.STAY
             self._stayed_s = 0.0
-        elif self.stage is Stage.STAY:
+        elif self.stage is MissionStage.STAY:
             self._stayed_s += moment.dt_s
         if item.command is MissionCommand.TURN:
             off_rad = _off_heading_rad(moment.state, self._heading_rad)
             return moment.landed or (self._guide.resting and off_rad <= params.yaw_acceptance_rad)
         return (
-            self.stage is Stage.STAY
+            self.stage is MissionStage.STAY
             and item.command is not MissionCommand.LOITER_UNLIMITED
             and self._stayed_s >= item.hold_s
         )
@@ -196,7 +196,7 @@ class MissionFlight:
         self._passes = self._stood = False
         item, guide = self.runner.item, self._guide
         if item is None:
-            self.stage = Stage.NONE
+            self.stage = MissionStage.NONE
             if self.runner.mission is None:
                 guide.restart(moment.state)  # it was taken away in flight
             return
@@ -204,7 +204,7 @@ class MissionFlight:
         self._level = item.command is MissionCommand.LOITER_TO_ALT
         if item.command in _IN_PLACE:
             self.place_ned_m = guide.target_ned_m
-            self.stage = Stage.STAY
+            self.stage = MissionStage.STAY
             self._stayed_s = 0.0
             if item.command is MissionCommand.TURN:
                 if not again:
@@ -218,7 +218,7 @@ class MissionFlight:
     def _leave_ground(self, item: MissionItem, moment: Moment, params: NavigationParams) -> None:
         """Climb to the item's height, as PX4 does for any first place; a landing needs nothing."""
         if item.command is MissionCommand.LAND:
-            self.stage = Stage.LAND
+            self.stage = MissionStage.LAND
             return
         home_down_m = moment.home_ned_m[2] if moment.home_ned_m is not None else 0.0
         down_m = self._down_m(item, moment.state, home_down_m)
@@ -226,7 +226,7 @@ class MissionFlight:
             down_m = min(down_m, home_down_m - params.takeoff_height_m)
         self._take_off.start(moment, down_m=down_m, speed_m_s=self._position.tko_speed_m_s)
         self.place_ned_m = self._guide.target_ned_m
-        self.stage = Stage.TAKE_OFF
+        self.stage = MissionStage.TAKE_OFF
 
     def _fly(
         self, item: MissionItem, moment: Moment, params: NavigationParams, *, from_place: bool = False
@@ -234,7 +234,7 @@ class MissionFlight:
         """Set out for the item's place, past it where it is only passed."""
         guide = self._guide
         guide.set_limits(self._leg_limits())
-        self.stage = Stage.FLY
+        self.stage = MissionStage.FLY
         start_ned_m = self.place_ned_m if from_place else guide.pos_ned_m
         here_ned_m = self.place_ned_m if from_place else guide.target_ned_m
         self.place_ned_m = self._item_place_ned_m(item, moment, here_ned_m)
@@ -253,7 +253,7 @@ class MissionFlight:
         guide.go_to(target_ned_m, yaw_rad=yaw_rad, along_ned=target_ned_m - start_ned_m)
 
     def _land(self, state: EstimatorState) -> None:
-        self.stage = Stage.LAND
+        self.stage = MissionStage.LAND
         self._landing.start(state)
 
     # ---- pieces
@@ -282,7 +282,7 @@ class MissionFlight:
     def _turn(self, moment: Moment, params: NavigationParams) -> None:
         """Point the nose where the item says, else at what is to be looked at, else as MPC_YAW_MODE says."""
         item, look_at, guide = self.runner.item, self.runner.look_at, self._guide
-        if self.stage is not Stage.FLY or item is None or item.yaw_deg is not None:
+        if self.stage is not MissionStage.FLY or item is None or item.yaw_deg is not None:
             return
         if look_at is not None:
             north_m, east_m, _ = self._item_place_ned_m(look_at, moment, guide.pos_ned_m) - guide.pos_ned_m

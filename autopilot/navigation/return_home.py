@@ -28,7 +28,7 @@ _CLEARLY_NEARER_M = 2.0
 """By so much a rally point must be nearer than what was chosen before it (PX4's MIN_DIST_THRESHOLD)."""
 
 
-class Phase(Enum):
+class ReturnPhase(Enum):
     """Where on the way the vehicle is."""
 
     CLIMB = "climb"
@@ -39,7 +39,7 @@ class Phase(Enum):
     DONE = "done"
 
 
-class Event(Enum):
+class ReturnEvent(Enum):
     """What ends a phase."""
 
     THERE = "there"
@@ -49,18 +49,18 @@ class Event(Enum):
     LIFTED = "off the ground again"
 
 
-TRANSITIONS: dict[tuple[Phase, Event], Phase] = {
-    (Phase.CLIMB, Event.THERE): Phase.FLY_HOME,
-    (Phase.CLIMB, Event.THERE_TO_WAIT): Phase.FLY_HOME,
-    (Phase.FLY_HOME, Event.THERE): Phase.LAND,
-    (Phase.FLY_HOME, Event.THERE_TO_WAIT): Phase.GO_DOWN,
-    (Phase.GO_DOWN, Event.THERE): Phase.LAND,
-    (Phase.GO_DOWN, Event.THERE_TO_WAIT): Phase.WAIT,
-    (Phase.WAIT, Event.WAITED): Phase.LAND,
-    (Phase.DONE, Event.LIFTED): Phase.LAND,
-} | {(phase, Event.LANDED): Phase.DONE for phase in Phase if phase is not Phase.DONE}
+TRANSITIONS: dict[tuple[ReturnPhase, ReturnEvent], ReturnPhase] = {
+    (ReturnPhase.CLIMB, ReturnEvent.THERE): ReturnPhase.FLY_HOME,
+    (ReturnPhase.CLIMB, ReturnEvent.THERE_TO_WAIT): ReturnPhase.FLY_HOME,
+    (ReturnPhase.FLY_HOME, ReturnEvent.THERE): ReturnPhase.LAND,
+    (ReturnPhase.FLY_HOME, ReturnEvent.THERE_TO_WAIT): ReturnPhase.GO_DOWN,
+    (ReturnPhase.GO_DOWN, ReturnEvent.THERE): ReturnPhase.LAND,
+    (ReturnPhase.GO_DOWN, ReturnEvent.THERE_TO_WAIT): ReturnPhase.WAIT,
+    (ReturnPhase.WAIT, ReturnEvent.WAITED): ReturnPhase.LAND,
+    (ReturnPhase.DONE, ReturnEvent.LIFTED): ReturnPhase.LAND,
+} | {(phase, ReturnEvent.LANDED): ReturnPhase.DONE for phase in ReturnPhase if phase is not ReturnPhase.DONE}
 """What is not in the table changes nothing."""
-_ON_THE_SPOT = {Phase.CLIMB, Phase.LAND}
+_ON_THE_SPOT = {ReturnPhase.CLIMB, ReturnPhase.LAND}
 """Phases that keep the place that the way led to last."""
 
 
@@ -116,7 +116,7 @@ class ReturnHome:
     """One vehicle's way home; `start` it, then `update` at every step."""
 
     def __init__(self, guide: Guide, landing: Landing) -> None:
-        self.phase = Phase.DONE
+        self.phase = ReturnPhase.DONE
         self.rally_points: tuple[RallyPoint, ...] = ()
         """Where to return to as well; chosen among at the start of a return."""
         self._home_ned_m: HomePosition | None = None
@@ -138,15 +138,15 @@ class ReturnHome:
             goal_ned_m = _rally_ned_m(point, moment, home_ned_m)
         self._goal_ned_m = goal_ned_m
         if moment.landed:
-            self.phase = Phase.DONE
+            self.phase = ReturnPhase.DONE
         elif goal_ned_m is None:
-            self.phase = Phase.LAND
+            self.phase = ReturnPhase.LAND
         else:
             down_m = float(state.pos_ned_m[2])
             distance_m = math.dist(state.pos_ned_m[:2], goal_ned_m[:2])
             wanted_m = goal_ned_m[2] - return_height_m(distance_m, params)
             self._return_down_m = min(down_m, wanted_m)
-            self.phase = Phase.FLY_HOME if down_m <= wanted_m else Phase.CLIMB
+            self.phase = ReturnPhase.FLY_HOME if down_m <= wanted_m else ReturnPhase.CLIMB
         self._guide.restart(state)
         self._begin(moment, params)
 
@@ -155,7 +155,7 @@ class ReturnHome:
         guide = self._guide
         place_ned_m = guide.target_ned_m.copy()
         guide.restart(moment.state)
-        if self.phase is Phase.LAND:
+        if self.phase is ReturnPhase.LAND:
             place_ned_m[2] = guide.target_ned_m[2]
             guide.go_to(place_ned_m)
         self._begin(moment, params)
@@ -168,12 +168,12 @@ class ReturnHome:
         if event is not None and (self.phase, event) in TRANSITIONS:
             self.phase = TRANSITIONS[self.phase, event]
             self._begin(moment, params)
-        if self.phase is Phase.DONE:
+        if self.phase is ReturnPhase.DONE:
             return IDLE
-        if self.phase is Phase.LAND:
+        if self.phase is ReturnPhase.LAND:
             return self._landing.update(moment, params)
         guide = self._guide
-        if self.phase is Phase.FLY_HOME and not guide.resting:
+        if self.phase is ReturnPhase.FLY_HOME and not guide.resting:
             yaw_rad = heading_rad(
                 params.yaw_mode, guide, guide.target_ned_m, moment.home_ned_m,
                 near_m=params.return_home.min_distance_m,
@@ -182,19 +182,19 @@ class ReturnHome:
                 guide.turn_to(yaw_rad)
         return guide.follow(moment.dt_s, vehicle_pos_ned_m=moment.state.pos_ned_m)
 
-    def _event(self, moment: Moment, params: NavigationParams) -> Event | None:
+    def _event(self, moment: Moment, params: NavigationParams) -> ReturnEvent | None:
         """Say what happened since the last step."""
         if moment.landed:
-            return Event.LANDED
-        if self.phase is Phase.DONE:
-            return Event.LIFTED
+            return ReturnEvent.LANDED
+        if self.phase is ReturnPhase.DONE:
+            return ReturnEvent.LIFTED
         delay_s = params.return_home.land_delay_s
-        if self.phase is Phase.WAIT:
+        if self.phase is ReturnPhase.WAIT:
             self._waited_s += moment.dt_s
-            return Event.WAITED if 0.0 <= delay_s <= self._waited_s else None
+            return ReturnEvent.WAITED if 0.0 <= delay_s <= self._waited_s else None
         guide = self._guide
         # up in the air it passes on while still moving; at home it has to have come to rest
-        there = (self.phase is Phase.CLIMB or guide.resting) and is_near(
+        there = (self.phase is ReturnPhase.CLIMB or guide.resting) and is_near(
             moment.state.pos_ned_m,
             guide.target_ned_m,
             radius_m=params.acceptance_m,
@@ -202,21 +202,21 @@ class ReturnHome:
         )
         if not there:
             return None
-        return Event.THERE if delay_s == 0.0 else Event.THERE_TO_WAIT
+        return ReturnEvent.THERE if delay_s == 0.0 else ReturnEvent.THERE_TO_WAIT
 
     def _begin(self, moment: Moment, params: NavigationParams) -> None:
         """Set the guide on the present phase's way."""
         guide, goal_ned_m = self._guide, self._goal_ned_m
-        if self.phase is Phase.DONE:
+        if self.phase is ReturnPhase.DONE:
             return
-        if self.phase is Phase.LAND:
+        if self.phase is ReturnPhase.LAND:
             self._landing.start(moment.state)
         target_ned_m = guide.target_ned_m.copy()
         if goal_ned_m is not None and self.phase not in _ON_THE_SPOT:
             target_ned_m[:2] = goal_ned_m[:2]
-        if self.phase in {Phase.CLIMB, Phase.FLY_HOME}:
+        if self.phase in {ReturnPhase.CLIMB, ReturnPhase.FLY_HOME}:
             target_ned_m[2] = self._return_down_m
-        elif self.phase in {Phase.GO_DOWN, Phase.WAIT} and goal_ned_m is not None:
+        elif self.phase in {ReturnPhase.GO_DOWN, ReturnPhase.WAIT} and goal_ned_m is not None:
             target_ned_m[2] = max(self._return_down_m, goal_ned_m[2] - params.return_home.descend_height_m)
         # up and down lines are plumb, so that stopping on the way costs no height
-        guide.go_to(target_ned_m, along_ned=None if self.phase is Phase.FLY_HOME else UP)
+        guide.go_to(target_ned_m, along_ned=None if self.phase is ReturnPhase.FLY_HOME else UP)

@@ -16,12 +16,11 @@ from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.guide import Guide, HomePosition, Moment, heading_rad
 from autopilot.navigation.landing import IDLE, Landing, TakeOff, descend
 from autopilot.navigation.manual import CENTRED, ManualFlight, ManualInput
-from autopilot.navigation.mission_flight import MissionFlight
-from autopilot.navigation.mission_flight import Stage as MissionStage
+from autopilot.navigation.mission_flight import MissionFlight, MissionStage
 from autopilot.navigation.orbit import Orbit, default_circle
 from autopilot.navigation.params import NavigationParams
 from autopilot.navigation.plan_items import RallyPoint
-from autopilot.navigation.return_home import Phase, ReturnHome
+from autopilot.navigation.return_home import ReturnHome, ReturnPhase
 from foundation.types import Array, AttitudeSetpoint, Course, EstimatorState, Setpoint, TrajectorySetpoint
 
 __all__ = ["IDLE", "ON_GROUND_M", "NavigationParams", "Navigator", "down_demand_m_s"]
@@ -77,7 +76,7 @@ class Navigator:
     # ---- what others may know
 
     @property
-    def return_phase(self) -> Phase | None:
+    def return_phase(self) -> ReturnPhase | None:
         """Where on the way home the vehicle is; None outside Return mode."""
         return self._return.phase if self._mode is FlightMode.RETURN else None
 
@@ -86,7 +85,7 @@ class Navigator:
         """Whether the ground is being left or come to, be it by a mode, a mission's item or a return."""
         if self._mode is FlightMode.MISSION:
             return _COURSE_OF_STAGE.get(self.mission.stage, Course.OTHER)
-        if self._mode is FlightMode.RETURN and self._return.phase is Phase.LAND:
+        if self._mode is FlightMode.RETURN and self._return.phase is ReturnPhase.LAND:
             return Course.LANDING
         return _COURSE_OF_MODE.get(self._mode, Course.OTHER)
 
@@ -116,7 +115,7 @@ class Navigator:
             return self._take_off.airborne and missing_m < self._params.altitude_acceptance_m
         if self._mode is FlightMode.MISSION:
             return self.mission.done
-        return self._mode is FlightMode.RETURN and self._return.phase is Phase.DONE
+        return self._mode is FlightMode.RETURN and self._return.phase is ReturnPhase.DONE
 
     # ---- what others do
 

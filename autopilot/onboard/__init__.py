@@ -5,6 +5,5 @@ radio, nothing else, so that it may as well ride on a companion computer beside 
 """
 
 from autopilot.onboard.app import Estimate, OnboardApp, OnboardOutput
-from autopilot.onboard.formation.phases import Phase
 
-__all__ = ["Estimate", "OnboardApp", "OnboardOutput", "Phase"]
+__all__ = ["Estimate", "OnboardApp", "OnboardOutput"]

@@ -4,7 +4,8 @@ Sans-IO. MAVLink messages from the own autopilot and items from the own radio go
 out once in each round of its loop. All times are on one clock that the formation shares.
 
 `OwnState` keeps what the autopilot says, `Traffic` what is said on the radio, `CooperativeLocalisation` makes
-positions of both, `Guidance` makes setpoints of positions, and `Flight` decides on phases and commands.
+positions of both, `Guidance` makes setpoints of positions, and `FlightSequence` decides on phases and
+commands.
 """
 
 import math
@@ -20,12 +21,12 @@ from autopilot.mavlink.local_messages import LocalPosition, PositionTarget
 from autopilot.onboard.formation import messages
 from autopilot.onboard.formation.avoidance import FRESH_US
 from autopilot.onboard.formation.commands import CommandSender
-from autopilot.onboard.formation.flight_phases import LOCALISE_TIMEOUT_US, Flight, Situation
+from autopilot.onboard.formation.flight_phases import LOCALISE_TIMEOUT_US, FlightSequence, Situation
 from autopilot.onboard.formation.formation_control import Level
 from autopilot.onboard.formation.formation_plan import FormationPlan
 from autopilot.onboard.formation.guidance import SETPOINT_PERIOD_US, Guidance
 from autopilot.onboard.formation.own_state import OwnState
-from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation.common_frame import CommonFrame
 from autopilot.onboard.localisation.localisation import CooperativeLocalisation, LocalisationModel
 from autopilot.onboard.localisation.ranging_health import Support
@@ -135,7 +136,7 @@ class OnboardApp:
             station=station, plan=FormationPlan(places, heading_deg, motion), config=config, near=self._near
         )
         self._commands = CommandSender(target_system=station + 1)
-        self._flight = Flight(
+        self._flight = FlightSequence(
             commands=self._commands,
             on_station_tolerance_m=config.on_station_tolerance_m,
             on_station_hold_s=config.on_station_hold_s,
@@ -153,7 +154,7 @@ class OnboardApp:
         self._fix_taken: Fix | None = None
         """The newest that localisation has used."""
         self._heartbeat_out_us = 0
-        self._told: tuple[Phase, int | None] | None = None
+        self._told: tuple[FlightPhase, int | None] | None = None
         """Phase and start of the motion in the last heartbeat."""
         self._due_us = 0
         """Nothing is to be done in a round that ends before this."""
@@ -290,7 +291,7 @@ class OnboardApp:
             mavlink += map(messages.warning, self._flight.texts)
             self._flight.texts.clear()
         radio: tuple[TxItem, ...] = ()
-        ranges = self.localisation is not None and told[0] is not Phase.WAITING
+        ranges = self.localisation is not None and told[0] is not FlightPhase.WAITING
         radio_us = self._traffic.next_deadline_us(ranging=ranges)
         if self._own.time_us >= 0 and radio_us < now_us + loop_us:
             radio = self._traffic.due(
@@ -306,7 +307,7 @@ class OnboardApp:
         return OnboardOutput(mavlink, radio) if mavlink or radio else NOTHING
 
     @property
-    def phase(self) -> Phase:
+    def phase(self) -> FlightPhase:
         """Where in the flight it is."""
         return self._flight.phase
 
@@ -374,8 +375,8 @@ class OnboardApp:
             now_us,
         )
         phase = flight.phase
-        guidance.agree(now_us, on_station=phase is Phase.ON_STATION, hearing=self._hearing)
-        if own.origin_ned_m is None or not Phase.ARMING <= phase <= Phase.YIELDED:
+        guidance.agree(now_us, on_station=phase is FlightPhase.ON_STATION, hearing=self._hearing)
+        if own.origin_ned_m is None or not FlightPhase.ARMING <= phase <= FlightPhase.YIELDED:
             return []
         if flight.in_formation:
             others = self._known_others(now_us)
@@ -427,7 +428,7 @@ class OnboardApp:
         """Error of the shape that take-off waits for; see `Situation`."""
         if self.localisation is None:
             return 0.0
-        if self._flight.phase is not Phase.LOCALISING or not self.localisation.located.all():
+        if self._flight.phase is not FlightPhase.LOCALISING or not self.localisation.located.all():
             return math.inf
         return self.localisation.shape_std_m(now_us)
 

@@ -25,7 +25,7 @@ from autopilot.navigation.params import NavigationParams
 from autopilot.parameters.inert import STATED, STATED_OF, Stated
 
 
-class Problem(IntEnum):
+class ParameterProblem(IntEnum):
     """What is wrong with a parameter: MAV_PARAM_ERROR numbers."""
 
     UNKNOWN = 1
@@ -38,7 +38,7 @@ class Problem(IntEnum):
 class ParameterError(ValueError):
     """A parameter that cannot be read or set; the text is one line."""
 
-    def __init__(self, text: str, problem: Problem = Problem.VALUE) -> None:
+    def __init__(self, text: str, problem: ParameterProblem = ParameterProblem.VALUE) -> None:
         super().__init__(text)
         self.problem = problem
 
@@ -338,7 +338,7 @@ class ParameterSet:
         if name not in self.stated:
             self.settings = _changed(self.settings, name, value)
         elif STATED_OF[name].read_only:
-            raise ParameterError(f"parameter {name} is read only", Problem.READ_ONLY)
+            raise ParameterError(f"parameter {name} is read only", ParameterProblem.READ_ONLY)
         else:
             self.stated[name] = value
 
@@ -364,7 +364,7 @@ def _find(name: str) -> Parameter:
 
 
 def _unknown(name: str) -> ParameterError:
-    return ParameterError(f"there is no parameter {name!r}", Problem.UNKNOWN)
+    return ParameterError(f"there is no parameter {name!r}", ParameterProblem.UNKNOWN)
 
 
 def _setting(settings: Settings, parameter: Parameter) -> float:

@@ -28,10 +28,11 @@ from autopilot.mavlink.local_messages import PositionTarget
 from autopilot.onboard.app import NOTHING
 from autopilot.onboard.factory import make_application
 from autopilot.onboard.formation.messages import heartbeat
-from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.parameters.config import VehicleConfig
 from autopilot.process.companion_radio import CompanionRadio
-from autopilot.process.warm_up import RehearsalError, rehearse
+from autopilot.process.warm_up import warm_up
+from foundation.kernels.warm_up import WarmUpError
 from foundation.processes.child_protocol import Finished, Ready, Stop, commands, emit
 from netsim.wire.messages import RxItem, TxItem
 
@@ -143,7 +144,7 @@ class Companion:
 
     def call(self) -> Message:
         """What makes PX4 speak to us: a heartbeat that tells nothing."""
-        (beat,) = heartbeat(Phase.WAITING, None, 0)
+        (beat,) = heartbeat(FlightPhase.WAITING, None, 0)
         return stamp(beat, system=self._system, component=APPLICATION_COMPONENT)
 
 
@@ -154,7 +155,7 @@ def _origin_request(system: int) -> Message:
     )
 
 
-class Process:
+class CompanionProcess:
     """A companion and its edges."""
 
     def __init__(self, config: VehicleConfig, stack: contextlib.ExitStack) -> None:
@@ -186,10 +187,10 @@ class Process:
         self._heard = 0
 
     def run(self, inbox: "queue.SimpleQueue[Stop]") -> None:
-        """Work until told to stop. Raises RehearsalError."""
+        """Work until told to stop. Raises WarmUpError."""
         if self._companion is not None:
             # nobody waits for the application: kernels that were loaded in flight would cost it its setpoints
-            rehearse()
+            warm_up()
         emit(Ready(name=self._name, pid=os.getpid()))
         # what lives now lives to the end: no full collection need walk it in flight
         gc.collect()
@@ -265,8 +266,8 @@ def main() -> int:
         if arguments.supervised:
             commands(Stop, inbox)
         with contextlib.ExitStack() as stack:
-            Process(config, stack).run(inbox)
-    except (OSError, ValueError, RehearsalError) as error:
+            CompanionProcess(config, stack).run(inbox)
+    except (OSError, ValueError, WarmUpError) as error:
         sys.stderr.write(f"application: {error}\n")
         return 2
     except KeyboardInterrupt:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from autopilot.mavlink.codec import Encoder, Message
 from autopilot.mavlink.components import APPLICATION_COMPONENT
-from netsim.transport.asynchronous_radio import FreeRadio
+from netsim.transport.asynchronous_radio import AsynchronousRadio
 from netsim.transport.lockstep_radio import Deliveries
 from netsim.transport.zenoh_session import Transport
 from netsim.wire.messages import TxItem
@@ -36,7 +36,9 @@ class CompanionRadio:
         self._encoder = Encoder(system=station + 1, component=APPLICATION_COMPONENT)
         self._transport = Transport.connect(endpoint)
         try:
-            self._radio = FreeRadio(self._transport, run_id=run_id, station=station, put=deliveries.put)
+            self._radio = AsynchronousRadio(
+                self._transport, run_id=run_id, station=station, put=deliveries.put
+            )
             self._sayer = self._transport.asker(said_key(run_id), timeout_s=SAID_LIMIT_S, lossy=True)
         except BaseException:
             self._transport.close()

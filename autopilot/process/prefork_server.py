@@ -12,11 +12,12 @@ import socket
 import sys
 
 from autopilot.__main__ import main as vehicle_main
-from autopilot.process.warm_up import RehearsalError, rehearse
+from autopilot.process.warm_up import warm_up
+from foundation.kernels.warm_up import WarmUpError
 from foundation.processes.child_protocol import Finished, Ready, emit
 from foundation.processes.prefork import serve, show_name
 
-NAME = "hangar"
+NAME = "prefork"
 
 
 def main() -> int:
@@ -33,8 +34,8 @@ def main() -> int:
     show_name(NAME)
     with socket.socket(fileno=arguments.fork_fd) as line:
         try:
-            warm_up()
-        except RehearsalError as error:
+            _prepare()
+        except WarmUpError as error:
             sys.stderr.write(f"{NAME}: {error}\n")
             return 2
         emit(Ready(name=NAME, pid=os.getpid()))
@@ -43,14 +44,14 @@ def main() -> int:
     return 0
 
 
-def warm_up() -> None:
-    """Have everything loaded that a vehicle will run, and out of the garbage collector's way.
+def _prepare() -> None:
+    """Load everything that a vehicle runs, and freeze it for the garbage collector.
 
-    A collection writes into the head of every object it looks at, which would give each vehicle a copy of its
-    own of every page. Uncompiled kernels have nothing to load, and take too long. Raises RehearsalError.
+    A collection writes into the header of every object that it visits, which would copy every page
+    for each vehicle. Uncompiled kernels have nothing to load, and take too long. Raises WarmUpError.
     """
     if os.environ.get("NUMBA_DISABLE_JIT", "0") == "0":
-        rehearse()
+        warm_up()
     gc.collect()
     gc.freeze()
 

@@ -5,7 +5,7 @@ from foundation.profiling.profiler import LINK
 CODEC = "link codec"
 RADIO = "radio"
 
-PARTS = {
+PROFILE_GROUPS = {
     "autopilot.mavlink.hil": CODEC,
     "autopilot.estimation.sensor_input": "estimator",
     "autopilot.estimation": "estimator",

@@ -15,17 +15,18 @@ from autopilot.mavlink.hil import HilActuatorControls, HilSensor, pack
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.manual import ManualInput
 from autopilot.navigation.setpoints import Navigator
-from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation.common_frame import CommonFrame
 from autopilot.onboard.localisation.localisation import CooperativeLocalisation, LocalisationModel
 from autopilot.onboard.radio.beacon import Fix, GpsError
-from autopilot.onboard.radio.neighbour_table import Hearing
+from autopilot.onboard.radio.neighbour_table import NeighbourTable
 from autopilot.onboard.radio.neighbourhood import Neighbourhood
 from autopilot.parameters.config import Site, VehicleConfig
 from autopilot.services.service import NEVER_US
-from autopilot.vehicle.fast_step import InertialSteps
+from autopilot.vehicle.fast_step import FastSteps
 from autopilot.vehicle.vehicle import Vehicle
 from foundation.geometry.geodesy import ned_to_geodetic
+from foundation.kernels.warm_up import WarmUpError
 from foundation.types import Array, RateSetpoint
 from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult, RxItem, TxItem
 
@@ -37,12 +38,8 @@ _GPS_PERIOD_US = 200_000
 _GRAVITY_M_S2 = 9.8066
 
 
-class RehearsalError(RuntimeError):
-    """The vehicles did not get on their way; something is wrong with the autopilot."""
-
-
-def rehearse() -> None:
-    """Fly on the table until both vehicles have been on their way for a while. Raises RehearsalError."""
+def warm_up() -> None:
+    """Fly on the table until both vehicles have been on their way for a while. Raises WarmUpError."""
     places_ned_m = ((0.0, 0.0, -10.0), (0.0, 8.5, -10.0))
     configs = [
         VehicleConfig(run_id="rehearsal", instance=i, seed=0, places_ned_m=places_ned_m) for i in range(2)
@@ -62,14 +59,14 @@ def rehearse() -> None:
             sent.append(vehicle.step(sim_messages=sensors, radio_items=inboxes[i]).radio)
         inboxes = [_arrivals(sent[1 - i], sent[i], other=1 - i, time_us=time_us) for i in range(2)]
         joining_steps += all(
-            vehicle.app is not None and vehicle.app.phase >= Phase.JOINING for vehicle in vehicles
+            vehicle.app is not None and vehicle.app.phase >= FlightPhase.JOINING for vehicle in vehicles
         )
         if joining_steps > JOINING_STEPS and _rehearse_inertial_step(vehicles[0], time_us):
             _rehearse_modes(vehicles[0])
             _rehearse_distances(vehicles[0], time_us)
             _rehearse_common_frame()
             return
-    raise RehearsalError("the vehicles of the rehearsal did not get on their way")
+    raise WarmUpError("the vehicles of the rehearsal did not get on their way")
 
 
 def _rehearse_modes(vehicle: Vehicle) -> None:
@@ -96,18 +93,18 @@ def _rehearse_modes(vehicle: Vehicle) -> None:
 def _rehearse_distances(vehicle: Vehicle, now_us: int) -> None:
     """Ask how well a distance is known, which the application does only where it is worth a measurement.
 
-    Raises RehearsalError.
+    Raises WarmUpError.
     """
     localisation = vehicle.app.localisation if vehicle.app is not None else None
     if localisation is None or localisation.distance_variance_m2(1, now_us) is None:
-        raise RehearsalError("the vehicles on their way are not located")
+        raise WarmUpError("the vehicles on their way are not located")
 
 
 def _rehearse_inertial_step(vehicle: Vehicle, now_us: int) -> bool:
-    """Make a fast step as `autopilot.vehicle.host` does, if it is possible now. Raises RehearsalError."""
-    steps = InertialSteps()
+    """Make a fast step as `autopilot.vehicle.host` does, if it is possible now. Raises WarmUpError."""
+    steps = FastSteps()
     answer = pack(HilActuatorControls(now_us, [0.0] * 16, 1, 0), sequence=0, system=1, component=1)
-    if not vehicle.look_ahead(steps, answer, 1, NEVER_US):
+    if not vehicle.begin_fast_steps(steps, answer, 1, NEVER_US):
         return False
     nothing = (0.0, 0.0, 0.0)
     accel = (0.0, 0.0, -_GRAVITY_M_S2)
@@ -115,7 +112,7 @@ def _rehearse_inertial_step(vehicle: Vehicle, now_us: int) -> bool:
     frame = pack(at_rest, sequence=0, system=0, component=1)
     steps.incoming[: len(frame)] = frame
     if steps.step(len(frame)) is None:
-        raise RehearsalError("an inertial sample was not taken for one")
+        raise WarmUpError("an inertial sample was not taken for one")
     return True
 
 
@@ -125,7 +122,7 @@ def _rehearse_common_frame() -> None:
     localisation = CooperativeLocalisation(
         own=near.own, places_ned_m=np.zeros((len(near.members), 3)), model=LocalisationModel()
     )
-    hearing = Hearing(station=0, stations=3, period_us=100_000, gps_std_m=1.0, near=near)
+    hearing = NeighbourTable(station=0, stations=3, period_us=100_000, gps_std_m=1.0, near=near)
     frame = CommonFrame(near.members, hearing)
     for row, station in enumerate(near.members.tolist()):
         localisation.on_odometry(row, 1_000, (0.0, float(row), 0.0), (0.0, 0.0, 0.0))

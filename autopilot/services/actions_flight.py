@@ -20,8 +20,8 @@ from autopilot.services.command import (
     UNSUPPORTED,
     Action,
     Answer,
+    CommandRequest,
     Place,
-    Request,
     TakeoffAltitude,
     answer_for,
     given,
@@ -103,7 +103,7 @@ class FlightCommands:
 
     # ---- arming and modes
 
-    def _arm_or_disarm(self, request: Request) -> Answer:
+    def _arm_or_disarm(self, request: CommandRequest) -> Answer:
         forced = request.params[1] == FORCE_MAGIC
         if request.params[0] == 1.0:
             return answer_for("Arming", self._commander.arm(request.now_us, forced=forced))
@@ -111,13 +111,13 @@ class FlightCommands:
             return answer_for("Disarming", self._commander.disarm(forced=forced))
         return answer_for("Arming", Reason.BAD_ARGUMENT)
 
-    def _set_mode(self, request: Request) -> Answer:
+    def _set_mode(self, request: CommandRequest) -> Answer:
         base_mode, main, sub = request.params[:3]
         if not (0.0 <= base_mode < 256.0 and int(base_mode) & common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED):
             return answer_for("Mode", Reason.BAD_ARGUMENT)
         return self._enter(mode_from_main_sub(main, sub), "Mode", request)
 
-    def _set_standard_mode(self, request: Request) -> Answer:
+    def _set_standard_mode(self, request: CommandRequest) -> Answer:
         """Enter the mode that MAVLink calls by a number of its own, where there is one."""
         wanted = whole(request.params[0])
         custom_mode = next(
@@ -126,7 +126,7 @@ class FlightCommands:
         mode = None if custom_mode is None else mode_from_custom(custom_mode)
         return Answer(UNSUPPORTED) if mode is None else self._enter(mode, "Mode", request)
 
-    def _take_off(self, request: Request) -> Answer:
+    def _take_off(self, request: CommandRequest) -> Answer:
         """Climb to the altitude given, but no lower than MIS_TAKEOFF_ALT above home, as PX4 does.
 
         The application is left its own height: it knows where the ground is, and its place may be lower.
@@ -151,7 +151,7 @@ class FlightCommands:
         return Answer(answer.result, (status_text(common.MAV_SEVERITY_WARNING, raised),))
 
     def _enter(
-        self, mode: FlightMode | None, what: str, request: Request, *, amsl_m: float | None = None
+        self, mode: FlightMode | None, what: str, request: CommandRequest, *, amsl_m: float | None = None
     ) -> Answer:
         if mode is FlightMode.OFFBOARD:
             self._do.ask_offboard(request.partner, request.now_us)
@@ -162,14 +162,14 @@ class FlightCommands:
 
     # ---- places and speeds
 
-    def _reposition(self, request: Request) -> Answer:
+    def _reposition(self, request: CommandRequest) -> Answer:
         """Hold at another place; like PX4, only with the flag that lets it change the mode."""
         speed_m_s, flags, _, yaw_rad = request.params[:4]
         if whole(flags) != common.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE:
             return Answer(UNSUPPORTED)
         return self._hold_at(request.place, yaw_rad=given(yaw_rad), speed_m_s=_positive(speed_m_s))
 
-    def _change_altitude(self, request: Request) -> Answer:
+    def _change_altitude(self, request: CommandRequest) -> Answer:
         """Hold at another altitude, of the frame in the second parameter."""
         altitude_m, frame = given(request.params[0]), whole(request.params[1])
         if altitude_m is None:
@@ -185,14 +185,14 @@ class FlightCommands:
             return Answer(messages=(status_text(common.MAV_SEVERITY_CRITICAL, _OUTSIDE_FENCE),))
         return answer_for("Reposition", refusal)
 
-    def _orbit(self, request: Request) -> Answer:
+    def _orbit(self, request: CommandRequest) -> Answer:
         spot = self._spot(_above_the_sea(request.place))
         if isinstance(spot, Answer):
             return spot
         radius_m, speed_m_s, yaw_behaviour = map(given, request.params[:3])
         return answer_for("Orbit", self._do.orbit(radius_m, speed_m_s, yaw_behaviour, *spot))
 
-    def _change_speed(self, request: Request) -> Answer:
+    def _change_speed(self, request: CommandRequest) -> Answer:
         """Fly at a speed from now on; one that is none gives back the usual one, as PX4 takes it."""
         kind, speed_m_s = whole(request.params[0]), request.params[1]
         if kind not in {_AIR_SPEED, _GROUND_SPEED}:
@@ -200,7 +200,7 @@ class FlightCommands:
         self._do.change_speed(_positive(speed_m_s))
         return Answer()
 
-    def _set_home(self, request: Request) -> Answer:
+    def _set_home(self, request: CommandRequest) -> Answer:
         if request.params[0] > 0.5:
             return answer_for("Home", self._do.set_home_here())
         spot = self._spot(_above_the_sea(request.place))
@@ -234,7 +234,7 @@ class FlightCommands:
 
     # ---- the mission
 
-    def _start_mission(self, request: Request) -> Answer:
+    def _start_mission(self, request: CommandRequest) -> Answer:
         """Enter mission mode at an item (-1: where it stands) and arm; without a mission DENIED, as PX4."""
         if not self._flight.conditions & Condition.MISSION:
             return Answer(DENIED, (refusal_text("Mission start", Reason.NO_MISSION),))
@@ -250,7 +250,7 @@ class FlightCommands:
             self._do.set_mission_current(int(first))
         return answer
 
-    def _set_mission_current(self, request: Request) -> Answer:
+    def _set_mission_current(self, request: CommandRequest) -> Answer:
         """Go on with an item, whose jumps count anew; -1 leaves the item as it is."""
         seq, resets_jumps = request.params[0], request.params[1]
         if resets_jumps not in {0.0, 1.0}:
@@ -261,7 +261,7 @@ class FlightCommands:
             return answer_for("Mission item", Reason.BAD_ARGUMENT)
         return Answer()
 
-    def _pause_or_continue(self, request: Request) -> Answer:
+    def _pause_or_continue(self, request: CommandRequest) -> Answer:
         """Hold in the middle of a mission (0), or take the mission up again (1)."""
         wanted = whole(request.params[0])
         if wanted == 1:
@@ -276,7 +276,7 @@ class FlightCommands:
 
     # ---- the end
 
-    def _terminate(self, request: Request) -> Answer:
+    def _terminate(self, request: CommandRequest) -> Answer:
         """Stop the motors for good; a flight that is not under way is not ended, nor one taken up again."""
         if not request.params[0] >= 0.5:
             return answer_for("Termination", Reason.BAD_ARGUMENT)
@@ -286,7 +286,7 @@ class FlightCommands:
         text = status_text(common.MAV_SEVERITY_EMERGENCY, "Flight terminated by command")
         return Answer(messages=(text,))
 
-    def _check(self, request: Request) -> Answer:  # noqa: ARG002  # part of the shape
+    def _check(self, request: CommandRequest) -> Answer:  # noqa: ARG002  # part of the shape
         """Say everything for which arming would be refused."""
         if self._commander.armed:
             return Answer(common.MAV_RESULT_TEMPORARILY_REJECTED)

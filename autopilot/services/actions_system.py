@@ -16,11 +16,11 @@ from autopilot.services.command import (
     UNSUPPORTED,
     Action,
     Answer,
-    Request,
+    CommandRequest,
     whole,
 )
 from autopilot.services.status import status_text
-from autopilot.services.streams import Streams
+from autopilot.services.streams import MessageStreams
 
 _HEARTBEAT = common.MAVLINK_MSG_ID_HEARTBEAT
 _MESSAGE_INTERVAL = common.MAVLINK_MSG_ID_MESSAGE_INTERVAL
@@ -35,7 +35,7 @@ class SystemCommands:
 
     def __init__(
         self,
-        streams: Mapping[int, Streams],
+        streams: Mapping[int, MessageStreams],
         *,
         calibrate: Action,
         save_parameters: Callable[[], bool],
@@ -66,7 +66,7 @@ class SystemCommands:
             common.MAV_CMD_DO_SET_ACTUATOR: lambda _: Answer(),  # PX4 accepts it with no actuator set up
         }
 
-    def _set_message_interval(self, request: Request) -> Answer:
+    def _set_message_interval(self, request: CommandRequest) -> Answer:
         message_id, interval_us = request.params[:2]
         if not (math.isfinite(message_id) and math.isfinite(interval_us)):
             return Answer(DENIED)
@@ -76,17 +76,17 @@ class SystemCommands:
         known = streams.set_interval(int(message_id), int(interval_us), request.now_us)
         return Answer(ACCEPTED if known else UNSUPPORTED)
 
-    def _get_message_interval(self, request: Request) -> Answer:
+    def _get_message_interval(self, request: CommandRequest) -> Answer:
         return Answer(messages=(self._interval(request, 0),))
 
-    def _interval(self, request: Request, at: int) -> Message:
+    def _interval(self, request: CommandRequest, at: int) -> Message:
         """MESSAGE_INTERVAL of the message whose number is the parameter at an index."""
         message_id = whole(request.params[at])
         message_id = message_id if 0 <= message_id <= 0xFFFF else 0xFFFF  # what its field holds
         interval_us = self._streams[request.partner.link].interval_us(message_id)
         return common.MAVLink_message_interval_message(message_id, min(interval_us, 2**31 - 1))
 
-    def _send(self, message_id: int, request: Request) -> Answer:
+    def _send(self, message_id: int, request: CommandRequest) -> Answer:
         """Send messages on request; two kinds are told by the second parameter which is meant."""
         streams = self._streams[request.partner.link]
         messages: Sequence[Message | None]
@@ -101,7 +101,7 @@ class SystemCommands:
         sent = tuple(message for message in messages if message is not None)
         return Answer(ACCEPTED if sent else REJECTED, sent)
 
-    def _store(self, request: Request) -> Answer:
+    def _store(self, request: CommandRequest) -> Answer:
         """Write the parameters to their file, or give them their defaults; a new start reads the file."""
         what = request.params[0]
         what = int(what) if math.isfinite(what) else -1
@@ -115,6 +115,6 @@ class SystemCommands:
         return Answer()
 
 
-def _restart(request: Request) -> Answer:
+def _restart(request: CommandRequest) -> Answer:
     """Refuse it, as PX4's simulation does; what asks for nothing is accepted."""
     return Answer(ACCEPTED if request.params[0] == 0.0 else DENIED)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
-from autopilot.services.command import ACCEPTED, DENIED, REJECTED, UNSUPPORTED, Answer, Request, whole
+from autopilot.services.command import ACCEPTED, DENIED, REJECTED, UNSUPPORTED, Answer, CommandRequest, whole
 from autopilot.services.flight_data import FlightData
 from autopilot.services.service import ALL, NEVER_US, Addressed, Partner, reply
 from autopilot.services.status import status_text
@@ -38,7 +38,7 @@ class Calibration:
         self._first_rad_s = (0.0, 0.0, 0.0)
         self._due_us = NEVER_US
 
-    def command(self, request: Request) -> Answer:
+    def command(self, request: CommandRequest) -> Answer:
         """Begin one; all parameters zero cancels it."""
         if self._flight.commander.armed:
             return Answer(REJECTED)

@@ -50,7 +50,7 @@ class Place(NamedTuple):
     alt_m: float | None
 
 
-class Request(NamedTuple):
+class CommandRequest(NamedTuple):
     """A command as it came."""
 
     params: Params
@@ -68,7 +68,7 @@ class Answer(NamedTuple):
     """STATUSTEXT for all, other messages for the link that asked."""
 
 
-Action = Callable[[Request], Answer]
+Action = Callable[[CommandRequest], Answer]
 
 
 class TakeoffAltitude:
@@ -135,7 +135,9 @@ class CommandService(Listener):
         if repeats and (done := self._done.get(key)) is not None and now_us - done.at_us <= REMEMBERED_US:
             return reply(partner, _acknowledgement(command, done.result, source))
         action = self._actions.get(command)
-        answer = Answer(UNSUPPORTED) if action is None else action(Request(params, place, now_us, partner))
+        answer = (
+            Answer(UNSUPPORTED) if action is None else action(CommandRequest(params, place, now_us, partner))
+        )
         if answer.result == IN_PROGRESS:
             _put(self._in_progress, key, None)
         if kind == common.MAVLINK_MSG_ID_COMMAND_LONG:

@@ -55,7 +55,7 @@ class Opcode(IntEnum):
     NAK = 129
 
 
-class Failure(IntEnum):
+class FtpFailure(IntEnum):
     """Why a request is refused."""
 
     SIZE = 3
@@ -81,7 +81,7 @@ _WRITING = frozenset(
 )
 
 
-class Request(NamedTuple):
+class FtpRequest(NamedTuple):
     """The header and data of a message's payload."""
 
     seq: int
@@ -92,7 +92,7 @@ class Request(NamedTuple):
     data: bytes
 
     @classmethod
-    def parse(cls, payload: bytes) -> "Request":
+    def parse(cls, payload: bytes) -> "FtpRequest":
         """Read a payload of 251 bytes."""
         seq, session, opcode, size, _, _, offset = _HEADER.unpack_from(payload)
         return cls(seq, session, opcode, size, offset, payload[_HEADER.size : _HEADER.size + size])
@@ -128,7 +128,7 @@ class _Session:
 
 
 _Key = tuple[Partner, int]
-_Answer = bytes | Failure
+_Answer = bytes | FtpFailure
 """Data of an ACK, or why not."""
 
 
@@ -155,7 +155,7 @@ class FtpService:
     def on_message(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
         """Answer a request; a burst is sent by `on_timer`."""
         payload = bytes(message.payload)
-        request = Request.parse(payload)
+        request = FtpRequest.parse(payload)
         if request.opcode >= Opcode.ACK:
             return ()  # an answer to somebody
         self._forget_idle(now_us)
@@ -193,14 +193,14 @@ class FtpService:
         return self._burst_us
 
     def _answer(
-        self, request: Request, partner: Partner, target: tuple[int, int], now_us: int
+        self, request: FtpRequest, partner: Partner, target: tuple[int, int], now_us: int
     ) -> _Answer | None:
         """Do what is asked for; None for a burst, which begins."""
         key = partner, request.session
         session = self._sessions.get(key)
-        answer: _Answer | None = Failure.UNKNOWN_COMMAND
+        answer: _Answer | None = FtpFailure.UNKNOWN_COMMAND
         if request.size > DATA_BYTES:
-            return Failure.SIZE
+            return FtpFailure.SIZE
         match request.opcode:
             case Opcode.NONE:
                 answer = b""
@@ -215,38 +215,38 @@ class FtpService:
                     del self._sessions[other]
                 answer = b""
             case Opcode.READ | Opcode.BURST | Opcode.TERMINATE if session is None:
-                answer = Failure.SESSION
+                answer = FtpFailure.SESSION
             case Opcode.READ if session is not None:
                 session.used_us = now_us
-                answer = session.file.read(request.offset, request.wanted) or Failure.END_OF_FILE
+                answer = session.file.read(request.offset, request.wanted) or FtpFailure.END_OF_FILE
             case Opcode.BURST if session is not None:
                 answer = self._begin_burst(request, session, now_us)
             case Opcode.TERMINATE:
                 del self._sessions[key]
                 answer = b""
             case opcode if opcode in _WRITING:
-                answer = Failure.PROTECTED
+                answer = FtpFailure.PROTECTED
         return answer
 
-    def _open(self, request: Request, partner: Partner, target: tuple[int, int], now_us: int) -> _Answer:
+    def _open(self, request: FtpRequest, partner: Partner, target: tuple[int, int], now_us: int) -> _Answer:
         """Begin a session, in place of the one of the same number: who opens anew has given that up."""
         key = partner, request.session
         if key not in self._sessions and len(self._sessions) >= MOST_SESSIONS:
-            return Failure.NO_SESSION_LEFT
+            return FtpFailure.NO_SESSION_LEFT
         file = self._files.open(request.path)
         if file is None:
-            return Failure.NOT_FOUND
+            return FtpFailure.NOT_FOUND
         session = self._sessions[key] = _Session(file, target)
         session.used_us = now_us
         if self._on_open is not None:
             self._on_open(request.path, partner)
         return _SIZE.pack(file.size())
 
-    def _list(self, request: Request) -> _Answer:
+    def _list(self, request: FtpRequest) -> _Answer:
         """Entries from the asked one on, as many as there is room for."""
         entries = self._files.list(request.path)
         if entries is None:
-            return Failure.NOT_FOUND
+            return FtpFailure.NOT_FOUND
         data = b""
         for name, size in entries[request.offset :]:
             text = f"D{name}" if size is None else f"F{name}\t{size}"
@@ -254,23 +254,23 @@ class FtpService:
             if len(data) + len(entry) > DATA_BYTES:
                 break
             data += entry
-        return Failure.END_OF_FILE if request.offset and not data else data
+        return FtpFailure.END_OF_FILE if request.offset and not data else data
 
-    def _checksum(self, request: Request) -> _Answer:
+    def _checksum(self, request: FtpRequest) -> _Answer:
         file = self._files.open(request.path)
         if file is None:
-            return Failure.NOT_FOUND
+            return FtpFailure.NOT_FOUND
         checksum, offset = 0, 0
         while piece := file.read(offset, _CRC_PIECE_BYTES):
             checksum = crc32(piece, checksum)
             offset += len(piece)
         return _SIZE.pack(checksum)
 
-    def _begin_burst(self, request: Request, session: _Session, now_us: int) -> _Answer | None:
+    def _begin_burst(self, request: FtpRequest, session: _Session, now_us: int) -> _Answer | None:
         session.used_us = now_us
         if request.offset >= session.file.size():
             session.burst = None
-            return Failure.END_OF_FILE
+            return FtpFailure.END_OF_FILE
         session.burst = _Burst(request.seq + 1, request.offset, request.wanted, PACKETS_OF_BURST)
         self._burst_us = min(self._burst_us, now_us)
         return None
@@ -302,7 +302,7 @@ def _next_packet(number: int, session: _Session, burst: _Burst) -> Message:
     return _message(header, data, session.target)
 
 
-def _formed(request: Request, answer: _Answer, target: tuple[int, int]) -> Message:
+def _formed(request: FtpRequest, answer: _Answer, target: tuple[int, int]) -> Message:
     """Answer to a request: its numbers, an ACK with data or a NAK with the reason."""
     opcode, data = (Opcode.ACK, answer) if isinstance(answer, bytes) else (Opcode.NAK, bytes([answer]))
     seq = (request.seq + 1) % 65_536

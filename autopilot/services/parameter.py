@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.crc import crc32
-from autopilot.parameters.table import ROW_INDEX_OF, ROWS, ParameterError, ParameterSet, Problem
+from autopilot.parameters.table import ROW_INDEX_OF, ROWS, ParameterError, ParameterProblem, ParameterSet
 from autopilot.services.parameter_lists import LIST_BATCH, LIST_PERIOD_US, ParameterLists
 from autopilot.services.service import ALL, Addressed, Partner, reply
 from autopilot.services.shaper import Room, always
@@ -111,7 +111,7 @@ class ParameterService:
             index = ROW_INDEX_OF.get(message.param_id, len(ROWS))
         if index < len(ROWS):
             return reply(partner, self._value(index))
-        return reply(partner, refusal(message, Problem.UNKNOWN, index=message.param_index))
+        return reply(partner, refusal(message, ParameterProblem.UNKNOWN, index=message.param_index))
 
     def _set(self, message: Message, now_us: int, partner: Partner) -> Sequence[Addressed]:
         name = message.param_id
@@ -121,7 +121,7 @@ class ParameterService:
         try:
             index = ROW_INDEX_OF.get(name)
             if index is None:
-                raise ParameterError(f"there is no parameter {name!r}", Problem.UNKNOWN)  # noqa: TRY301  # one place that answers a refusal
+                raise ParameterError(f"there is no parameter {name!r}", ParameterProblem.UNKNOWN)  # noqa: TRY301  # one place that answers a refusal
             self._put(name, self._from_wire(index, message, partner))
         except ParameterError as error:
             answers = reply(partner, refusal(message, error.problem))
@@ -163,14 +163,14 @@ class ParameterService:
             try:
                 as_int: int = struct.unpack("<i", struct.pack("<f", value))[0]
             except OverflowError:
-                raise ParameterError(f"{name}: not a 32-bit value", Problem.TYPE) from None
+                raise ParameterError(f"{name}: not a 32-bit value", ParameterProblem.TYPE) from None
             return as_int
         if message.param_type == common.MAV_PARAM_TYPE_REAL32 and partner in self._typeless:
             return value
-        raise ParameterError(f"{name}: wrong type", Problem.TYPE)
+        raise ParameterError(f"{name}: wrong type", ParameterProblem.TYPE)
 
 
-def refusal(message: Message, problem: Problem, *, index: int = -1) -> Message:
+def refusal(message: Message, problem: ParameterProblem, *, index: int = -1) -> Message:
     """PARAM_ERROR in answer to a message that names a parameter by ``param_id``."""
     name = message.param_id.encode("ascii", "replace")[:_NAME_BYTES]
     return common.MAVLink_param_error_message(

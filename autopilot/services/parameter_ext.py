@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Message
-from autopilot.parameters.table import ROW_INDEX_OF, ROWS, ParameterError, ParameterSet, Problem
+from autopilot.parameters.table import ROW_INDEX_OF, ROWS, ParameterError, ParameterProblem, ParameterSet
 from autopilot.services.parameter import Setter, refusal, shortest, value_bytes
 from autopilot.services.parameter_lists import ParameterLists
 from autopilot.services.service import Addressed, Partner, reply
@@ -48,7 +48,7 @@ class ParameterExtService:
                 index = ROW_INDEX_OF.get(message.param_id, len(ROWS))
             if index < len(ROWS):
                 return reply(partner, self._value(index))
-            return reply(partner, refusal(message, Problem.UNKNOWN, index=message.param_index))
+            return reply(partner, refusal(message, ParameterProblem.UNKNOWN, index=message.param_index))
         self._lists.begin(partner, now_us)
         return ()
 
@@ -84,7 +84,7 @@ class ParameterExtService:
         kind = _KINDS[ROWS[index].is_integer]
         try:
             if message.param_type != kind:
-                raise ParameterError(f"{message.param_id}: wrong type", Problem.TYPE)  # noqa: TRY301  # one place that answers a refusal
+                raise ParameterError(f"{message.param_id}: wrong type", ParameterProblem.TYPE)  # noqa: TRY301  # one place that answers a refusal
             self._put(message.param_id, _number(message, is_integer=ROWS[index].is_integer))
         except ParameterError:
             result = common.PARAM_ACK_VALUE_UNSUPPORTED

@@ -28,9 +28,9 @@ from autopilot.services.plan_upload import (
     RETRY_US,
     STALE_US,
     TIMEOUT_US,
-    Finished,
-    Station,
     Upload,
+    UploadFinished,
+    UploadStation,
 )
 from autopilot.services.plan_wire import decode_item, encode_item
 from autopilot.services.service import ALL, NEVER_US, Addressed, Partner, reply
@@ -68,10 +68,10 @@ class PlanTransfer:
         self._current = current
         self._time_stands = time_stands
         self._upload: Upload | None = None
-        self._finished: Finished | None = None
-        self._cleared: tuple[Station, int, int] | None = None
+        self._finished: UploadFinished | None = None
+        self._cleared: tuple[UploadStation, int, int] | None = None
         """Who cleared a plan last, of which MAV_MISSION_TYPE, and when"""
-        self._readers: dict[tuple[Station, PlanType], int] = {}
+        self._readers: dict[tuple[UploadStation, PlanType], int] = {}
         """Versions of the plans that stations have begun to read. Ordered: who began last is last."""
         self._handlers = {
             common.MAVLINK_MSG_ID_MISSION_COUNT: self._on_count,
@@ -96,7 +96,7 @@ class PlanTransfer:
         """Go on with the conversation."""
         if message.target_system != self._system:
             return ()
-        station = Station(partner, message.get_srcSystem(), message.get_srcComponent())
+        station = UploadStation(partner, message.get_srcSystem(), message.get_srcComponent())
         finished, upload = self._finished, self._upload
         if finished is not None and station == finished.station and not finished.is_meant_by(message):
             finished.repeats_us = []  # it goes on, so it knows
@@ -129,7 +129,7 @@ class PlanTransfer:
 
     # ---- writing
 
-    def _on_count(self, message: Message, now_us: int, station: Station) -> Sequence[Addressed]:
+    def _on_count(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:
         """Begin to receive a whole plan; one of no items is there at once."""
         kind, span = _plan_type(message.mission_type), range(message.count)
         hindrance = self._hindrance(message, span, now_us, station)
@@ -145,7 +145,7 @@ class PlanTransfer:
             return station.acknowledge(kind, _ACCEPTED)
         return self._begin(station, kind, span, before=None, now_us=now_us)
 
-    def _on_partial_write(self, message: Message, now_us: int, station: Station) -> Sequence[Addressed]:
+    def _on_partial_write(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:
         """Begin to receive some items of a plan, or some that follow its last."""
         kind, span = _plan_type(message.mission_type), range(message.start_index, message.end_index + 1)
         hindrance = self._hindrance(message, span, now_us, station)
@@ -162,7 +162,7 @@ class PlanTransfer:
         return self._begin(station, kind, span, before=before, now_us=now_us)
 
     def _hindrance(
-        self, message: Message, span: range, now_us: int, station: Station
+        self, message: Message, span: range, now_us: int, station: UploadStation
     ) -> Sequence[Addressed] | None:
         """Answer, or nothing at all, to who must not begin now; None: it may."""
         upload, finished = self._upload, self._finished
@@ -179,7 +179,9 @@ class PlanTransfer:
             late = late or (finished.kind, finished.first, finished.last) == asked
         return () if late else None
 
-    def _refusal(self, upload: Upload, message: Message, station: Station) -> Sequence[Addressed] | None:
+    def _refusal(
+        self, upload: Upload, message: Message, station: UploadStation
+    ) -> Sequence[Addressed] | None:
         """Answer to another station than the one that writes; None: that one has given up."""
         if self._time_stands() and upload.refused == station:
             return None
@@ -187,7 +189,7 @@ class PlanTransfer:
         return station.acknowledge(message.mission_type, _ERROR)
 
     def _begin(
-        self, station: Station, kind: PlanType, span: range, *, before: Plan | None, now_us: int
+        self, station: UploadStation, kind: PlanType, span: range, *, before: Plan | None, now_us: int
     ) -> Sequence[Addressed]:
         upload = self._upload = Upload(
             station=station,
@@ -205,7 +207,7 @@ class PlanTransfer:
         )
         return upload.ask(span.start)
 
-    def _on_item(self, message: Message, now_us: int, station: Station) -> Sequence[Addressed]:
+    def _on_item(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:
         """Take the item that is missing, and ask for the next."""
         upload, seq = self._upload, message.seq
         if upload is None:
@@ -226,7 +228,7 @@ class PlanTransfer:
         upload.asked_us, upload.retry_us = now_us, now_us + upload.patience_us
         return upload.ask(seq + 1) if seq < upload.last else self._complete(upload, now_us)
 
-    def _on_unasked_item(self, message: Message, now_us: int, station: Station) -> Sequence[Addressed]:
+    def _on_unasked_item(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:
         """Answer as PX4 does, but not to late copies: who knows the end already would not know why."""
         finished = self._finished
         if finished is None or station != finished.station:
@@ -269,7 +271,7 @@ class PlanTransfer:
 
     def _finish(self, upload: Upload, answer: Sequence[Addressed], now_us: int) -> None:
         self._upload = None
-        self._finished = Finished(
+        self._finished = UploadFinished(
             station=upload.station,
             kind=upload.kind,
             first=upload.first,
@@ -281,7 +283,7 @@ class PlanTransfer:
 
     # ---- reading: needs no turns, for who reads asks for what it lacks
 
-    def _on_list(self, message: Message, now_us: int, station: Station) -> Sequence[Addressed]:  # noqa: ARG002
+    def _on_list(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:  # noqa: ARG002
         """Tell how many items there are."""
         kind = _plan_type(message.mission_type)
         if kind is None:  # as PX4: a plan that is empty
@@ -297,7 +299,7 @@ class PlanTransfer:
             MissionCount(station.system, station.component, count, message.mission_type, opaque_id),
         )
 
-    def _on_partial_list(self, message: Message, now_us: int, station: Station) -> Sequence[Addressed]:
+    def _on_partial_list(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:
         """Answer as to a whole list: items keep their numbers, the station asks for those it wants."""
         kind = _plan_type(message.mission_type)
         count = 0 if kind is None else len(self._store[kind].items)
@@ -306,7 +308,7 @@ class PlanTransfer:
             return station.acknowledge(message.mission_type, common.MAV_MISSION_INVALID_SEQUENCE)
         return self._on_list(message, now_us, station)
 
-    def _on_request(self, message: Message, now_us: int, station: Station) -> Sequence[Addressed]:  # noqa: ARG002
+    def _on_request(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:  # noqa: ARG002
         """Give an item, in the kind of message that it is asked for in.
 
         In whatever order, where PX4 wants them asked for from the first to the last. Who reads a plan that
@@ -333,7 +335,7 @@ class PlanTransfer:
 
     # ---- both
 
-    def _on_ack(self, message: Message, now_us: int, station: Station) -> Sequence[Addressed]:
+    def _on_ack(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:
         """End a reading; while writing, end it too or ask in the other kind of message."""
         kind, upload = _plan_type(message.mission_type), self._upload
         if kind is not None:
@@ -348,7 +350,7 @@ class PlanTransfer:
             return upload.ask(upload.asked)
         return ()
 
-    def _on_clear(self, message: Message, now_us: int, station: Station) -> Sequence[Addressed]:
+    def _on_clear(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:
         """Empty a plan, or all; but a late copy does not end what its station writes meanwhile."""
         upload = self._upload
         if upload is not None and station != upload.station:

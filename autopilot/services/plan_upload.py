@@ -31,7 +31,7 @@ PATIENT_RETRIES = 2
 ITEM_MESSAGES = frozenset({common.MAVLINK_MSG_ID_MISSION_ITEM, common.MAVLINK_MSG_ID_MISSION_ITEM_INT})
 
 
-class Station(NamedTuple):
+class UploadStation(NamedTuple):
     """Who speaks; several may be behind one address, and several addresses may have the same numbers."""
 
     partner: Partner
@@ -46,7 +46,7 @@ class Station(NamedTuple):
 class Upload(Struct, kw_only=True):
     """A plan that is being written."""
 
-    station: Station
+    station: UploadStation
     kind: PlanType
     first: int
     last: int
@@ -67,7 +67,7 @@ class Upload(Struct, kw_only=True):
     """Since then"""
     heard_us: int
     """When the station last said something of it"""
-    refused: Station | None = None
+    refused: UploadStation | None = None
     """Who else has been refused since then"""
     stray: int
     """Number of the last item that came though another was asked for"""
@@ -103,10 +103,10 @@ class Upload(Struct, kw_only=True):
         self.round_us += (sample_us - self.round_us) // 8
 
 
-class Finished(Struct, kw_only=True):
+class UploadFinished(Struct, kw_only=True):
     """A plan whose writing has ended; the station may not know."""
 
-    station: Station
+    station: UploadStation
     kind: PlanType
     first: int
     last: int

@@ -98,7 +98,7 @@ class _Stream:
     has_new_data: bool
 
 
-class Streams:
+class MessageStreams:
     """The periodic messages of one link. While nobody listens only the heartbeat is formed.
 
     Who forms a message is looked up when it is due, so ``builders`` may become more after this was made.

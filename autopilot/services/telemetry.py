@@ -7,7 +7,7 @@ from autopilot.services.flight_data import FlightData
 from autopilot.services.manual_control import ManualControlService
 from autopilot.services.streams import Builder
 from autopilot.services.telemetry_control import Control
-from autopilot.services.telemetry_motion import Motion
+from autopilot.services.telemetry_motion import MotionTelemetry
 from autopilot.services.telemetry_sensors import Sensors
 from autopilot.services.telemetry_system import SystemState
 
@@ -25,7 +25,7 @@ class Telemetry:
         epoch_unix_us: int = 0,
     ) -> None:
         """``fenced`` tells whether there is a geofence; ``epoch_unix_us`` is the date of simulated time 0."""
-        self.motion = Motion(flight)
+        self.motion = MotionTelemetry(flight)
         self.sensors = Sensors(flight, manual=manual)
         self.control = Control(flight)
         self.system = SystemState(

@@ -14,7 +14,7 @@ from foundation.geometry.rotations import quat_rotate_inverse, quat_to_euler
 _CENTIDEGREES = 36_000
 
 
-class Motion(Part):
+class MotionTelemetry(Part):
     """Messages of the estimate, and of the places that it counts from."""
 
     def make_builders(self) -> dict[int, Builder]:

@@ -46,14 +46,14 @@ _ROTORS = 4
 _RECEIVE_BYTES = 4096
 US_PER_S = 1_000_000
 
-MOMENT = np.dtype(
+FAST_STEP_STATE = np.dtype(
     [
         ("now_us", "i8"), ("until_us", "i8"), ("aids_us", "i8"), ("sound_until_us", "i8"), ("sequence", "i8"),
         ("flies", "i8"),
     ],
     align=True,
 )  # fmt: skip
-"""What `InertialSteps.open` is told, of which the last step's time and the next frame's number go on."""
+"""What `FastSteps.open` is told, of which the last step's time and the next frame's number go on."""
 _MOMENT = Struct("=6q")
 """The same for Python, to which a row of an array is slow to write."""
 
@@ -72,7 +72,7 @@ def inertial_step(
 
     False: nothing has been touched. ``incoming`` and ``answer`` have frames from `frame.FIRST` on; the answer
     is the last one, of whose frame sequence number, time, controls and checksum change. ``moment`` is (1,) of
-    `MOMENT`.
+    `FAST_STEP_STATE`.
     """
     m, filtered = moment[0], horizon[0]
     length = payload_bytes(incoming, size, SENSOR_KIND, SENSOR_EXTRA)
@@ -111,7 +111,7 @@ def inertial_step(
     return True
 
 
-class InertialSteps:
+class FastSteps:
     """These steps of one vehicle, between the others: `open` after one of those, `close` before the next.
 
     Attributes:
@@ -124,7 +124,7 @@ class InertialSteps:
         answer = np.zeros(PAYLOAD + ACTUATORS_BYTES + CHECKSUM_BYTES, np.uint8)
         self.incoming = incoming.data[FIRST:]
         self._answer = answer.data[FIRST:]
-        self._moment: NDArray[np.void] = np.zeros(1, MOMENT)
+        self._moment: NDArray[np.void] = np.zeros(1, FAST_STEP_STATE)
         self._moment_octets = self._moment.view(np.uint8).data
         self._octets = (incoming, answer, self._moment)
         self._blocks: Sequence[Horizon | Cascade] | None = None
@@ -138,7 +138,7 @@ class InertialSteps:
 
     def open(
         self, answer: bytes, sequence: int, blocks: tuple[Horizon, Horizon, Cascade], *, now_us: int,
-        until_us: int, aids_us: int, sound_until_us: int, flies: bool,
+        until_us: int, next_aiding_us: int, valid_until_us: int, flies: bool,
     ) -> None:  # fmt: skip
         """Let such steps follow the one that was answered by this frame.
 
@@ -157,7 +157,9 @@ class InertialSteps:
         self._answer[:] = answer
         self._answer[_HANDED_OVER] &= ~_HANDED_OVER_BIT
         self._opened_us = now_us
-        _MOMENT.pack_into(self._moment_octets, 0, now_us, until_us, aids_us, sound_until_us, sequence, flies)
+        _MOMENT.pack_into(
+            self._moment_octets, 0, now_us, until_us, next_aiding_us, valid_until_us, sequence, flies
+        )
         self._blocks = blocks
 
     def close(self) -> tuple[int, int] | None:

@@ -20,7 +20,7 @@ from autopilot.parameters import parameter_file
 from autopilot.parameters.config import VehicleConfig
 from autopilot.services.service import GROUND_STATION, NEVER_US, Addressed
 from autopilot.services.status import TEXT_BYTES
-from autopilot.vehicle.fast_step import InertialSteps
+from autopilot.vehicle.fast_step import FastSteps
 from autopilot.vehicle.vehicle import Vehicle
 from foundation.records.record_log import RecordLog
 from netsim.wire.lockstep import BATCH_DELIVERED, BATCH_HANDED_OVER
@@ -58,7 +58,7 @@ class Host:
         self._parser = HilParser(*TO_VEHICLE)
         system = config.instance + 1
         self._encoder = HilEncoder(system=system, component=AUTOPILOT_COMPONENT)
-        self._inertial = InertialSteps()
+        self._inertial = FastSteps()
         self.incoming = self._inertial.incoming
         """Where the simulator's bytes go, for `inertial_step` and then for `push`"""
         self._waiting: list[Message] = []
@@ -141,10 +141,10 @@ class Host:
         before = b"".join(map(self._encoder.encode, output.simulator)) if output.simulator else b""
         frame = self._encoder.encode(actuators)
         if not any(link_active):  # who listens hears of every sample
-            self._look_ahead(now_us, frame)
+            self._begin_fast_steps(now_us, frame)
         return before + frame, output.links
 
-    def attend(self, link_messages: Links) -> Links:
+    def serve_while_paused(self, link_messages: Links) -> Links:
         """What goes out on the links in answer to messages that come while the simulator is silent.
 
         Before the first step there is no vehicle yet that could answer: then they are kept for that step.
@@ -154,20 +154,20 @@ class Host:
             return []
         if self._catch_up():
             self.vehicle.flight.sensor = self._inertial.last_sensor
-        answers = self.vehicle.attend(link_messages)
+        answers = self.vehicle.serve_while_paused(link_messages)
         messaging = self.vehicle.messaging
         if messaging.take_save_wanted():
             self._save_parameters()
             answers += messaging.take_outgoing()
         return answers
 
-    def _look_ahead(self, now_us: int, answer: bytes) -> None:
+    def _begin_fast_steps(self, now_us: int, answer: bytes) -> None:
         """Let inertial steps follow on this answer, if that may be, up to the next look at anything else."""
         if self._waiting or self._parser.unfinished or self._flight_log is not None:
             return
         period_us = self._config.record_period_us
         next_record_us = NEVER_US if self._log is None else now_us - now_us % period_us + period_us
-        self.vehicle.look_ahead(self._inertial, answer, self._encoder.sequence, next_record_us)
+        self.vehicle.begin_fast_steps(self._inertial, answer, self._encoder.sequence, next_record_us)
 
     def _catch_up(self) -> bool:
         """Bring the vehicle to where inertial steps have got, which then are over; False: it is there."""

@@ -49,7 +49,7 @@ from autopilot.services.streams import (
     APPLICATION_WITH_ATTITUDE_HZ,
     COMPANION_HZ,
     GROUND_STATION_HZ,
-    Streams,
+    MessageStreams,
 )
 from autopilot.services.telemetry import Telemetry
 from autopilot.vehicle.pilot import Pilot
@@ -120,9 +120,9 @@ class Messaging:
         outside = self.telemetry.builders
         within = outside | {common.MAVLINK_MSG_ID_LOCAL_POSITION_NED: self.telemetry.motion.local_position}
         self.streams = {
-            GROUND_STATION: Streams(outside, GROUND_STATION_HZ),
-            COMPANION: Streams(outside, COMPANION_HZ),
-            APPLICATION: Streams(within, application_hz),
+            GROUND_STATION: MessageStreams(outside, GROUND_STATION_HZ),
+            COMPANION: MessageStreams(outside, COMPANION_HZ),
+            APPLICATION: MessageStreams(within, application_hz),
         }
         """By the links' numbers."""
         self.shapers = Shapers(

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.commander.battery import BatteryMonitor, BatterySimulator, BatteryWarning
 from autopilot.commander.conditions import Condition
 from autopilot.commander.failsafe import US_PER_S, Cause
-from autopilot.commander.failure_detector import Failure, FailureDetector
+from autopilot.commander.failure_detector import AttitudeFailure, FailureDetector
 from autopilot.commander.geofence import Breach, Geofence, Origin
 from autopilot.estimation.sensor_input import TIMEOUTS_US, SensorInput
 from autopilot.mavlink.codec import Message
@@ -179,7 +179,7 @@ _SETPOINTS, _MANUAL, _MISSION = int(Condition.SETPOINTS), int(Condition.MANUAL),
 _GPS_LOST, _MANUAL_LOST = int(Cause.GPS_LOST), int(Cause.MANUAL_LOST)
 _TIPPED_OVER, _MOTOR_FAILED = int(Cause.TIPPED_OVER), int(Cause.MOTOR_FAILED)
 _ESTIMATOR_FAILED = int(Cause.ESTIMATOR_FAILED)
-_TIPPED, _MOTOR = int(Failure.ROLL | Failure.PITCH), int(Failure.MOTOR)
+_TIPPED, _MOTOR = int(AttitudeFailure.ROLL | AttitudeFailure.PITCH), int(AttitudeFailure.MOTOR)
 _OF_BATTERY = {
     BatteryWarning.NONE: 0,
     BatteryWarning.LOW: int(Cause.BATTERY_LOW),

@@ -8,7 +8,7 @@ import numpy as np
 
 from autopilot.commander.conditions import Reason
 from autopilot.commander.geofence import Geofence, Origin
-from autopilot.commander.land_detector import LandDetector, Stage
+from autopilot.commander.land_detector import LandDetector, LandStage
 from autopilot.control import FlightController
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.feasibility import distance_warning, fence_trouble
@@ -32,7 +32,7 @@ _HEIGHT_MAX_M = 1e5
 
 
 class Pilot:
-    """Flies one vehicle in the commander's mode: `feel` the ground now and then, `fly` at every step."""
+    """Flies one vehicle in the commander's mode: `update` at every step, `update_land_state` now and then."""
 
     def __init__(
         self,
@@ -63,7 +63,7 @@ class Pilot:
         self._geofence = geofence
         self._land_detector = LandDetector(settings.land_detector)
         self.landed = True
-        """On the ground for certain, as `feel` found it."""
+        """On the ground for certain, as `update_land_state` found it."""
         self.flies_on = False
         """Whether the next step follows the trajectory of this one, if nothing comes that changes it."""
         self._setpoint: Setpoint = IDLE
@@ -222,7 +222,7 @@ class Pilot:
             return FlightMode.HOLD
         return self.navigator.next_mode(self._flight.state)
 
-    def feel(self) -> None:
+    def update_land_state(self) -> None:
         """Take the new estimate: whether there is ground below, and, once, where home is."""
         flight = self._flight
         state = flight.state
@@ -243,7 +243,7 @@ class Pilot:
         )
         self.landed = self._land_detector.landed
 
-    def fly(self, dt_s: float) -> None:
+    def update(self, dt_s: float) -> None:
         """Set the mode's setpoint and the controls that follow it."""
         flight, commander, state = self._flight, self._flight.commander, self._flight.state
         self._keep_up()
@@ -262,7 +262,7 @@ class Pilot:
                 state,
                 dt_s=dt_s,
                 landed=landed,
-                touching=self._land_detector.stage is not Stage.AIRBORNE,
+                touching=self._land_detector.stage is not LandStage.AIRBORNE,
                 home_ned_m=flight.home.pos_ned_m if flight.home is not None else None,
                 manual=self._manual.sticks,
                 hover_thrust=controller.hover_thrust,
@@ -274,7 +274,7 @@ class Pilot:
         self.flies_on = not landed and setpoint is offboard and controller.flies_on
 
     def catch_up(self) -> None:
-        """Take what compiled code has had the controller give since `fly`, if the motors turn."""
+        """Take what compiled code has had the controller give since `update`, if the motors turn."""
         if self._flight.commander.armed:
             self._flight.motors = self.controller.controls
 

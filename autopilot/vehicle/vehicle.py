@@ -33,7 +33,7 @@ from autopilot.onboard.app import NOTHING
 from autopilot.onboard.factory import make_application
 from autopilot.onboard.formation.messages import COMMANDS
 from autopilot.parameters.config import VehicleConfig
-from autopilot.parameters.table import ROWS, ParameterError, ParameterSet, Problem, Settings
+from autopilot.parameters.table import ROWS, ParameterError, ParameterProblem, ParameterSet, Settings
 from autopilot.services.flight_data import FlightData
 from autopilot.services.manual_control import ManualControlService
 from autopilot.services.offboard import OffboardService
@@ -48,7 +48,7 @@ from autopilot.services.service import (
     reply,
 )
 from autopilot.services.status import heartbeat, status_text
-from autopilot.vehicle.fast_step import InertialSteps
+from autopilot.vehicle.fast_step import FastSteps
 from autopilot.vehicle.messaging import Messaging
 from autopilot.vehicle.monitor import Monitor
 from autopilot.vehicle.pilot import Pilot
@@ -195,7 +195,7 @@ class Vehicle:
         if self.app is not None and radio_items:
             self.app.on_radio(radio_items, now_us)
         radio = self._run_app(simulator, now_us) if loops else ()
-        self.pilot.fly((self.config.step_us if last_us is None else now_us - last_us) / US_PER_S)
+        self.pilot.update((self.config.step_us if last_us is None else now_us - last_us) / US_PER_S)
         messaging = self.messaging
         links: list[Addressed] = []
         if decides or messaging.is_due(now_us) or any(link_active):
@@ -211,7 +211,7 @@ class Vehicle:
             save_parameters=messaging.take_save_wanted(),
         )
 
-    def attend(self, link_messages: Sequence[Addressed]) -> list[Addressed]:
+    def serve_while_paused(self, link_messages: Sequence[Addressed]) -> list[Addressed]:
         """Answer the links while simulated time stands: commands are carried out, the newest setpoints kept.
 
         Nothing is due in the meantime, for no time passes; so nothing times out either.
@@ -234,7 +234,7 @@ class Vehicle:
         """From when on a step has to look at more than what its messages bring, if no link asks before."""
         return min(self._decide_us, self._loop_us, self.messaging.next_deadline_us())
 
-    def look_ahead(self, steps: InertialSteps, answer: bytes, sequence: int, limit_us: int) -> bool:
+    def begin_fast_steps(self, steps: FastSteps, answer: bytes, sequence: int, limit_us: int) -> bool:
         """Let ``steps`` follow on this answer up to the next look at anything but inertial samples.
 
         ``sequence`` is the next answer's, and somebody else looks at ``limit_us``. False: the next step is
@@ -248,8 +248,8 @@ class Vehicle:
             return False
         steps.open(
             answer, sequence, (filtered.block, filtered.samples, self.pilot.controller.block), now_us=now_us,
-            until_us=until_us, aids_us=self._sensors.aids_us, sound_until_us=self.estimator.sound_until_us,
-            flies=flies,
+            until_us=until_us, next_aiding_us=self._sensors.next_aiding_us,
+            valid_until_us=self.estimator.valid_until_us, flies=flies,
         )  # fmt: skip
         return True
 
@@ -276,7 +276,7 @@ class Vehicle:
     def set_parameter(self, name: str, value: float) -> None:
         """Change a parameter, which acts at once. Raises ParameterError, also for what cannot change now."""
         if name in _OF_THE_START:
-            raise ParameterError(f"{name} can only be set at the start", Problem.READ_ONLY)
+            raise ParameterError(f"{name} can only be set at the start", ParameterProblem.READ_ONLY)
         before = self.parameters.settings
         self.parameters.set(name, value)
         self.messaging.on_parameter(name)
@@ -332,7 +332,7 @@ class Vehicle:
         if flight.state.position_valid:
             flight.origin_known = True
         was_landed = pilot.landed
-        pilot.feel()
+        pilot.update_land_state()
         if pilot.landed is not was_landed:
             if was_landed:
                 flight.took_off_us = flight.now_us

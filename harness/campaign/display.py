@@ -18,7 +18,7 @@ _SLOW_START = 2
 """Runs that must have landed before they say how long the others take."""
 
 
-class Pace:
+class CampaignPace:
     """How long is left, by how fast runs have landed; times are of the wall clock, in s.
 
     Of the landings so far the first quarter does not count: that is when workers start and compile.
@@ -53,7 +53,7 @@ def duration_text(seconds: float | None) -> str:
 
 
 class _TimeLeft(ProgressColumn):
-    def __init__(self, pace: Pace) -> None:
+    def __init__(self, pace: CampaignPace) -> None:
         super().__init__()
         self._pace = pace
 
@@ -62,7 +62,7 @@ class _TimeLeft(ProgressColumn):
         return Text(f"{duration_text(left_s)} left")
 
 
-class Display:
+class CampaignDisplay:
     """Shows a campaign of ``total`` flights on a console: a bar on a terminal, a line now and then elsewhere.
 
     ``kept`` of them are there already.
@@ -70,7 +70,7 @@ class Display:
 
     def __init__(self, console: Console, campaign: Campaign, *, total: int, kept: int) -> None:
         self._console, self._campaign = console, campaign
-        self._pace = Pace(time.monotonic())
+        self._pace = CampaignPace(time.monotonic())
         self.failed = 0
         """Of those that have landed"""
         self._wall_next_s = time.monotonic() + LINE_PERIOD_S

@@ -17,7 +17,7 @@ from rich.table import Table as Shown
 
 from harness.campaign.cluster import check_address
 from harness.campaign.definition import KEPT, Campaign, Run, expand, load
-from harness.campaign.display import Display
+from harness.campaign.display import CampaignDisplay
 from harness.campaign.running import known, run
 from harness.campaign.store import FAILED, CampaignError, ClusterError, Flown, Store
 from harness.campaign.table import Table
@@ -79,7 +79,7 @@ def campaign(
         runs, _, missing = _planned(plan, out, retry=retry)
         total = len({each.digest for each in runs})
         messages.print(f"{total} flights, {len(missing)} of them to be flown; into {out}", soft_wrap=True)
-        with Display(messages, plan, total=total, kept=total - len(missing)) as display:
+        with CampaignDisplay(messages, plan, total=total, kept=total - len(missing)) as display:
             table = run(
                 plan,
                 out=out,

@@ -16,7 +16,7 @@ import typer
 from rich.console import Console
 
 from harness.cli.keyboard import Keyboard
-from harness.cli.progress import Display, display_for, summary_table
+from harness.cli.progress import FlightDisplay, display_for, summary_table
 from harness.launch.interrupts import interruptible
 from harness.launch.processes import SetupError, SwarmError
 from harness.launch.profiling import profile_table
@@ -31,7 +31,7 @@ SLOWEST, FASTEST = 1.0 / 64.0, 64.0
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
-class Failure(Exception):
+class ExitFailure(Exception):
     """The run ends with this status and line."""
 
     def __init__(self, status: int, line: str) -> None:
@@ -108,7 +108,7 @@ def fly(
         "onboard.hold": "true" if hold else None,
     }
     overrides = [f"{path}={value}" for path, value in named.items() if value is not None]
-    display: Display | None = None
+    display: FlightDisplay | None = None
     try:
         plan = load(scenario, [*(settings or []), *overrides])
         out = out or _default_folder(plan.name)
@@ -140,13 +140,15 @@ def _swarm(
     speed: float | Literal["max"],
     out: Path,
     port_offset: int,
-    display: Display,
+    display: FlightDisplay,
     *,
     one_process: bool,
     profile: bool,
 ) -> Swarm:
     if one_process and profile:
-        raise Failure(BAD_INPUT, "--profile has processes sample themselves, each its own, not one process")
+        raise ExitFailure(
+            BAD_INPUT, "--profile has processes sample themselves, each its own, not one process"
+        )
     if one_process:
         from harness.launch.one_process import OneProcessSwarm  # noqa: PLC0415  loads the physics, which prints a line
 
@@ -166,11 +168,11 @@ def _waits(plan: Scenario, *, one_process: bool = False) -> bool:
     """Whether the UAVs wait for a ground station."""
     waits = plan.onboard.enabled and plan.onboard.hold
     if waits and one_process:
-        raise Failure(BAD_INPUT, "--hold waits for a ground station, and none can connect to one process")
+        raise ExitFailure(BAD_INPUT, "--hold waits for a ground station, and none can connect to one process")
     return waits
 
 
-def _on_key(key: str, swarm: Swarm, display: Display) -> None:
+def _on_key(key: str, swarm: Swarm, display: FlightDisplay) -> None:
     """Pause, go on, or change the speed, as the user wants."""
     with contextlib.suppress(SwarmError):  # it may have just ended
         if key == " ":
@@ -184,7 +186,9 @@ def _on_key(key: str, swarm: Swarm, display: Display) -> None:
             display.note(f"speed {swarm.speed:g}")
 
 
-def _fly(swarm: Swarm, display: Display, *, until_interrupted: bool) -> SwarmError | KeyboardInterrupt | None:
+def _fly(
+    swarm: Swarm, display: FlightDisplay, *, until_interrupted: bool
+) -> SwarmError | KeyboardInterrupt | None:
     """Start, form, hold and stop. Returns what broke it off, if there are records all the same."""
     run = swarm.scenario.run
     display.note(f"{swarm.scenario.name}: {swarm.scenario.agents} UAVs, seed {run.seed}, into {swarm.path}")
@@ -249,21 +253,21 @@ def _report(
         raise broken_off
 
 
-def _failure(error: BaseException) -> Failure:
+def _failure(error: BaseException) -> ExitFailure:
     """Tell the exit status and line of whatever went wrong."""
     match error:
-        case Failure():
+        case ExitFailure():
             return error
         case ScenarioError() | SetupError():
-            return Failure(BAD_INPUT, str(error))
+            return ExitFailure(BAD_INPUT, str(error))
         case typer.TyperException():
-            return Failure(BAD_INPUT, error.format_message())
+            return ExitFailure(BAD_INPUT, error.format_message())
         case SwarmTimeoutError() | SwarmError():
-            return Failure(FAILED, str(error))
+            return ExitFailure(FAILED, str(error))
         case KeyboardInterrupt():
-            return Failure(INTERRUPTED, "broken off: every process is stopped, the records are kept")
+            return ExitFailure(INTERRUPTED, "broken off: every process is stopped, the records are kept")
         case _:
-            return Failure(FAILED, f"{type(error).__name__}: {error}".rstrip(": "))
+            return ExitFailure(FAILED, f"{type(error).__name__}: {error}".rstrip(": "))
 
 
 def _default_folder(name: str) -> Path:

@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from foundation.processes.child_protocol import Warned
-from harness.launch.processes import Message, Notice, uav
+from harness.launch.processes import Message, ProcessNotice, uav
 from harness.launch.supervisor import Exited
 from harness.simulator.messages import (
     Collision,
@@ -35,7 +35,7 @@ _EVEN_IF_UNSEEN = contextlib.suppress(OSError)
 """A run does not fail of a terminal that was closed: the signal that says so ends it in good order."""
 
 
-class Display(Protocol):
+class FlightDisplay(Protocol):
     """Shows a run while it lasts."""
 
     def on_message(self, message: Message) -> None:
@@ -48,7 +48,7 @@ class Display(Protocol):
         """End the live part; harmless when repeated."""
 
 
-def display_for(console: Console) -> Display:
+def display_for(console: Console) -> FlightDisplay:
     """Live on a terminal, plain lines elsewhere."""
     return LiveDisplay(console) if console.is_terminal else LineDisplay(console)
 
@@ -73,7 +73,7 @@ def describe(message: Message) -> str | None:
             return f"{_at(message.time_us)}: fault {message.number} ({what}) of {who} {message.change}"
         case Warned():
             return f"{_at(message.time_us)}: {message.name}: {message.text}"
-        case Notice():
+        case ProcessNotice():
             return message.text
         case Exited() if message.returncode:
             return message.describe() + (f": {message.last_words}" if message.last_words else "")

@@ -81,7 +81,7 @@ def counted(processors: Sequence[int], pids: Iterable[int]) -> Times:
     return Times(time.monotonic(), sum(cpu.user + cpu.nice + cpu.system for cpu in busy), own_cpu_s)
 
 
-class Placement:
+class CpuAffinity:
     """Keeps processes on processors of their own as long as nobody else works, on a thread of its own.
 
     It places the thread that does a process's work, its first; Zenoh's go where there is room.

@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable
 
 
-class Listener:
+class DescriptorWatcher:
     """Calls back for each descriptor that has something to be read, or has ended.
 
     All calls are made on one thread, one after the other, so they must not wait. The thread is there from the

@@ -28,7 +28,7 @@ _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 _SHELL_SIGNAL_BASE = 128
 
 
-class KeptConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ExternalProcessConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A program, how to start it, and what is said of it when it has started."""
 
     name: str
@@ -40,7 +40,7 @@ class KeptConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     details: dict[str, Any] = {}
 
 
-def keep(config: KeptConfig) -> int:
+def keep(config: ExternalProcessConfig) -> int:
     """Run the program to its end, or to ours; returns the exit status. Raises OSError if it cannot be run."""
     keeper, libc = os.getpid(), ctypes.CDLL(None)
 
@@ -88,7 +88,7 @@ def main() -> int:
     parser.add_argument("--supervised", action="store_true", help="accepted for likeness: it always is")
     arguments = parser.parse_args()
     try:
-        config = msgspec.json.decode(arguments.config.read_bytes(), type=KeptConfig)
+        config = msgspec.json.decode(arguments.config.read_bytes(), type=ExternalProcessConfig)
         return keep(config)
     except (OSError, msgspec.DecodeError) as error:
         sys.stderr.write(f"keeper: {error}\n")

@@ -27,10 +27,10 @@ KEPT_S = 86_400.0
 _COMPLETE = "complete"
 _FOLDER = re.compile(r"[0-9a-f]{16}")
 _COMPILERS = {
-    "the vehicles'": "from autopilot.process.warm_up import rehearse; rehearse()",
-    "the radio's": "from netsim.emulator.warm_up import rehearse; rehearse()",
-    "the physics'": "from harness.world.physics.warm_up import rehearse; rehearse()",
-    "the antenna's": "from antenna.solvers.warm_up import rehearse; rehearse()",
+    "the vehicles'": "from autopilot.process.warm_up import warm_up; warm_up()",
+    "the radio's": "from netsim.emulator.warm_up import warm_up; warm_up()",
+    "the physics'": "from harness.world.physics.warm_up import warm_up; warm_up()",
+    "the antenna's": "from antenna.solvers.warm_up import warm_up; warm_up()",
 }
 
 

@@ -50,12 +50,12 @@ from harness.launch.supervisor import Exited, Supervisor
 from harness.launch.swarm import Speed, Swarm
 from harness.records.run_folder import PhysicsConfig, RunFolder
 from harness.scenario.scenario import Scenario
-from harness.simulator.emulator_client import Air
-from harness.simulator.in_process_links import LocalLine, LocalRadio, LocalVehicles
+from harness.simulator.emulator_client import EmulatorClient
+from harness.simulator.in_process_links import InProcessEmulatorLine, InProcessRadio, InProcessVehicles
 from harness.simulator.messages import AnyCommand
 from harness.simulator.server import obey
 from harness.simulator.simulation import Simulation
-from netsim.emulator.service import HostedEmulator
+from netsim.emulator.service import EmulatorService
 from netsim.model.config import ServerConfig
 
 NAME = "one process"
@@ -83,15 +83,15 @@ class _Flight:
     ) -> None:
         self._config = physics
         self._emit = emit
-        self._emulator = stack.enter_context(contextlib.closing(HostedEmulator(radio)))
+        self._emulator = stack.enter_context(contextlib.closing(EmulatorService(radio)))
         self._emulator.open_logs()
-        radios = [LocalRadio(self._emulator, config.instance) for config in vehicles]
-        line = LocalLine(self._emulator, radios)
+        radios = [InProcessRadio(self._emulator, config.instance) for config in vehicles]
+        line = InProcessEmulatorLine(self._emulator, radios)
         period_us = physics.scenario.onboard.loop_period_us
-        air = Air(line, period_us=period_us, free=bool(radio.radio.guests))
+        air = EmulatorClient(line, period_us=period_us, free=bool(radio.radio.guests))
 
-        def meet(simulation: Simulation) -> LocalVehicles:
-            self.vehicles = LocalVehicles(
+        def meet(simulation: Simulation) -> InProcessVehicles:
+            self.vehicles = InProcessVehicles(
                 vehicles, radios, on_message=simulation.on_message, on_lost=simulation.on_lost, emit=emit
             )
             return self.vehicles

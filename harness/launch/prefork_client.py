@@ -10,7 +10,7 @@ import msgspec
 import psutil
 
 from foundation.processes.prefork import MOST_BYTES, Answer, Ended, Fork, Forked, NotForked
-from harness.launch.descriptor_watcher import Listener
+from harness.launch.descriptor_watcher import DescriptorWatcher
 
 FORK_LIMIT_S = 30.0
 """Wall time within which a fork must be answered, by a forker that is ready."""
@@ -41,7 +41,7 @@ class Forker:
     ``listener``: what hears it, and on whose thread endings are told.
     """
 
-    def __init__(self, listener: Listener) -> None:
+    def __init__(self, listener: DescriptorWatcher) -> None:
         self._line, self.theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._answers: queue.SimpleQueue[ForkedProcess | NotForked] = queue.SimpleQueue()
         self._living: dict[int, _Living] = {}

@@ -19,7 +19,7 @@ from msgspec import Struct
 
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Warned
 from harness.launch import cpu_affinity, kernel_cache, px4
-from harness.launch.cpu_affinity import Placement
+from harness.launch.cpu_affinity import CpuAffinity
 from harness.launch.interrupts import interrupts_deferred
 from harness.launch.px4 import Px4Error
 from harness.launch.resources import HAS_NAMED_SOCKETS, ResourceError, allow_descriptors, bind, bind_local
@@ -28,7 +28,7 @@ from harness.records.run_folder import RunFolder
 from harness.scenario.scenario import Scenario
 from harness.simulator.messages import AnyCommand, AnyEvent, Formed, Paused, Progress, SetPid, VehicleLost
 
-PHYSICS, RADIO, HANGAR = "physics", "radio", "hangar"
+PHYSICS, RADIO, PREFORK = "physics", "radio", "prefork"
 START_LIMIT_S = 120.0
 """Wall time within which every process must be ready to work."""
 STOP_LIMIT_S = 10.0
@@ -41,13 +41,13 @@ _ENVIRONMENT = {
 }
 
 
-class Notice(Struct, frozen=True, kw_only=True):
+class ProcessNotice(Struct, frozen=True, kw_only=True):
     """The launcher itself has something to say, before it takes long."""
 
     text: str
 
 
-Message = ChildMessage | Exited | Notice
+Message = ChildMessage | Exited | ProcessNotice
 Happening = AnyEvent | Warned | Exited
 
 
@@ -85,7 +85,7 @@ def supervised(config: Path) -> tuple[str, ...]:
 
 
 class Processes:
-    """Physics server, 802.11 emulator and one process per vehicle, forked by the hangar.
+    """Physics server, 802.11 emulator and one process per vehicle, forked by the prefork server.
 
     ``wall_limit_s`` bounds the run's wall time from `start` on; ``on_message`` is given all that is taken
     from the processes, on the taker's thread. ``supervisor`` is whose children they are, if not children of
@@ -114,7 +114,7 @@ class Processes:
         self._px4 = px4.instances(scenario)
         self._has_hangar = len(self._px4) < scenario.agents
         self._running = False
-        self._placement: Placement | None = None
+        self._placement: CpuAffinity | None = None
         self._met = False
         """Whether every vehicle has connected to the physics server."""
         self.ready: dict[str, Ready] = {}
@@ -188,12 +188,12 @@ class Processes:
 
     def _note(self, text: str) -> None:
         if self._on_message is not None:
-            self._on_message(Notice(text=text))
+            self._on_message(ProcessNotice(text=text))
 
     def _start(self) -> None:
         scenario, host, run_id = self._scenario, self._scenario.ports.host, uuid.uuid4().hex[:16]
         vehicles = range(scenario.agents)
-        allow_descriptors(len((PHYSICS, RADIO, HANGAR)) + len(vehicles) + len(self._px4))
+        allow_descriptors(len((PHYSICS, RADIO, PREFORK)) + len(vehicles) + len(self._px4))
         self._check_ports()
         kernel_cache.prepare(self._note)
         with contextlib.ExitStack() as sockets:
@@ -208,7 +208,7 @@ class Processes:
             RunFolder.create(self._folder.path)
             if self._has_hangar:  # it takes longest, and needs none of the others
                 self._supervisor.start_forker(
-                    HANGAR, python_module("autopilot.process.prefork_server", "--supervised")
+                    PREFORK, python_module("autopilot.process.prefork_server", "--supervised")
                 )
             clock = [sockets.enter_context(end) for end in socket.socketpair()]
             radio_fd, physics_fd = (end.fileno() for end in clock)
@@ -228,7 +228,7 @@ class Processes:
             self._supervisor.start(PHYSICS, command, pass_fds=[*fds, physics_fd])
         endpoint = self._radio_endpoint()
         if self._has_hangar:
-            self._await_ready([HANGAR])
+            self._await_ready([PREFORK])
         for i in vehicles:
             config = self._folder.write_vehicle_config(
                 scenario,
@@ -244,7 +244,7 @@ class Processes:
                     application(i), python_module("autopilot.process.companion", *supervised(config))
                 )
             else:
-                self._supervisor.fork(uav(i), supervised(config), forker=HANGAR)
+                self._supervisor.fork(uav(i), supervised(config), forker=PREFORK)
         self._await_ready([PHYSICS, *map(uav, vehicles), *map(application, self._px4)])
         for i in vehicles:
             details = self.ready[uav(i)].details
@@ -258,7 +258,7 @@ class Processes:
         processors = cpu_affinity.own_processors()
         places = cpu_affinity.homes(vehicles, processors, first=RADIO, last=PHYSICS)
         if places is not None and places.keys() <= self.pids.keys() and not self._px4:
-            self._placement = Placement(self._living, places, processors)
+            self._placement = CpuAffinity(self._living, places, processors)
 
     def _living(self) -> dict[str, int]:
         return {name: pid for name, pid in self.pids.items() if self._supervisor.alive(name)}
@@ -317,7 +317,7 @@ class Processes:
             forced: list[str] = []
             # a vehicle ends when its simulator hangs up, and the radio outlives those who use it
             vehicles = [*map(uav, range(self._scenario.agents)), *map(application, self._px4)]
-            for names in ([PHYSICS], vehicles, [RADIO, HANGAR]):
+            for names in ([PHYSICS], vehicles, [RADIO, PREFORK]):
                 forced += self._supervisor.end(names, grace_s=STOP_LIMIT_S)
             self.forced = (*forced, *self._supervisor.stop())
             self.drain()
@@ -417,7 +417,7 @@ class Processes:
 
     def _is_needed(self, name: str) -> bool:
         """Whether no run goes on without that process: without a PX4 none begins."""
-        return name in (PHYSICS, RADIO, HANGAR) or (not self._met and name in map(uav, self._px4))
+        return name in (PHYSICS, RADIO, PREFORK) or (not self._met and name in map(uav, self._px4))
 
     def _obituary(self, exited: Exited) -> str:
         if not exited.last_words:

@@ -22,7 +22,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from autopilot.parameters.config import AutopilotConfig, VehiclePorts
-from harness.launch.external_process import KeptConfig
+from harness.launch.external_process import ExternalProcessConfig
 from harness.scenario.scenario import Scenario
 from harness.world.sensors.config import GpsModel
 
@@ -81,7 +81,9 @@ def check_start(scenario: Scenario) -> None:
             )
 
 
-def seat(scenario: Scenario, instance: int, *, run_folder: Path, simulator_port: int) -> KeptConfig:
+def seat(
+    scenario: Scenario, instance: int, *, run_folder: Path, simulator_port: int
+) -> ExternalProcessConfig:
     """Say how one is started. Raises OSError if its folder cannot be made."""
     config, ports = scenario.autopilot, _ports(scenario, instance)
     work = (run_folder / "px4" / f"uav-{instance}").absolute()
@@ -99,7 +101,7 @@ def seat(scenario: Scenario, instance: int, *, run_folder: Path, simulator_port:
         "companion_remote": ports.companion_remote_udp,
     }
     parameters = _receiver(scenario.sensors.gps_model()) | config.for_uav(instance).params
-    return KeptConfig(
+    return ExternalProcessConfig(
         name=f"uav {instance}",
         command=tuple(part.format_map(values) for part in config.px4_command),
         environment={name: value.format_map(values) for name, value in config.px4_env.items()}

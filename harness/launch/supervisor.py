@@ -27,7 +27,7 @@ from msgspec import Struct
 
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Stop, Warned
 from foundation.processes.prefork import Fork
-from harness.launch.descriptor_watcher import Listener
+from harness.launch.descriptor_watcher import DescriptorWatcher
 from harness.launch.interrupts import interrupts_deferred
 from harness.launch.prefork_client import Forker, ForkError, process_of
 from harness.simulator.messages import AnyCommand, AnyEvent
@@ -162,7 +162,7 @@ class Supervisor:
         self._heard: queue.SimpleQueue[Heard] = queue.SimpleQueue()
         self._children: dict[str, _Child] = {}
         self._forkers: dict[str, Forker] = {}
-        self._listener = Listener("hear children")
+        self._listener = DescriptorWatcher("hear children")
         self._lock = threading.Lock()
         self._stopping = False
 

@@ -35,7 +35,7 @@ from harness.launch.processes import (
     SwarmTimeoutError,
     uav,
 )
-from harness.launch.truth import Truth
+from harness.launch.truth import SwarmTruth
 from harness.records.run_folder import RunFolder
 from harness.scenario.scenario import Scenario, load
 from harness.simulator.messages import (
@@ -50,7 +50,7 @@ from harness.simulator.messages import (
 )
 from harness.world.faults import MOST_ATTENUATION_DB, AnyFault, validated
 
-__all__ = ["SetupError", "Swarm", "SwarmError", "SwarmTimeoutError", "Truth"]
+__all__ = ["SetupError", "Swarm", "SwarmError", "SwarmTimeoutError", "SwarmTruth"]
 
 SILENCE_LIMIT_S = 180.0
 """Wall time without a word of the running physics server, which bounds its own waits well below this."""
@@ -116,7 +116,7 @@ class Swarm:
         self._processes = self._make_processes(
             self.scenario, self._folder, wall_limit_s=wall_limit_s, on_message=on_message
         )
-        self._truth: Truth | None = None
+        self._truth: SwarmTruth | None = None
         self._links = contextlib.ExitStack()
         self._interventions: list[str] = []
         self._killed: set[int] = set()
@@ -172,21 +172,21 @@ class Swarm:
     # --- simulated time
 
     @property
-    def truth(self) -> Truth:
+    def truth(self) -> SwarmTruth:
         """All vehicles as they really were when the last run method returned."""
         if self._truth is None:
             raise SwarmError("the swarm has not been started")
         return self._truth
 
-    def run(self, *, until_s: float) -> Truth:
+    def run(self, *, until_s: float) -> SwarmTruth:
         """Fly up to a simulated time. Raises SwarmError if that cannot be reached."""
         return self._run(RunUntil(time_us=round(until_s * 1e6), speed=self._speed))
 
-    def run_for(self, duration_s: float) -> Truth:
+    def run_for(self, duration_s: float) -> SwarmTruth:
         """Fly for a simulated time. Raises SwarmError."""
         return self._run(RunUntil(time_us=self._after_us(duration_s), speed=self._speed))
 
-    def run_until_formed(self, *, timeout_s: float) -> Truth:
+    def run_until_formed(self, *, timeout_s: float) -> SwarmTruth:
         """Fly until every living vehicle says that it is on its place. Raises SwarmTimeoutError."""
         truth = self._run(
             RunUntil(time_us=self._after_us(timeout_s), stop_when_formed=True, speed=self._speed)
@@ -198,8 +198,8 @@ class Swarm:
         return truth
 
     def run_until(
-        self, condition: Callable[[Truth], bool], *, timeout_s: float, every_s: float = 0.02
-    ) -> Truth:
+        self, condition: Callable[[SwarmTruth], bool], *, timeout_s: float, every_s: float = 0.02
+    ) -> SwarmTruth:
         """Fly until the condition holds; returns the truth that it held for. Raises SwarmTimeoutError.
 
         It is asked at once, and then at every simulated time that is a multiple of ``every_s``, itself a
@@ -253,7 +253,7 @@ class Swarm:
     def _after_us(self, duration_s: float) -> int:
         return self.truth.time_us + round(duration_s * 1e6)
 
-    def _run(self, command: RunUntil) -> Truth:
+    def _run(self, command: RunUntil) -> SwarmTruth:
         processes = self._processes
         processes.drain()
         if processes.failure is not None:
@@ -271,7 +271,7 @@ class Swarm:
         finally:
             # where it was broken off, as the physics server told last
             self._wall_running_s += time.monotonic() - wall_begin_s - processes.wall_paused_s
-        self._truth = Truth(time_us=paused.time_us, vehicles=paused.vehicles)
+        self._truth = SwarmTruth(time_us=paused.time_us, vehicles=paused.vehicles)
         if paused.reason == "no_vehicles":
             left = f"no vehicle is left at {self._truth.t_s:.3f} s"
             raise processes.fatal(SwarmError("; ".join([left, *processes.deaths()[-1:]])))
@@ -409,7 +409,7 @@ class Swarm:
             nondeterminism.append("its user broke it off")
         elif self._broken_off is not None:
             nondeterminism.append(self._broken_off)
-        outcome = report.Outcome(
+        outcome = report.RunOutcome(
             status=status,
             reason="; ".join(dict.fromkeys(filter(None, reasons))) or None,
             command=tuple(sys.argv),

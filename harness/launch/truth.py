@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Truth:
+class SwarmTruth:
     """N vehicles at ``time_us``. World frame: NED from the site's origin; body frame: FRD."""
 
     time_us: int

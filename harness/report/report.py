@@ -45,7 +45,7 @@ class ProcessRecord(Struct, frozen=True, kw_only=True):
     """What it said in its last event."""
 
 
-class Outcome(Struct, frozen=True, kw_only=True):
+class RunOutcome(Struct, frozen=True, kw_only=True):
     """What only the launcher knows of a run."""
 
     status: str
@@ -70,7 +70,9 @@ class Outcome(Struct, frozen=True, kw_only=True):
     """Where the time went, by kind of process, if that was asked for"""
 
 
-def finish(folder: RunFolder, scenario: Scenario, outcome: Outcome, *, draw: bool = True) -> dict[str, Any]:
+def finish(
+    folder: RunFolder, scenario: Scenario, outcome: RunOutcome, *, draw: bool = True
+) -> dict[str, Any]:
     """Make tables, summary, figures and manifest of a run whose processes have ended; returns the summary.
 
     Raises OSError if the folder cannot be written.
@@ -117,7 +119,7 @@ def finish(folder: RunFolder, scenario: Scenario, outcome: Outcome, *, draw: boo
     return summary
 
 
-def _window(whole: Flight, outcome: Outcome) -> Flight:
+def _window(whole: Flight, outcome: RunOutcome) -> Flight:
     """The part of the flight that counts: all from when the formation was reached."""
     begin_us = outcome.formed_us if outcome.formed_us is not None else np.iinfo(np.int64).max
     return whole.at(np.flatnonzero(whole.time_us >= begin_us))
@@ -195,7 +197,7 @@ def _ftm_error_m(sessions: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _manifest(
-    scenario: Scenario, outcome: Outcome, hashes: dict[str, str], written: list[str], antenna: Aperture
+    scenario: Scenario, outcome: RunOutcome, hashes: dict[str, str], written: list[str], antenna: Aperture
 ) -> dict[str, Any]:
     return {
         "status": outcome.status,

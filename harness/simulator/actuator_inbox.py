@@ -44,7 +44,7 @@ def is_armed(answer: HilActuatorControls) -> bool:
     return bool(answer.mode & _ARMED)
 
 
-class Answers:
+class ActuatorInbox:
     """What n vehicles have answered in a step, and the motors' controls from all steps up to it."""
 
     def __init__(self, vehicles: int) -> None:

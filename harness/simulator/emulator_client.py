@@ -26,7 +26,7 @@ class EmulatorLine(Protocol):
         """Wait until it is done; None: the emulator is gone. Raises TimeoutError."""
 
 
-class Air:
+class EmulatorClient:
     """The time master's side of the emulated channel.
 
     It goes on in intervals as long as the loop of the vehicles' applications, ``period_us``: one begins when

@@ -25,7 +25,7 @@ _FIRST_WORDS = {common.MAVLINK_MSG_ID_HEARTBEAT, common.MAVLINK_MSG_ID_COMMAND_L
 _RECEIVE_BYTES = 4096
 
 
-class Door(NamedTuple):
+class Listener(NamedTuple):
     """A listening socket, and the instances whose seats can be taken there."""
 
     listener: socket.socket
@@ -43,22 +43,22 @@ class Arrival(NamedTuple):
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
-class _Newcomer:
+class _PendingConnection:
     """A connection whose owner is not known yet."""
 
-    door: Door
+    door: Listener
     connection: socket.socket
     wall_deadline_s: float
     parser: HilParser
 
 
-class Reception:
+class Handshake:
     """Listens for the vehicles of empty seats, each of which has one door or several. Close it."""
 
-    def __init__(self, doors: Sequence[Door]) -> None:
+    def __init__(self, doors: Sequence[Listener]) -> None:
         self._selector = selectors.DefaultSelector()
         self._vacant = set().union(*(door.seats for door in doors))
-        self._newcomers: dict[Door, list[_Newcomer]] = {door: [] for door in doors}
+        self._newcomers: dict[Listener, list[_PendingConnection]] = {door: [] for door in doors}
         """By open door, the longest there first."""
         for door in doors:
             self._selector.register(door.listener, selectors.EVENT_READ, door)
@@ -71,7 +71,7 @@ class Reception:
     def look(self, wall_limit_s: float) -> Iterator[Arrival]:
         """Wait for something to happen, and give those who may take their seats."""
         for key, _ in self._selector.select(wall_limit_s):
-            if isinstance(key.data, _Newcomer):
+            if isinstance(key.data, _PendingConnection):
                 newcomer = key.data
                 if newcomer in self._newcomers.get(newcomer.door, ()):  # else sent away a moment ago
                     yield from self._hear(newcomer)
@@ -89,9 +89,9 @@ class Reception:
                 self._send_away(newcomer)
         self._selector.close()
 
-    def _accept(self, door: Door) -> None:
+    def _accept(self, door: Listener) -> None:
         connection, _ = door.listener.accept()
-        newcomer = _Newcomer(
+        newcomer = _PendingConnection(
             door=door,
             connection=connection,
             wall_deadline_s=time.monotonic() + INTRODUCTION_LIMIT_S,
@@ -103,7 +103,7 @@ class Reception:
         newcomers.append(newcomer)
         self._selector.register(connection, selectors.EVENT_READ, newcomer)
 
-    def _hear(self, newcomer: _Newcomer) -> Iterator[Arrival]:
+    def _hear(self, newcomer: _PendingConnection) -> Iterator[Arrival]:
         try:
             data = newcomer.connection.recv(_RECEIVE_BYTES, socket.MSG_DONTWAIT)
         except BlockingIOError:
@@ -128,11 +128,11 @@ class Reception:
             del self._newcomers[door]
             self._selector.unregister(door.listener)
 
-    def _take_leave(self, newcomer: _Newcomer) -> None:
+    def _take_leave(self, newcomer: _PendingConnection) -> None:
         self._newcomers[newcomer.door].remove(newcomer)
         self._selector.unregister(newcomer.connection)
 
-    def _send_away(self, newcomer: _Newcomer) -> None:
+    def _send_away(self, newcomer: _PendingConnection) -> None:
         self._take_leave(newcomer)
         newcomer.connection.close()
 

@@ -29,7 +29,7 @@ SIMULATOR_SYSTEM_ID = 0
 SIMULATOR_COMPONENT_ID = 1
 
 
-class Kind:
+class FrameLayout:
     """One kind of message: how its rows look, and what its frames begin and end with."""
 
     def __init__(self, message_id: int, fields: list[tuple[Any, ...]]) -> None:
@@ -83,7 +83,7 @@ def make_frames(
         lengths[row] = end + CHECKSUM_BYTES
 
 
-HIL_SENSOR = Kind(
+HIL_SENSOR = FrameLayout(
     common.MAVLINK_MSG_ID_HIL_SENSOR,
     [
         ("time_usec", "<u8"),
@@ -98,7 +98,7 @@ HIL_SENSOR = Kind(
         ("id", "u1"),
     ],
 )
-HIL_GPS = Kind(
+HIL_GPS = FrameLayout(
     common.MAVLINK_MSG_ID_HIL_GPS,
     [
         ("time_usec", "<u8"),
@@ -116,7 +116,7 @@ HIL_GPS = Kind(
         ("yaw", "<u2"),
     ],
 )
-HIL_STATE_QUATERNION = Kind(
+HIL_STATE_QUATERNION = FrameLayout(
     common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION,
     [
         ("time_usec", "<u8"),
@@ -131,7 +131,7 @@ HIL_STATE_QUATERNION = Kind(
         ("acc", "<i2", 3),
     ],
 )
-ESC_STATUS = Kind(
+ESC_STATUS = FrameLayout(
     dialect.ESC_STATUS,
     [
         ("time_usec", "<u8"),
@@ -141,7 +141,7 @@ ESC_STATUS = Kind(
         ("index", "u1"),
     ],
 )
-RC_CHANNELS = Kind(
+RC_CHANNELS = FrameLayout(
     common.MAVLINK_MSG_ID_RC_CHANNELS,
     [
         ("time_boot_ms", "<u4"),

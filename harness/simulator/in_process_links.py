@@ -16,9 +16,9 @@ from autopilot.parameters.config import VehicleConfig
 from autopilot.vehicle.host import Host, warnings
 from foundation.processes.child_protocol import Warned
 from foundation.records.record_log import BLOCK_ROWS
-from harness.simulator.actuator_inbox import ANSWER_BYTES, Answers
-from harness.simulator.lockstep import CLOSED, Voice
-from netsim.emulator.service import HostedEmulator
+from harness.simulator.actuator_inbox import ANSWER_BYTES, ActuatorInbox
+from harness.simulator.lockstep import CLOSED, ConnectionState
+from netsim.emulator.service import EmulatorService
 from netsim.transport.lockstep_radio import Deliveries, checked
 from netsim.wire.lockstep import Advance, Advanced
 from netsim.wire.messages import TxBatch, TxItem
@@ -27,10 +27,10 @@ NOBODY_LISTENS = (False, False)
 """On the links to the outside, of which there are none here."""
 
 
-class LocalRadio:
+class InProcessRadio:
     """A vehicle's radio in this process, with the methods of `lockstep_radio.RadioClient`."""
 
-    def __init__(self, emulator: HostedEmulator, station: int) -> None:
+    def __init__(self, emulator: EmulatorService, station: int) -> None:
         self._emulator = emulator
         self._station = station
         self.deliveries = Deliveries()
@@ -45,10 +45,10 @@ class LocalRadio:
             raise ValueError(f"station {self._station}: the 802.11 emulator refuses what is sent")
 
 
-class LocalLine:
+class InProcessEmulatorLine:
     """The emulator as the time master uses it: replaces `netsim.transport.interval_stream.ClockLine`."""
 
-    def __init__(self, emulator: HostedEmulator, radios: Sequence[LocalRadio]) -> None:
+    def __init__(self, emulator: EmulatorService, radios: Sequence[InProcessRadio]) -> None:
         self._emulator = emulator
         self._radios = radios
         self._advanced: Advanced | None = None
@@ -70,10 +70,10 @@ class LocalLine:
         return self._advanced
 
 
-class LocalSeat(Voice):
+class InProcessSlot(ConnectionState):
     """One vehicle's place at the simulator, and the vehicle itself."""
 
-    def __init__(self, config: VehicleConfig, radio: LocalRadio) -> None:
+    def __init__(self, config: VehicleConfig, radio: InProcessRadio) -> None:
         super().__init__(config.instance)
         self.host = Host(config, radio)
         self.alive = True
@@ -108,7 +108,7 @@ class LocalSeat(Voice):
             os.truncate(self._log_path, Path(self._log_path).stat().st_size // block_bytes * block_bytes)
 
 
-class LocalVehicles:
+class InProcessVehicles:
     """All vehicles of a run; see `harness.simulator.interfaces.Vehicles`.
 
     ``on_message`` and ``on_lost`` are as `harness.simulator.lockstep.Lockstep`'s; ``emit`` is told of
@@ -119,18 +119,18 @@ class LocalVehicles:
     def __init__(
         self,
         configs: Iterable[VehicleConfig],
-        radios: Sequence[LocalRadio],
+        radios: Sequence[InProcessRadio],
         *,
         on_message: Callable[[int, Message], None],
         on_lost: Callable[[int, str], None],
         emit: Callable[[str, msgspec.Struct], None],
     ) -> None:
         self._on_message, self._on_lost, self._emit = on_message, on_lost, emit
-        self.seats: list[LocalSeat] = []
-        self._answers = Answers(len(radios))
+        self.seats: list[InProcessSlot] = []
+        self._answers = ActuatorInbox(len(radios))
         try:
             for config, radio in zip(configs, radios, strict=True):
-                self.seats.append(LocalSeat(config, radio))
+                self.seats.append(InProcessSlot(config, radio))
         except BaseException:
             self.close()
             raise
@@ -150,7 +150,7 @@ class LocalVehicles:
                 for time_us, text in seat.hear(frame):
                     self._emit(seat.host.name, Warned(name=seat.host.name, time_us=time_us, text=text))
 
-    def answers(self, time_us: int) -> Answers:
+    def answers(self, time_us: int) -> ActuatorInbox:
         """What every vehicle has answered to the sensors of ``time_us``."""
         answers, others = self._answers, []
         for seat in reversed(self.seats):
@@ -184,6 +184,6 @@ class LocalVehicles:
             for seat in self.seats:
                 stack.callback(seat.end)
 
-    def _lose(self, seat: LocalSeat) -> None:
+    def _lose(self, seat: InProcessSlot) -> None:
         seat.end()
         self._on_lost(seat.instance, CLOSED)

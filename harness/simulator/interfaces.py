@@ -3,11 +3,11 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Protocol
 
-from harness.simulator.actuator_inbox import Answers
+from harness.simulator.actuator_inbox import ActuatorInbox
 from harness.world.physics.truth import Truth
 
 
-class Seat(Protocol):
+class Slot(Protocol):
     """One vehicle's place at the simulator."""
 
     @property
@@ -23,7 +23,7 @@ class Vehicles(Protocol):
     """The step's rendezvous with the vehicles: see `harness.simulator.lockstep.Lockstep`."""
 
     @property
-    def seats(self) -> Sequence[Seat]:
+    def seats(self) -> Sequence[Slot]:
         """One per vehicle."""
 
     @property
@@ -36,7 +36,7 @@ class Vehicles(Protocol):
     def send(self, frames: Sequence[bytes | memoryview]) -> None:
         """Give every living vehicle its sensors."""
 
-    def answers(self, time_us: int) -> Answers:
+    def answers(self, time_us: int) -> ActuatorInbox:
         """What every vehicle answers to the sensors of ``time_us``; the same object in every step."""
 
     def judge(self, instances: Iterable[int]) -> None:
@@ -46,7 +46,7 @@ class Vehicles(Protocol):
         """Part with the vehicles."""
 
 
-class Channel(Protocol):
+class ChannelInterface(Protocol):
     """The time master's side of the radio channel: see `harness.simulator.emulator_client.Air`."""
 
     extra_attenuation_db: float | None

@@ -1,6 +1,7 @@
 """The step's rendezvous with the vehicles.
 
-Everyone gets the sensors of an instant, everyone's answer is waited for, as far as its `Manners` let it be.
+Everyone gets the sensors of an instant, everyone's answer is waited for, as far as its `LockstepPolicy` let
+it be.
 
 An edge: owns the connections of PX4's simulator API and the wall-clock patience with a vehicle that stays
 silent. What a silence means is told from outside by `harness.simulator.response_watchdog`, and who may take a
@@ -16,9 +17,9 @@ from dataclasses import dataclass
 
 from autopilot.mavlink.codec import Message
 from autopilot.mavlink.hil import HilActuatorControls, HilParser
-from harness.simulator.actuator_inbox import Answers
-from harness.simulator.handshake import Arrival, Door, Reception
-from harness.simulator.response_watchdog import STARTING_LIMIT_S, Patience
+from harness.simulator.actuator_inbox import ActuatorInbox
+from harness.simulator.handshake import Arrival, Handshake, Listener
+from harness.simulator.response_watchdog import STARTING_LIMIT_S, ResponseWatchdog
 
 POLL_S = 0.1
 FREE_STEP_S = 0.004
@@ -35,7 +36,7 @@ CLOSED = "its connection closed"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Manners:
+class LockstepPolicy:
     """What is to be expected of a sort of vehicle at its simulator's link."""
 
     starts_silent: bool = False
@@ -44,17 +45,17 @@ class Manners:
     """Wall time after which a step goes on with its controls of before; None: as long as patience lasts."""
 
 
-OWN = Manners()
+OWN = LockstepPolicy()
 """coflight's own vehicles: one answer to each HIL_SENSOR, from the first on."""
-PX4 = Manners(starts_silent=True, late_after_s=0.3)
+PX4 = LockstepPolicy(starts_silent=True, late_after_s=0.3)
 """A real PX4: silent for its first 13 to 54 steps; under load an answer takes 0.2 s now and then, and after
 one that was lost there are others only if sensors go on."""
 
 
-class Voice:
+class ConnectionState:
     """Bytes from one vehicle that `actuator_inbox` does not take at once."""
 
-    def __init__(self, instance: int, manners: Manners = OWN) -> None:
+    def __init__(self, instance: int, manners: LockstepPolicy = OWN) -> None:
         self.instance = instance
         self.manners = manners
         self.parser = HilParser(HilActuatorControls)
@@ -88,10 +89,10 @@ class Voice:
         self.silent_since_s = None
 
 
-class Seat(Voice):
+class VehicleSlot(ConnectionState):
     """One vehicle's place at the simulator: its connection and what it last said of itself."""
 
-    def __init__(self, instance: int, manners: Manners) -> None:
+    def __init__(self, instance: int, manners: LockstepPolicy) -> None:
         super().__init__(instance, manners)
         self.connection: socket.socket | None = None
         self.late_answers = 0
@@ -120,30 +121,30 @@ class Lockstep:
         self,
         listeners: Sequence[socket.socket],
         *,
-        patience: Patience,
+        patience: ResponseWatchdog,
         on_message: Callable[[int, Message], None],
         on_silent: Callable[[int, float], None],
         on_lost: Callable[[int, str], None],
-        manners: Sequence[Manners] = (),
+        manners: Sequence[LockstepPolicy] = (),
         own_listener: socket.socket | None = None,
     ) -> None:
         manners = manners or [OWN] * len(listeners)
-        self.seats = [Seat(i, manners[i]) for i in range(len(listeners))]
+        self.seats = [VehicleSlot(i, manners[i]) for i in range(len(listeners))]
         self.living = 0
         """How many vehicles are in the run."""
-        doors = [Door(listener, frozenset((i,))) for i, listener in enumerate(listeners)]
+        doors = [Listener(listener, frozenset((i,))) for i, listener in enumerate(listeners)]
         if own_listener is not None:
             own = frozenset(seat.instance for seat in self.seats if seat.manners == OWN)
-            doors.append(Door(own_listener, own))
+            doors.append(Listener(own_listener, own))
         self._listeners = [door.listener for door in doors]
-        self._reception = Reception(doors)
+        self._reception = Handshake(doors)
         self._patience = patience
         self._on_message, self._on_silent, self._on_lost = on_message, on_silent, on_lost
-        self._answers = Answers(len(listeners))
+        self._answers = ActuatorInbox(len(listeners))
         self._answers.voices["by_hand"] = [seat.manners != OWN for seat in self.seats]
-        self._pending: list[Seat] = []
+        self._pending: list[VehicleSlot] = []
         """Seats that were sent this step's sensors and are waited for."""
-        self._free: list[Seat] = []
+        self._free: list[VehicleSlot] = []
         """Those that were sent them and are not."""
         self._tolerated = [seat for seat in self.seats if seat.manners.late_after_s is not None]
         self._wall_sent_s = self._wall_before_s = 0.0
@@ -188,7 +189,7 @@ class Lockstep:
         """Take what a vehicle's parts say by another way; from any thread. Passed on with the answers."""
         self._overheard.append((instance, message))
 
-    def is_free(self, seat: Seat) -> bool:
+    def is_free(self, seat: VehicleSlot) -> bool:
         """Whether a vehicle starts and has not answered yet, so that nobody waits for it."""
         return seat.manners.starts_silent and not self._has_answered(seat)
 
@@ -230,7 +231,7 @@ class Lockstep:
         }
         self._patience.begin(self._wall_sent_s, silent_since_s=since_s)
 
-    def answers(self, time_us: int) -> Answers:
+    def answers(self, time_us: int) -> ActuatorInbox:
         """Wait until every vehicle has answered the sensors of ``time_us`` that were sent, or is gone.
 
         They are waited for one by one, the last first: as they are served in turn, the others' answers are
@@ -298,7 +299,7 @@ class Lockstep:
         for listener in self._listeners:
             listener.close()
 
-    def _receive(self, seat: Seat, time_us: int, flags: int = 0) -> bool:
+    def _receive(self, seat: VehicleSlot, time_us: int, flags: int = 0) -> bool:
         """Take what a vehicle has said, waiting `POLL_S` at most; False if that was nothing."""
         if seat.connection is None:
             return False
@@ -314,11 +315,11 @@ class Lockstep:
         self._take(seat, data, time_us)
         return True
 
-    def _take(self, seat: Seat, data: bytes, time_us: int) -> None:
+    def _take(self, seat: VehicleSlot, data: bytes, time_us: int) -> None:
         for message in seat.take(data, time_us):
             self._on_message(seat.instance, message)
 
-    def _look_around(self, seats: Iterable[Seat], time_us: int) -> None:
+    def _look_around(self, seats: Iterable[VehicleSlot], time_us: int) -> None:
         """Somebody is silent: take what the others have said, and judge whoever has not answered."""
         for seat in seats:
             while seat.connection is not None and seat.answer is None:
@@ -338,11 +339,11 @@ class Lockstep:
                 if self._wall_sent_s - seat.silent_since_s > STARTING_LIMIT_S:
                     self.lose(seat.instance, f"it gave no answer in its first {STARTING_LIMIT_S:g} s")
 
-    def _has_answered(self, seat: Seat) -> bool:
+    def _has_answered(self, seat: VehicleSlot) -> bool:
         """Whether it has ever."""
         return bool(self._answers.voices["ever"][seat.instance])
 
-    def _judge(self, seat: Seat) -> None:
+    def _judge(self, seat: VehicleSlot) -> None:
         wall_s = time.monotonic()
         verdict = self._patience.judge(seat.instance, wall_s, starting=not self._has_answered(seat))
         if verdict.newly_silent:

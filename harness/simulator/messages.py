@@ -18,11 +18,11 @@ Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 
-class Command(Struct, frozen=True, kw_only=True, tag_field="command", tag=str.lower):
+class SimulatorCommand(Struct, frozen=True, kw_only=True, tag_field="command", tag=str.lower):
     """From the launcher."""
 
 
-class RunUntil(Command, frozen=True, kw_only=True):
+class RunUntil(SimulatorCommand, frozen=True, kw_only=True):
     """Simulate up to ``time_us``, or until the formation is reached if asked; answered by `Paused`."""
 
     time_us: int
@@ -31,34 +31,34 @@ class RunUntil(Command, frozen=True, kw_only=True):
     """Against wall time; 0 runs as fast as it can."""
 
 
-class Pause(Command, frozen=True, kw_only=True):
+class Pause(SimulatorCommand, frozen=True, kw_only=True):
     """Let simulated time stand until `Resume`; a `RunUntil` that lasts, or comes, goes on then."""
 
 
-class Resume(Command, frozen=True, kw_only=True):
+class Resume(SimulatorCommand, frozen=True, kw_only=True):
     """Let simulated time go on; nothing if it does."""
 
 
-class SetSpeed(Command, frozen=True, kw_only=True):
+class SetSpeed(SimulatorCommand, frozen=True, kw_only=True):
     """Another ``speed`` for the `RunUntil` that lasts."""
 
     speed: float
 
 
-class SetAttenuation(Command, frozen=True, kw_only=True):
+class SetAttenuation(SimulatorCommand, frozen=True, kw_only=True):
     """From the air's next interval on, attenuate every radio link by this; None: as the scenario says."""
 
     extra_attenuation_db: float | None
 
 
-class SetPid(Command, frozen=True, kw_only=True):
+class SetPid(SimulatorCommand, frozen=True, kw_only=True):
     """Process id of a vehicle, so that a starved vehicle can be told from a stopped one."""
 
     instance: int
     pid: int
 
 
-class InjectFault(Command, frozen=True, kw_only=True):
+class InjectFault(SimulatorCommand, frozen=True, kw_only=True):
     """From the next step on, or the fault's ``start_s`` later, have it in force."""
 
     fault: AnyFault
@@ -67,7 +67,7 @@ class InjectFault(Command, frozen=True, kw_only=True):
 AnyCommand = RunUntil | Pause | Resume | SetSpeed | SetAttenuation | SetPid | InjectFault | Stop
 
 
-class Event(Struct, frozen=True, kw_only=True, tag_field="event", tag=str.lower):
+class SimulatorEvent(Struct, frozen=True, kw_only=True, tag_field="event", tag=str.lower):
     """From the physics server, besides the child's common `Ready` and `Finished`."""
 
     time_us: int
@@ -88,7 +88,7 @@ class VehicleTruth(Struct, frozen=True, kw_only=True):
     """Horizontal distance from its place in the formation, wherever that moves."""
 
 
-class Progress(Event, frozen=True, kw_only=True):
+class Progress(SimulatorEvent, frozen=True, kw_only=True):
     """A few times per second of wall time while running."""
 
     wall_s: float
@@ -102,7 +102,7 @@ class Progress(Event, frozen=True, kw_only=True):
     """Wall time for which the present `RunUntil` has stood on request so far."""
 
 
-class Paused(Event, frozen=True, kw_only=True):
+class Paused(SimulatorEvent, frozen=True, kw_only=True):
     """`RunUntil` is done, or cannot go on (``reason``)."""
 
     reason: str
@@ -115,11 +115,11 @@ class Paused(Event, frozen=True, kw_only=True):
     """Wall time for which the run stood on request."""
 
 
-class Formed(Event, frozen=True, kw_only=True):
+class Formed(SimulatorEvent, frozen=True, kw_only=True):
     """Every application says that it is on station, for the first time; who has left does not count."""
 
 
-class FormationMoves(Event, frozen=True, kw_only=True):
+class FormationMoves(SimulatorEvent, frozen=True, kw_only=True):
     """More than half of the living vehicles' applications say the same start of the formation's motion.
 
     Once they do, and again when that start is another one.
@@ -128,21 +128,21 @@ class FormationMoves(Event, frozen=True, kw_only=True):
     start_us: int
 
 
-class VehicleLost(Event, frozen=True, kw_only=True):
+class VehicleLost(SimulatorEvent, frozen=True, kw_only=True):
     """A vehicle's rotors stop from here on."""
 
     instance: int
     reason: str
 
 
-class VehicleSilent(Event, frozen=True, kw_only=True):
+class VehicleSilent(SimulatorEvent, frozen=True, kw_only=True):
     """A vehicle has not answered for a while of wall time; it is still waited for."""
 
     instance: int
     wall_silence_s: float
 
 
-class Collision(Event, frozen=True, kw_only=True):
+class Collision(SimulatorEvent, frozen=True, kw_only=True):
     """Two vehicles touched; ``time_us`` is that of the first step in contact."""
 
     first: int
@@ -150,7 +150,7 @@ class Collision(Event, frozen=True, kw_only=True):
     pos_ned_m: Vector
 
 
-class FaultChanged(Event, frozen=True, kw_only=True):
+class FaultChanged(SimulatorEvent, frozen=True, kw_only=True):
     """A fault comes into force or has been; ``time_us`` is that of the first step with or without it."""
 
     number: int

@@ -2,7 +2,7 @@
 
 from foundation.profiling.profiler import LINK
 
-PARTS = {
+PROFILE_GROUPS = {
     "harness.world.physics": "physics",
     "harness.world.wind": "wind",
     "harness.world.sensors": "sensors",

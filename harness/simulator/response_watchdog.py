@@ -26,7 +26,7 @@ _NOBODY: Mapping[int, float] = {}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
+class SilenceFinding:
     """What to do about one silent vehicle."""
 
     wall_silence_s: float
@@ -36,7 +36,7 @@ class Verdict:
 
 
 @dataclass(slots=True, kw_only=True)
-class _Looked:
+class _Observation:
     """What the last look at a silent vehicle's process showed."""
 
     wall_s: float
@@ -47,7 +47,7 @@ class _Looked:
     reported: bool = False
 
 
-class Patience:
+class ResponseWatchdog:
     """Judges silences against the processes behind them.
 
     A vehicle of unknown process id gets the plain limit.
@@ -58,7 +58,7 @@ class Patience:
         self._processes: dict[int, psutil.Process] = {}
         self._wall_begin_s = 0.0
         self._since_s: Mapping[int, float] = _NOBODY
-        self._looked: dict[int, _Looked] = {}
+        self._looked: dict[int, _Observation] = {}
 
     def set_pid(self, instance: int, pid: int) -> None:
         """Name the process of a vehicle; one that is gone counts as unknown."""
@@ -76,18 +76,20 @@ class Patience:
         else:
             self._looked.clear()
 
-    def judge(self, instance: int, wall_s: float, *, starting: bool) -> Verdict:
+    def judge(self, instance: int, wall_s: float, *, starting: bool) -> SilenceFinding:
         """Decide on a vehicle that has not answered since `begin`; called a few times per second."""
         silence_s = wall_s - self._since_s.get(instance, self._wall_begin_s)
         if silence_s < LOOK_AFTER_S:
-            return Verdict(wall_silence_s=silence_s, newly_silent=False, give_up=None)
+            return SilenceFinding(wall_silence_s=silence_s, newly_silent=False, give_up=None)
         status, cpu_s = self._look(instance)
         if status in _GONE:
-            return Verdict(wall_silence_s=silence_s, newly_silent=True, give_up=f"its process is {status}")
+            return SilenceFinding(
+                wall_silence_s=silence_s, newly_silent=True, give_up=f"its process is {status}"
+            )
         looked = self._looked.get(instance)
         if looked is None:
-            self._looked[instance] = _Looked(wall_s=wall_s, cpu_s=cpu_s)
-            return Verdict(wall_silence_s=silence_s, newly_silent=False, give_up=None)
+            self._looked[instance] = _Observation(wall_s=wall_s, cpu_s=cpu_s)
+            return SilenceFinding(wall_silence_s=silence_s, newly_silent=False, give_up=None)
         elapsed_s = wall_s - looked.wall_s
         share = (cpu_s - looked.cpu_s) / elapsed_s if elapsed_s > 0.0 else 0.0
         looked.wall_s, looked.cpu_s = wall_s, cpu_s
@@ -101,7 +103,7 @@ class Patience:
         limit_s = STARTING_LIMIT_S if starting else self._limit_s
         over = looked.waiting_s > limit_s or looked.computing_s > max(limit_s, COMPUTING_LIMIT_S)
         reason = f"it has not answered for {silence_s:.1f} s" if over else None
-        return Verdict(wall_silence_s=silence_s, newly_silent=newly, give_up=reason)
+        return SilenceFinding(wall_silence_s=silence_s, newly_silent=newly, give_up=reason)
 
     def _look(self, instance: int) -> tuple[str, float]:
         process = self._processes.get(instance)

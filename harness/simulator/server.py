@@ -21,7 +21,7 @@ import msgspec
 from foundation.processes.child_protocol import Finished, Ready, Stop, commands, emit
 from foundation.profiling.profiler import profiled
 from harness.records.run_folder import PhysicsConfig
-from harness.simulator.emulator_client import Air, RadioSilent
+from harness.simulator.emulator_client import EmulatorClient, RadioSilent
 from harness.simulator.lockstep import OWN, PX4, ConnectTimeout, Lockstep
 from harness.simulator.messages import (
     AnyCommand,
@@ -36,8 +36,8 @@ from harness.simulator.messages import (
     SetPid,
     SetSpeed,
 )
-from harness.simulator.profile_groups import PARTS
-from harness.simulator.response_watchdog import Patience
+from harness.simulator.profile_groups import PROFILE_GROUPS
+from harness.simulator.response_watchdog import ResponseWatchdog
 from harness.simulator.simulation import Simulation, run
 from netsim.transport.interval_stream import time_masters_end
 
@@ -259,7 +259,7 @@ def serve(
     inbox: queue.SimpleQueue[AnyCommand] = queue.SimpleQueue()
     commands(AnyCommand, inbox)  # type: ignore[arg-type]  # a union is a type to msgspec
     scenario = config.scenario
-    patience = Patience(scenario.run.silence_limit_s)
+    patience = ResponseWatchdog(scenario.run.silence_limit_s)
     manners = [PX4 if scenario.autopilot.is_px4(i) else OWN for i in range(scenario.agents)]
     has_px4 = PX4 in manners
 
@@ -284,7 +284,7 @@ def serve(
             line = time_masters_end(stack.enter_context(clock))
             # applications beside PX4s are in no lockstep, so their radios are as unforeseeable as guests'
             free = bool(scenario.radio.guests) or has_px4
-            air = Air(line, period_us=scenario.onboard.loop_period_us, free=free)
+            air = EmulatorClient(line, period_us=scenario.onboard.loop_period_us, free=free)
         simulation = stack.enter_context(
             contextlib.closing(Simulation(config, meet=meet, air=air, emit=emit))
         )
@@ -293,7 +293,9 @@ def serve(
 
             stack.enter_context(overheard(radio_endpoint, config.run_id, met[0]))
         emit(Ready(name="physics", pid=os.getpid()))
-        with profiled(PARTS, now_us=lambda: simulation.time_us, from_us=config.profile_from_us) as profile:
+        with profiled(
+            PROFILE_GROUPS, now_us=lambda: simulation.time_us, from_us=config.profile_from_us
+        ) as profile:
             obey(
                 simulation,
                 inbox,

@@ -17,12 +17,12 @@ from autopilot.mavlink.codec import Message
 from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
 from autopilot.mavlink.modes import mode_from_custom
 from autopilot.onboard.formation.motion import STAYS_AWAY
-from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.formation.phases import FlightPhase
 from foundation.records.record_log import RecordLog
 from harness.records.run_folder import PhysicsConfig
-from harness.simulator.actuator_inbox import Answers
+from harness.simulator.actuator_inbox import ActuatorInbox
 from harness.simulator.hil import TRUTH_PERIOD_US, SensorEncoder
-from harness.simulator.interfaces import Channel, Vehicles
+from harness.simulator.interfaces import ChannelInterface, Vehicles
 from harness.simulator.messages import (
     AnyEvent,
     Collision,
@@ -62,7 +62,7 @@ class Simulation:
         config: PhysicsConfig,
         *,
         meet: Callable[["Simulation"], Vehicles],
-        air: Channel | None,
+        air: ChannelInterface | None,
         emit: Callable[[AnyEvent], None],
     ) -> None:
         scenario = config.scenario
@@ -99,13 +99,13 @@ class Simulation:
         self._tells_truth = scenario.onboard.enabled and scenario.onboard.localisation == "truth"
         self.time_us = self._step_us  # PX4 takes 0 for a clock that is not set
         self.formed = False
-        self._answers = Answers(n)
+        self._answers = ActuatorInbox(n)
         self._wind_now = WindNow(np.zeros((n, 3)), np.zeros((n, 3)))
         self._gone: tuple[int, ...] = ()
         """Vehicles that were lost."""
         self._instances = np.arange(n)
         self._modes = [""] * n
-        self._phases: list[Phase | None] = [None] * n
+        self._phases: list[FlightPhase | None] = [None] * n
         self._starts_us: list[int | None] = [None] * n
         self._start_us: int | None = None
         """Start of the formation's motion: as each vehicle says, and as they agree."""
@@ -167,7 +167,7 @@ class Simulation:
         self._wind_now = self._wind.step(
             self._step_us * 1e-6, time_us=self.time_us, height_m=-truth.pos_ned_m[:, 2]
         )
-        self._sensors.look_ahead()
+        self._sensors.begin_fast_steps()
         answers = self._answers = self.lockstep.answers(self.time_us)
         air_begins = air is not None and air.begins_at(self.time_us)
         if air_begins:
@@ -309,7 +309,7 @@ class Simulation:
                 for phase, seat in zip(self._phases, self.lockstep.seats, strict=True)
                 if seat.alive and phase not in STAYS_AWAY
             ]
-            if phases and all(phase == Phase.ON_STATION for phase in phases):
+            if phases and all(phase == FlightPhase.ON_STATION for phase in phases):
                 self.formed = True
                 self._emit(Formed(time_us=self.time_us))
 
@@ -335,7 +335,7 @@ class Simulation:
             self._modes[instance] = "" if mode is None else mode.label
         elif message.get_srcComponent() == APPLICATION_COMPONENT:
             with contextlib.suppress(ValueError):
-                self._phases[instance] = Phase(message.custom_mode)
+                self._phases[instance] = FlightPhase(message.custom_mode)
                 self._phase_news = True
 
     def on_silent(self, instance: int, wall_silence_s: float) -> None:
@@ -355,7 +355,7 @@ class Simulation:
         self._tell(event)
 
 
-def _name(phase: Phase | None) -> str:
+def _name(phase: FlightPhase | None) -> str:
     return "" if phase is None else phase.name.lower().replace("_", " ")
 
 

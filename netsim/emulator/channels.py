@@ -5,11 +5,11 @@ from typing import Protocol
 
 from netsim.emulator.ideal_channel import IdealChannel
 from netsim.mac.access import DCF, EDCA
-from netsim.mac.jobs import OnGroupFrame, Sender, Upper
+from netsim.mac.jobs import FrameSender, OnGroupFrame, Upper
 from netsim.mac.radios import Radios
 from netsim.model.config import RadioConfig
 from netsim.model.event_queue import EventQueue
-from netsim.model.random_streams import Streams
+from netsim.model.random_streams import RandomStreams
 from netsim.model.tables import Integers
 from netsim.phy.propagation import Links
 from netsim.phy.signals import Transmission
@@ -18,7 +18,7 @@ from netsim.phy.signals import Transmission
 class Channel(Protocol):
     """The radios of all stations; frames to all are told to whoever made it, the others to the stations."""
 
-    def join(self, station: int, upper: Upper) -> Sender:
+    def join(self, station: int, upper: Upper) -> FrameSender:
         """Add a station, whose own frames go to ``upper``; they come in the order of their numbers."""
 
     def busy_ns(self) -> int:
@@ -43,7 +43,7 @@ def channel_of(
     queue: EventQueue,
     links: Links,
     stations: int,
-    streams: Streams,
+    streams: RandomStreams,
     on_group_frame: OnGroupFrame,
     on_ended: Callable[[Transmission], None] | None,
 ) -> Channel:

@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 
 from netsim.emulator.channels import channel_of
 from netsim.emulator.ideal_channel import undisturbed
-from netsim.emulator.records import Counters, FrameRecord, Tally, frame_records
+from netsim.emulator.records import EmulatorCounters, FrameRecord, Tally, frame_records
 from netsim.emulator.settings_checks import check
 from netsim.ftm.session import FtmRadio, Ranging, lost
 from netsim.ftm.stamps import Clock
-from netsim.mac.jobs import GroupReception, Job, Outcome, Reception, Sender
+from netsim.mac.jobs import FrameSender, GroupReception, Job, JobOutcome, Reception
 from netsim.mac.rates import datagram_modes
 from netsim.model.config import RadioConfig, StationConfig
 from netsim.model.event_queue import EventQueue
-from netsim.model.random_streams import Model, Streams, Uniforms
+from netsim.model.random_streams import Model, RandomStreams, Uniforms
 from netsim.model.tables import Integers
 from netsim.phy.frames import DATA_OVERHEAD_BYTES, GROUP, UDP_OVERHEAD_BYTES, FrameKind
 from netsim.phy.propagation import Links, Trajectories, is_possible
@@ -72,7 +72,7 @@ class Emulator:
             config = undisturbed(config)
         self._config = config
         self._stations = stations
-        self._streams = Streams(seed)
+        self._streams = RandomStreams(seed)
         self._tally = Tally()
         self.queue = EventQueue()
         self.trajectories = Trajectories(stations)
@@ -102,7 +102,7 @@ class Emulator:
             for i in range(stations)
         ]
         self._ftm: list[FtmRadio] = []
-        self._macs: list[Sender] = []
+        self._macs: list[FrameSender] = []
         clocks = [
             Clock(config.ftm.clock_ppm, self._streams.generator(Model.CLOCK, i)) for i in range(stations)
         ]
@@ -241,8 +241,8 @@ class Emulator:
         )
         self._macs[station].enqueue(config.broadcast_access_category, job)
 
-    def _on_broadcast_done(self, _job: Job, outcome: Outcome) -> None:
-        if outcome is not Outcome.SENT:
+    def _on_broadcast_done(self, _job: Job, outcome: JobOutcome) -> None:
+        if outcome is not JobOutcome.SENT:
             self._tally.drops[outcome.value] += 1
 
     def _unicast(self, station: int, item: Unicast) -> None:
@@ -266,7 +266,7 @@ class Emulator:
         )
         self._macs[station].enqueue(config.data_access_category, job)
 
-    def _on_unicast_done(self, station: int, job: Job, outcome: Outcome) -> None:
+    def _on_unicast_done(self, station: int, job: Job, outcome: JobOutcome) -> None:
         ack = job.ack
         ended_ns = self.queue.now_ns if ack is None else ack.end_ns
         self._report_sent(station, job.destination, job.seq, outcome.value, job.attempts, ended_ns)
@@ -358,7 +358,7 @@ class Emulator:
         return self._channel.busy_ns()
 
     @property
-    def counters(self) -> Counters:
+    def counters(self) -> EmulatorCounters:
         """Counts since the start."""
         return self._tally.counters(self._channel.frames_sent(), self._channel.broadcasts())
 

@@ -17,7 +17,7 @@ import msgspec
 
 from netsim.emulator.records import FrameBook
 from netsim.mac.access import SIFS_NS
-from netsim.mac.jobs import GroupReception, Job, OnGroupFrame, Outcome, Reception, Upper
+from netsim.mac.jobs import GroupReception, Job, JobOutcome, OnGroupFrame, Reception, Upper
 from netsim.mac.station import RESPONSE_TIMEOUT_NS
 from netsim.model.config import RadioConfig
 from netsim.model.event_queue import EventQueue
@@ -150,7 +150,7 @@ class IdealRadio:
     def enqueue(self, _category: str, job: Job, /) -> None:
         """Send a frame now; all categories are alike."""
         if self.silent:
-            job.done(job, Outcome.OVERFLOW)
+            job.done(job, JobOutcome.OVERFLOW)
             return
         self._sequence += 1
         job.sequence = self._sequence
@@ -160,7 +160,7 @@ class IdealRadio:
                 transmission.end_ns + transmission.longest_delay_ns, self._on_group_ended, (job, transmission)
             )
         elif job.expires_ns <= self._queue.now_ns or job.cancelled:
-            job.done(job, Outcome.EXPIRED)
+            job.done(job, JobOutcome.EXPIRED)
         else:
             exchange = _Exchange(job)
             self._exchanges.append(exchange)
@@ -178,7 +178,7 @@ class IdealRadio:
         """See `netsim.mac.jobs.Sender`: what is on the air is completed."""
         self.silent = True
         for exchange in list(self._exchanges):
-            self._finish(exchange, Outcome.EXPIRED)
+            self._finish(exchange, JobOutcome.EXPIRED)
 
     def _send(self, job: Job) -> Transmission:
         frame = Frame(
@@ -199,7 +199,7 @@ class IdealRadio:
     def _on_group_ended(self, ended: tuple[Job, Transmission]) -> None:
         job, transmission = ended
         self._channel.tell_all(transmission)
-        job.done(job, Outcome.SENT)
+        job.done(job, JobOutcome.SENT)
         self._channel.note_end(transmission)
 
     def take(self, transmission: Transmission, *, duplicate: bool) -> None:
@@ -273,7 +273,7 @@ class IdealRadio:
             job.ack = self._reception(ack, duplicate=False)
             if job.rates is not None:
                 job.rates.report(job.destination, job.mode, acknowledged=True)
-            self._finish(exchange, Outcome.ACKNOWLEDGED)
+            self._finish(exchange, JobOutcome.ACKNOWLEDGED)
         self._channel.note_end(ack)
 
     def _await_time_out(self, exchange: _Exchange, sent: Transmission) -> None:
@@ -289,13 +289,13 @@ class IdealRadio:
             job.rates.report(job.destination, job.mode, acknowledged=False)
         job.failures += 1
         if job.failures > job.retry_limit:
-            self._finish(exchange, Outcome.RETRY_LIMIT)
+            self._finish(exchange, JobOutcome.RETRY_LIMIT)
         elif job.expires_ns <= self._queue.now_ns or job.cancelled:
-            self._finish(exchange, Outcome.EXPIRED)
+            self._finish(exchange, JobOutcome.EXPIRED)
         else:
             self._attempt(exchange)
 
-    def _finish(self, exchange: _Exchange, outcome: Outcome) -> None:
+    def _finish(self, exchange: _Exchange, outcome: JobOutcome) -> None:
         exchange.over = True
         self._exchanges.remove(exchange)
         exchange.job.done(exchange.job, outcome)

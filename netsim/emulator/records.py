@@ -57,7 +57,7 @@ class FtmCounters(Struct, frozen=True, kw_only=True):
     error_square_sum_m2: float
 
 
-class Counters(Struct, frozen=True, kw_only=True):
+class EmulatorCounters(Struct, frozen=True, kw_only=True):
     """Counts since the start."""
 
     frames_sent: dict[str, int]
@@ -161,10 +161,10 @@ class Tally:
             self._error_square_sum_m2 += error_m * error_m
         self._sessions.append(ranging)
 
-    def counters(self, frames_sent: list[int], broadcasts: Integers) -> Counters:
+    def counters(self, frames_sent: list[int], broadcasts: Integers) -> EmulatorCounters:
         """Counts since the start, with a channel's frames by kind and datagrams to all, (n, 3)."""
         delivered, collided, lost = (tuple(column) for column in broadcasts.T.tolist())
-        return Counters(
+        return EmulatorCounters(
             frames_sent=dict(zip((kind.value for kind in KINDS), frames_sent, strict=True)),
             broadcasts_delivered=delivered,
             broadcasts_collided=collided,

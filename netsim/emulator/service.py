@@ -27,7 +27,7 @@ from netsim.wire.messages import RxBatch, Station, TxBatch
 Doubles = NDArray[np.float64]
 
 
-class Motion(NamedTuple):
+class VehicleMotion(NamedTuple):
     """Positions (n, 3), velocities (n, 3) and attitudes (n, 4), wxyz, of the stations."""
 
     pos_ned_m: Doubles
@@ -41,7 +41,7 @@ STREAM = 802
 """Sets the emulator's random streams apart from those of the run's other processes."""
 
 
-class HostedEmulator:
+class EmulatorService:
     """The emulator with what was handed over and not yet simulated, and its logs.
 
     `submit` may be called from any thread, all else from one. Raises ValueError for settings that do not go
@@ -126,7 +126,7 @@ class HostedEmulator:
             missing -= {b.station for b in self._submitted if b.now_us == at_us and not b.more}
         return missing
 
-    def _motion(self, request: Advance) -> Motion:
+    def _motion(self, request: Advance) -> VehicleMotion:
         """Where an `Advance` puts the stations. Raises ValueError."""
         vehicles = self._config.stations
         pos_ned_m = unpack_rows(request.pos_ned_m, stations=vehicles, columns=3)
@@ -139,14 +139,14 @@ class HostedEmulator:
         known = max(named, default=0) < self.stations
         if not (known and possible and request.to_us > self._reached_us):
             raise ValueError(_REFUSED)
-        return self._with_guests(Motion(pos_ned_m, vel_ned_m_s, q_ned_frd))
+        return self._with_guests(VehicleMotion(pos_ned_m, vel_ned_m_s, q_ned_frd))
 
-    def _with_guests(self, motion: Motion) -> Motion:
+    def _with_guests(self, motion: VehicleMotion) -> VehicleMotion:
         """Motion of all stations: guests stand still, upright."""
         guests = len(self._guests_pos_ned_m)
         if guests == 0:
             return motion
-        return Motion(
+        return VehicleMotion(
             np.vstack([motion.pos_ned_m, self._guests_pos_ned_m]),
             np.vstack([motion.vel_ned_m_s, np.zeros((guests, 3))]),
             np.vstack([motion.q_ned_frd, np.tile([1.0, 0.0, 0.0, 0.0], (guests, 1))]),
@@ -179,7 +179,7 @@ class HostedEmulator:
             missing=missing,
         )
 
-    def _simulate(self, request: Advance, motion: Motion) -> dict[Station, RxBatch]:
+    def _simulate(self, request: Advance, motion: VehicleMotion) -> dict[Station, RxBatch]:
         # other threads append to the list while this runs, so what is taken is cut off by position first.
         count = len(self._submitted)
         batches = self._submitted[:count]

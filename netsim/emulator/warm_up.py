@@ -6,6 +6,7 @@ they compute is of no interest, only that they compute it.
 
 import numpy as np
 
+from foundation.kernels.warm_up import WarmUpError
 from netsim.emulator.emulator import Emulator
 from netsim.model.config import InterfererConfig, RadioConfig
 from netsim.phy.signals import Transmission
@@ -25,12 +26,8 @@ _CONFIG = RadioConfig(
 )
 
 
-class RehearsalError(RuntimeError):
-    """The stations did not do what they cannot help doing; something is wrong with the emulator."""
-
-
-def rehearse() -> None:
-    """Talk, range, collide and call in vain for a tenth of a second. Raises RehearsalError."""
+def warm_up() -> None:
+    """Talk, range, collide and call in vain for a tenth of a second. Raises WarmUpError."""
     stations = len(_PLACES_NED_M)
     seen: list[Transmission] = []
     emulator = Emulator(
@@ -54,6 +51,6 @@ def rehearse() -> None:
         )
     emulator.set_silent(_FAR)
     if emulator.next_event_us <= STEPS * STEP_US:
-        raise RehearsalError("the radio's rehearsal has left something undone")
+        raise WarmUpError("the radio's rehearsal has left something undone")
     if not any(frame.delivered for frame in seen) or not any(frame.collided for frame in seen):
-        raise RehearsalError("the radio's rehearsal has frames that arrive or frames that collide, not both")
+        raise WarmUpError("the radio's rehearsal has frames that arrive or frames that collide, not both")

@@ -11,7 +11,7 @@ from netsim.ftm.negotiation import TIME_UNIT_NS, Schedule, wish
 from netsim.ftm.port import ObservedRequest, Port
 from netsim.ftm.stamps import measured_m
 from netsim.mac.access import SIFS_NS
-from netsim.mac.jobs import Job, Outcome, Reception
+from netsim.mac.jobs import Job, JobOutcome, Reception
 from netsim.model.event_queue import Event
 
 GRACE_NS = TIME_UNIT_NS + 1_000_000
@@ -133,13 +133,13 @@ class Initiator:
         for session in list(self._sessions.values()):
             self._finish(session, "dropped")
 
-    def _on_request_done(self, job: Job, outcome: Outcome) -> None:
+    def _on_request_done(self, job: Job, outcome: JobOutcome) -> None:
         session = self._sessions.get(job.destination)
         if session is None or session.job is not job or session.schedule is not None:
             return
-        if outcome is Outcome.RETRY_LIMIT:
+        if outcome is JobOutcome.RETRY_LIMIT:
             self._finish(session, "no_response")
-        elif outcome is not Outcome.ACKNOWLEDGED:
+        elif outcome is not JobOutcome.ACKNOWLEDGED:
             self._finish(session, "dropped")
 
     def _on_time_out(self, session: _Session) -> None:

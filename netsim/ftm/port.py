@@ -13,7 +13,7 @@ import numpy as np
 
 from netsim.ftm.elements import Measurement, Request, format_and_bandwidth
 from netsim.ftm.stamps import Clock, arrival_std_ps, frequency_ratio_std, round_trip_std_ps
-from netsim.mac.jobs import Job, Outcome, Reception, Sender
+from netsim.mac.jobs import FrameSender, Job, JobOutcome, Reception
 from netsim.model.config import BandwidthMhz, FtmConfig, RadioConfig
 from netsim.model.event_queue import EventQueue
 from netsim.model.random_streams import Normals
@@ -65,7 +65,7 @@ class Port:
         self.format_and_bandwidth = format_and_bandwidth(self.mode)
         self.queue = environment.queue
         self.clock = clocks[station]
-        self.mac: Sender
+        self.mac: FrameSender
         self.send: Callable[[Job], None]
         """Queues a frame; a full queue ends its job at once."""
         self._trajectories = environment.trajectories
@@ -83,7 +83,7 @@ class Port:
         self._floor_ps = round_trip_std_ps(config.ftm, config.bandwidth_mhz) / sqrt(2.0)
         self._errors = Normals(generator)
 
-    def attach(self, mac: Sender) -> None:
+    def attach(self, mac: FrameSender) -> None:
         """Give it the MAC to send through."""
         self.mac = mac
         self.send = partial(mac.enqueue, self.config.access_category)
@@ -120,7 +120,7 @@ class Port:
         self,
         body: Request | Measurement,
         to: int,
-        done: Callable[[Job, Outcome], None],
+        done: Callable[[Job, JobOutcome], None],
         *,
         seq: int,
         expires_ns: int | None = None,

@@ -7,7 +7,7 @@ import msgspec
 from netsim.ftm.elements import Measurement, Parameters, Request, Status, error_exponent
 from netsim.ftm.negotiation import Schedule, can_measure, grant, refusal
 from netsim.ftm.port import ObservedRequest, Port
-from netsim.mac.jobs import Job, Outcome
+from netsim.mac.jobs import Job, JobOutcome
 from netsim.model.event_queue import Event
 
 HIGHEST_TOKEN = 255
@@ -139,10 +139,10 @@ class Responder:
         )
         self._port.send(session.job)
 
-    def _on_sent(self, session: _Session, job: Job, outcome: Outcome) -> None:
+    def _on_sent(self, session: _Session, job: Job, outcome: JobOutcome) -> None:
         if self._sessions.get(session.initiator) is not session or session.job is not job:
             return
-        acknowledged = outcome is Outcome.ACKNOWLEDGED
+        acknowledged = outcome is JobOutcome.ACKNOWLEDGED
         session.known = session.known or acknowledged
         if session.burst < 0:
             if not acknowledged:

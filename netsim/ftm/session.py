@@ -35,7 +35,7 @@ from netsim.ftm.initiator import Initiator, Ranging, lost
 from netsim.ftm.port import Environment, Port
 from netsim.ftm.responder import Responder
 from netsim.ftm.stamps import Clock
-from netsim.mac.jobs import Reception, Sender
+from netsim.mac.jobs import FrameSender, Reception
 from netsim.model.config import RadioConfig
 
 __all__ = ["Environment", "FtmRadio", "Ranging", "lost"]
@@ -77,7 +77,7 @@ class FtmRadio:
         self._initiator = Initiator(self._port, nlos=nlos, on_result=on_result)
         self._responder = Responder(self._port)
 
-    def attach(self, mac: Sender) -> None:
+    def attach(self, mac: FrameSender) -> None:
         """Give it the MAC to send through."""
         self._port.attach(mac)
 

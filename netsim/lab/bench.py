@@ -27,7 +27,7 @@ def validated(config: RadioConfig) -> RadioConfig:
     return msgspec.convert(msgspec.to_builtins(config), RadioConfig)
 
 
-class Bench:
+class RadioBench:
     """Stations without hosts' latencies: what is submitted is in the radio's queue at its ``at_us``.
 
     Raises ValueError for settings out of range, or that contradict each other.

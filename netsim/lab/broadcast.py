@@ -7,7 +7,7 @@ sent after uniform jitter.
 import numpy as np
 from msgspec import Struct
 
-from netsim.lab.bench import CLOSE_M, Bench, ring_ned_m
+from netsim.lab.bench import CLOSE_M, RadioBench, ring_ned_m
 from netsim.model.config import Mode, RadioConfig
 from netsim.wire.messages import Broadcast, Delivery
 
@@ -56,7 +56,7 @@ def broadcast(
         host_latency_us=0,
         host_jitter_us=0,
     )
-    bench = Bench(config, ring_ned_m(stations, CLOSE_M), seed)
+    bench = RadioBench(config, ring_ned_m(stations, CLOSE_M), seed)
     generator = np.random.default_rng(seed)
     phases_s = generator.uniform(0.0, period_s, stations) if jitter_s < 0.0 else np.zeros(stations)
     payload = bytes(payload_bytes)
@@ -90,7 +90,7 @@ def broadcast(
     )
 
 
-def _gather(bench: Bench, until_us: int, sent_us: list[list[int]], delays_us: list[float]) -> None:
+def _gather(bench: RadioBench, until_us: int, sent_us: list[list[int]], delays_us: list[float]) -> None:
     for _, item in bench.run(until_us):
         if isinstance(item, Delivery):
             delays_us.append(item.received_ns / 1e3 - sent_us[item.source][item.seq])

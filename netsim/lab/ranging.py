@@ -4,7 +4,7 @@ import numpy as np
 from msgspec import Struct
 
 from netsim.emulator.records import FrameRecord
-from netsim.lab.bench import HEIGHT_M, Bench, ring_ned_m
+from netsim.lab.bench import HEIGHT_M, RadioBench, ring_ned_m
 from netsim.mac.access import EDCA, SIFS_NS, SLOT_NS
 from netsim.model.config import BandwidthMhz, FtmConfig, Mode, RadioConfig
 from netsim.phy.frames import FrameKind
@@ -69,7 +69,7 @@ def range_pair(
         request_timeout_us=500_000,
     )
     places_ned_m = [(0.0, 0.0, -HEIGHT_M), (distance_m, 0.0, -HEIGHT_M)]
-    bench = Bench(_config(width_mhz, ftm), places_ned_m, seed)
+    bench = RadioBench(_config(width_mhz, ftm), places_ned_m, seed)
     results: list[FtmResult] = []
     airtime_ns = 0
     for _ in range(sessions):
@@ -127,7 +127,7 @@ def range_mesh(
         mode=mode or FTM_MODES[width_mhz],
         request_timeout_us=timeout_us,
     )
-    bench = Bench(_config(width_mhz, ftm), ring_ned_m(stations, MESH_RADIUS_M), seed)
+    bench = RadioBench(_config(width_mhz, ftm), ring_ned_m(stations, MESH_RADIUS_M), seed)
     phases_s = np.random.default_rng(seed).uniform(0.0, period_s, stations)
     requested_us: dict[tuple[int, int], int] = {}
     periods = max(1, round(seconds / period_s))

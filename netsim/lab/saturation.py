@@ -8,7 +8,7 @@ is `netsim.model.config.RadioConfig.retry_limit`.
 
 from msgspec import Struct
 
-from netsim.lab.bench import CLOSE_M, Bench, ring_ned_m
+from netsim.lab.bench import CLOSE_M, RadioBench, ring_ned_m
 from netsim.model.config import Mode, RadioConfig
 from netsim.phy.frames import FrameKind
 from netsim.wire.messages import Sent, Unicast
@@ -56,7 +56,7 @@ def saturate(
         host_latency_us=0,
         host_jitter_us=0,
     )
-    bench = Bench(config, ring_ned_m(stations + 1, CLOSE_M), seed)
+    bench = RadioBench(config, ring_ned_m(stations + 1, CLOSE_M), seed)
     sink, payload = stations, bytes(payload_bytes)
     for station in range(stations):
         _feed(bench, station, sink, payload, QUEUED_FRAMES)
@@ -86,7 +86,7 @@ def saturate(
     )
 
 
-def _feed(bench: Bench, station: int, sink: int, payload: bytes, count: int) -> None:
+def _feed(bench: RadioBench, station: int, sink: int, payload: bytes, count: int) -> None:
     bench.submit(
         station,
         *(

@@ -186,7 +186,7 @@ def _freeze_queue(air: Air, q: int, from_ns: int) -> None:
             queue[c.BASE] = NEVER_NS
             return
     if queue[c.BACKOFF] and from_ns >= queue[c.BASE]:
-        passed_slots = (from_ns - queue[c.BASE]) // SLOT_NS + queue[c.AHEAD]
+        passed_slots = (from_ns - queue[c.BASE]) // SLOT_NS + queue[c.SLOT_OFFSET]
         queue[c.BACKOFF] = max(0, queue[c.BACKOFF] - passed_slots)
     queue[c.BASE] = NEVER_NS
 
@@ -230,7 +230,7 @@ def _is_busy(air: Air, station: int) -> bool:
 def resume(air: Air, station: int) -> None:
     """Plan each queue's next access from what is known of the medium; what changes that calls again."""
     now, row = air[c.NOW], t.stations(air, station)
-    if row[c.CURRENT] != c.NOTHING or row[c.SENDING_UNTIL] > now or row[c.DEAF]:
+    if row[c.CURRENT] != c.NOTHING or row[c.SENDING_UNTIL] > now or row[c.RADIO_OFF]:
         return
     idle_ns = row[c.BUSY_UNTIL]
     unsensed = False

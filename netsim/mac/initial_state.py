@@ -63,7 +63,7 @@ def silent_air(
     rows[:, [c.FIRST, c.LAST]] = c.NOTHING
     rows[:, [c.BASE, c.ACCESS_AT, c.DEADLINE_AT]] = NEVER_NS
     for k, each in enumerate(queues):
-        columns = [c.AIFS, c.WINDOW, c.WINDOW_LEAST, c.WINDOW_MOST, c.TXOP, c.AHEAD]
+        columns = [c.AIFS, c.WINDOW, c.WINDOW_LEAST, c.WINDOW_MOST, c.TXOP, c.SLOT_OFFSET]
         rows[k :: len(queues), columns] = (
             each.aifs_ns, each.cw_min, each.cw_min, each.cw_max, each.txop_ns, each.edca,
         )  # fmt: skip

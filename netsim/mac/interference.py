@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from netsim.model.config import RadioConfig
 from netsim.model.event_queue import EventQueue
-from netsim.model.random_streams import Model, Streams
+from netsim.model.random_streams import Model, RandomStreams
 from netsim.phy.interferers import Interferer
 
 PART_NS = 20_000_000
@@ -15,7 +15,11 @@ class Bursts:
     """Bursts of all interferers: ``start`` puts one on the air, by its interferer's index, until a time."""
 
     def __init__(
-        self, config: RadioConfig, queue: EventQueue, streams: Streams, start: Callable[[int, int], None]
+        self,
+        config: RadioConfig,
+        queue: EventQueue,
+        streams: RandomStreams,
+        start: Callable[[int, int], None],
     ) -> None:
         self._queue = queue
         self._start = start

@@ -11,7 +11,7 @@ from netsim.phy.frames import FrameKind
 from netsim.phy.modes import PhyMode
 
 
-class Outcome(StrEnum):
+class JobOutcome(StrEnum):
     """How a job ended."""
 
     SENT = "sent"
@@ -65,7 +65,7 @@ class Job(Struct, kw_only=True, eq=False):
     expires_ns: int
     retry_limit: int
     """Failed exchanges after which the next failure gives the frame up."""
-    done: Callable[["Job", Outcome], None]
+    done: Callable[["Job", JobOutcome], None]
     seq: int = 0
     """The host's number of it."""
     body: object = None
@@ -84,7 +84,7 @@ class Job(Struct, kw_only=True, eq=False):
     """Where it is kept by who sends it."""
 
 
-class Sender(Protocol):
+class FrameSender(Protocol):
     """One station's way to the air."""
 
     def enqueue(self, category: str, job: Job, /) -> None:

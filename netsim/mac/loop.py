@@ -139,7 +139,7 @@ def _act(
     elif what == c.SEND_JOB:
         mac.send_job(air, fading, about)
     elif what == c.START_EXCHANGE:
-        mac.have_due(air, about)
+        mac.schedule_access(air, about)
     elif what == c.ON_TIMEOUT:
         mac.on_timeout(air, about)
     elif what == c.ON_DEADLINE:
@@ -214,7 +214,7 @@ def enqueue(
     row[c.JOB_BYTES], row[c.JOB_EXPIRES], row[c.JOB_RETRIES] = frame_bytes, expires_ns, retries
     row[c.JOB_RTS], row[c.JOB_ADAPTS], row[c.JOB_SEQ], row[c.JOB_CANCELLED] = rts, adapts, seq, cancelled
     station = q // air[c.CATEGORIES]
-    if t.stations(air, station)[c.DEAF] or is_full(air, station):
+    if t.stations(air, station)[c.RADIO_OFF] or is_full(air, station):
         return REFUSED
     contend(air, station, q, job)
     return TAKEN

@@ -14,14 +14,14 @@ from netsim.mac import loop
 from netsim.mac.access import AccessParameters
 from netsim.mac.initial_state import silent_air
 from netsim.mac.interference import Bursts
-from netsim.mac.jobs import GroupReception, Job, OnGroupFrame, Outcome, Reception, Upper
+from netsim.mac.jobs import GroupReception, Job, JobOutcome, OnGroupFrame, Reception, Upper
 from netsim.mac.observations import KINDS, transmission_of
 from netsim.model import columns as c
 from netsim.model import tables as t
 from netsim.model.config import RadioConfig
 from netsim.model.event_queue import NEVER_NS, EventQueue
 from netsim.model.events import schedule
-from netsim.model.random_streams import Model, Streams, Uniforms
+from netsim.model.random_streams import Model, RandomStreams, Uniforms
 from netsim.model.tables import Air, Integers
 from netsim.phy.fading import RicianFading
 from netsim.phy.frames import Frame
@@ -30,7 +30,7 @@ from netsim.phy.propagation import LinkRow
 from netsim.phy.signals import Transmission
 
 KIND_ROWS = {kind: row for row, kind in enumerate(KINDS)}
-OUTCOMES = list(Outcome)
+OUTCOMES = list(JobOutcome)
 _NO_FADING = np.empty(0)
 
 
@@ -64,7 +64,7 @@ class Radios:
         queue: EventQueue,
         links: LinkBudgets,
         stations: int,
-        streams: Streams,
+        streams: RandomStreams,
         on_group_frame: OnGroupFrame,
         on_ended: Callable[[Transmission], None] | None = None,
     ) -> None:
@@ -97,14 +97,14 @@ class Radios:
 
     # --- stations
 
-    def join(self, station: int, upper: Upper, backoff: Uniforms | None = None) -> "Station":
+    def join(self, station: int, upper: Upper, backoff: Uniforms | None = None) -> "RadioStation":
         """Add a station, whose received frames go to ``upper``; they come in the order of their numbers.
 
         ``backoff`` is what its backoffs are drawn from, if not the stream of its own.
         """
         self._uppers.append(upper)
         self._backoffs.append(backoff or Uniforms(self._streams.generator(Model.BACKOFF, station)))
-        return Station(station, self)
+        return RadioStation(station, self)
 
     def enqueue(self, station: int, category: str, job: Job) -> None:
         """See `netsim.mac.jobs.Sender`."""
@@ -131,7 +131,7 @@ class Radios:
         if end == loop.REFUSED:
             job.row = None
             self._free_jobs.append(row)
-            job.done(job, Outcome.OVERFLOW)
+            job.done(job, JobOutcome.OVERFLOW)
 
     def _new_job_row(self, job: Job) -> int:
         row = len(self._jobs)
@@ -337,7 +337,7 @@ class Radios:
                 self._tell_ended(job)
             elif what == c.DONE and job is not None:
                 outcome = OUTCOMES[call[c.CALL_DETAIL]]
-                if outcome is Outcome.ACKNOWLEDGED:
+                if outcome is JobOutcome.ACKNOWLEDGED:
                     job.ack = Reception(call[c.CALL_SOURCE], call[c.CALL_START], call[c.CALL_END], power_mw)
                     if job.rates is not None:
                         job.rates.report(job.destination, job.mode, acknowledged=True)
@@ -385,7 +385,7 @@ def _draw_ahead(stations: Integers, column: int, draws: Doubles, streams: list[U
         used_by[station] = 0
 
 
-class Station:
+class RadioStation:
     """MAC of one station; see `netsim.mac.jobs.Sender`."""
 
     def __init__(self, index: int, radios: Radios) -> None:

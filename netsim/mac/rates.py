@@ -12,7 +12,7 @@ from typing import Annotated, NamedTuple, Protocol, get_args
 from msgspec import Meta, Struct
 
 from netsim.model.config import BandwidthMhz, Mode, RadioConfig, StationConfig
-from netsim.model.random_streams import Model, Streams, Uniforms
+from netsim.model.random_streams import Model, RandomStreams, Uniforms
 from netsim.phy.frames import ACK_BYTES
 from netsim.phy.modes import PhyMode, phy_mode, response_mode
 
@@ -209,7 +209,7 @@ class DatagramModes(NamedTuple):
     """None where the mode is fixed."""
 
 
-def datagram_modes(config: RadioConfig, own: StationConfig, streams: Streams) -> DatagramModes:
+def datagram_modes(config: RadioConfig, own: StationConfig, streams: RandomStreams) -> DatagramModes:
     """Return what a station's settings, or else everybody's, ask for."""
     width_mhz = config.bandwidth_mhz
     broadcast = phy_mode(own.broadcast_mode or config.broadcast_mode, width_mhz)

@@ -53,7 +53,7 @@ def sender(air: Air, what: int, about: int) -> int:
     if what == c.SEND_JOB:
         return about // air[c.CATEGORIES] if _may_send(air, about) else c.NOTHING
     row = t.stations(air, about)
-    return c.NOTHING if row[c.DEAF] or row[c.SENDING_UNTIL] > air[c.NOW] else about
+    return c.NOTHING if row[c.RADIO_OFF] or row[c.SENDING_UNTIL] > air[c.NOW] else about
 
 
 @njit(cache=True)
@@ -62,11 +62,11 @@ def on_access(air: Air, q: int) -> None:
     winner = win(air, q)
     if winner != c.NOTHING:
         t.stations(air, winner // air[c.CATEGORIES])[c.TXOP_END] = air[c.NOW] + t.queues(air, winner)[c.TXOP]
-        have_due(air, winner)
+        schedule_access(air, winner)
 
 
 @njit(cache=True)
-def have_due(air: Air, q: int) -> None:
+def schedule_access(air: Air, q: int) -> None:
     """Have the exchange of a queue's first job begin now, if the queue may still send and has one."""
     if _may_send(air, q):
         air[c.DUE], air[c.CHOSEN] = q, 0
@@ -172,7 +172,7 @@ def _send(air: Air, fading: Doubles, frame: int) -> None:
 @njit(cache=True)
 def on_busy(air: Air, signal: int, count: int) -> None:
     """Have those freeze their backoffs to whom the medium falls busy with a signal: the first of ``told``."""
-    for r in t.ends(air, c.TOLD)[:count]:
+    for r in t.ends(air, c.NEWLY_BUSY)[:count]:
         if t.stations(air, r)[c.PLANNED]:
             freeze(air, r, t.signals(air, signal)[c.START] + t.delays_ns(air, signal)[r] + CCA_NS)
 
@@ -393,7 +393,7 @@ def send_frame(
 def silence(air: Air, station: int) -> None:
     """End a station for good: nothing is sent, answered or heard any more."""
     row = t.stations(air, station)
-    row[c.DEAF] = 1
+    row[c.RADIO_OFF] = 1
     row[c.LOCK] = c.NOTHING
     freeze(air, station, air[c.NOW] - 1)
     _stop_waiting(air, station)

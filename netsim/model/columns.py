@@ -38,7 +38,7 @@ NUMBERS = 56
     LOCKED,  # when a preamble was last found
     RESERVED_UNTIL, RESERVED_BY,  # the Duration field's (NAV, IEEE 802.11-2016, 10.3.2.4)
     BROKEN,  # when a frame ended here in errors; 0 if one has come through since
-    DEAF,  # the radio is off for good
+    RADIO_OFF,  # the radio is off for good
     RECEPTIONS,  # draws of ``receptions`` used
     PLANNED,  # the planned accesses follow from what is known of the medium
     CURRENT,  # the queue whose exchange is under way, or `NOTHING`
@@ -62,7 +62,7 @@ NUMBERS = 56
     ACCESS, ACCESS_AT,  # the planned access by its event's order; 0 when frozen or with nothing to send
     FRESH,  # the frame found the medium idle and drew no backoff
     DEADLINE, DEADLINE_AT,  # likewise, when frames whose lifetime is over are looked for
-    AIFS, WINDOW_LEAST, WINDOW_MOST, TXOP, AHEAD,  # `netsim.mac.access.AccessParameters`
+    AIFS, WINDOW_LEAST, WINDOW_MOST, TXOP, SLOT_OFFSET,  # `netsim.mac.access.AccessParameters`
     QUEUE_COLUMNS,
 ) = range(17)  # fmt: skip
 
@@ -138,7 +138,7 @@ NOT_MEANT, DELIVERED, COLLIDED, LOST = range(4)
 
 # --- rows of `netsim.model.tables.ends` and of the levels
 
-FATES, UPSETS, NOTES, TOLD = range(4)
+FATES, UPSETS, NOTES, NEWLY_BUSY = range(4)
 """What became of the frame at each station; whether that upset a plan; where it was meant to arrive, how that
 went. And, of any signal's beginning, the stations to which the medium falls busy."""
 

@@ -17,7 +17,7 @@ _ACTION = 2
 _ARGUMENT = 3
 
 
-class Machine(Protocol):
+class EventSource(Protocol):
     """Something that has events of its own in the same order."""
 
     def begin(self) -> None:
@@ -45,7 +45,7 @@ class EventQueue:
         self.now_ns = 0
         self.scheduled = 0
         """Calls and events so far."""
-        self.machine: Machine | None = None
+        self.machine: EventSource | None = None
         self.between: Callable[[], object] | None = None
         """Done between calls; it may change nothing of what they know."""
         self._heap: list[Event] = []

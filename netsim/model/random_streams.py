@@ -29,7 +29,7 @@ class Model(IntEnum):
     HOST_LOSS = 12
 
 
-class Streams:
+class RandomStreams:
     """Generators below one seed."""
 
     def __init__(self, seed: np.random.SeedSequence) -> None:

@@ -335,14 +335,14 @@ def take_signal(air: Air) -> int:
 def end_signal(air: Air, row: int) -> None:
     """Let go of a signal that is over, and of those that it had on the air with it."""
     for k in range(signals(air, row)[c.OVERLAPS]):
-        let_go(air, overlaps(air, row)[k])
+        release(air, overlaps(air, row)[k])
     signals(air, row)[c.OVERLAPS] = 0
     signals(air, row)[c.OVER] = 1
     _free_if_unused(air, row)
 
 
 @njit(cache=True)
-def let_go(air: Air, row: int) -> None:
+def release(air: Air, row: int) -> None:
     """Note one holder less of a signal, which may be over."""
     signals(air, row)[c.HOLDERS] -= 1
     _free_if_unused(air, row)

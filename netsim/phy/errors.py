@@ -124,7 +124,7 @@ def _counted_hazard(mode: PhyMode) -> Callable[[float], float]:
 
 @njit(cache=True)
 def hazard_per_bit(log_hazards: Doubles, clean_linear: float, sinr_linear: float) -> float:
-    """Hazard of one data bit by an `ErrorModel`'s table; log-linear between points 0.05 dB apart."""
+    """Hazard of one data bit by an `PacketErrorModel`'s table; log-linear between points 0.05 dB apart."""
     if sinr_linear >= clean_linear:
         return 0.0
     if sinr_linear <= 0.0:
@@ -138,7 +138,7 @@ def hazard_per_bit(log_hazards: Doubles, clean_linear: float, sinr_linear: float
     return exp(log_hazards[k] + (position - k) * (log_hazards[k + 1] - log_hazards[k]))
 
 
-class ErrorModel:
+class PacketErrorModel:
     """Hazard of a mode as a function of the ratio, tabulated once.
 
     Hazards add over bits and over chunks of different interference: a frame survives with exp(-sum of hazard
@@ -168,9 +168,9 @@ class ErrorModel:
 
 
 @cache
-def error_model(mode: PhyMode) -> ErrorModel:
+def error_model(mode: PhyMode) -> PacketErrorModel:
     """Return the mode's model, built at its first use."""
-    return ErrorModel(mode)
+    return PacketErrorModel(mode)
 
 
 def packet_error_rate(mode: PhyMode, frame_bytes: int, snr_linear: float) -> float:

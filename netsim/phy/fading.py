@@ -23,7 +23,7 @@ from math import cos, pi, sin, sqrt
 import numpy as np
 from numba import njit
 
-from netsim.model.random_streams import Model, Streams
+from netsim.model.random_streams import Model, RandomStreams
 from netsim.phy.path_loss import SPEED_OF_LIGHT_M_S, Doubles
 
 SECTORS = 8
@@ -97,7 +97,7 @@ class RicianFading:
     """Fading of all links."""
 
     def __init__(
-        self, *, k_db: float, doppler_hz: float, frequency_mhz: float, stations: int, streams: Streams
+        self, *, k_db: float, doppler_hz: float, frequency_mhz: float, stations: int, streams: RandomStreams
     ) -> None:
         k = 10.0 ** (k_db / 10.0)
         self._amplitude = (0.5 / SECTORS / (k + 1.0)) ** 0.5

@@ -25,7 +25,7 @@ from numba import njit
 from netsim.model import columns as c
 from netsim.model import tables as t
 from netsim.model.events import schedule
-from netsim.model.tables import Air, Integers, draw_reception, end_signal, let_go
+from netsim.model.tables import Air, Integers, draw_reception, end_signal, release
 from netsim.phy.fading import fade
 from netsim.phy.frames import GROUP
 from netsim.phy.path_loss import Doubles
@@ -85,7 +85,7 @@ def start_burst(air: Air, burst: int) -> int:
     told = _radiate(air, burst, inf)
     # what overlaps it matters only now; kept, each burst would keep all before it
     for other in t.overlaps(air, burst)[: signal[c.OVERLAPS]]:
-        let_go(air, other)
+        release(air, other)
     signal[c.OVERLAPS] = 0
     schedule(air, signal[c.END] + signal[c.LONGEST_DELAY], c.END_BURST, burst)
     return told
@@ -139,12 +139,12 @@ def _radiate(air: Air, which: int, sensed_mw: float) -> int:
         air[c.BUSY_NS] += end_ns - max(start_ns, air[c.BUSY_UNTIL_NS])
         air[c.BUSY_UNTIL_NS] = end_ns
     count = 0
-    told = t.ends(air, c.TOLD)
+    told = t.ends(air, c.NEWLY_BUSY)
     powers_mw, delays_ns = t.powers_mw(air, which), t.delays_ns(air, which)
     energy_mw = t.levels_mw(air, 0)[c.ENERGY_MW]
     for r in range(air[c.STATIONS]):
         row = t.stations(air, r)
-        if r == signal[c.SOURCE] or row[c.DEAF]:
+        if r == signal[c.SOURCE] or row[c.RADIO_OFF]:
             continue
         arrival_ns, until_ns = start_ns + delays_ns[r], end_ns + delays_ns[r]
         if powers_mw[r] < sensed_mw:
@@ -176,7 +176,7 @@ def find(air: Air, frame: int) -> None:
             r == sent[c.SOURCE]
             or powers_mw[r] < levels_mw[c.PREAMBLE_MW]
             or row[c.SENDING_UNTIL] > arrival_ns
-            or row[c.DEAF]
+            or row[c.RADIO_OFF]
         ):
             continue
         if sent[c.OVERLAPS]:
@@ -226,7 +226,7 @@ def settle(air: Air, frame: int) -> None:
     for r in range(air[c.STATIONS]):
         row = t.stations(air, r)
         notes[r], upsets[r] = c.NOT_MEANT, 0
-        if r == sent[c.SOURCE] or row[c.DEAF]:
+        if r == sent[c.SOURCE] or row[c.RADIO_OFF]:
             fates[r] = c.ABSENT
             continue
         draw = -1.0
@@ -320,7 +320,7 @@ def look_for_unused(air: Air, frame: int) -> None:
             and t.stations(air, r)[c.LOCKED] <= end_here_ns
         ):
             schedule(air, end_here_ns + lapse_ns, c.ON_UNUSED, r, end_here_ns, end_here_ns + nav_ns)
-    let_go(air, frame)
+    release(air, frame)
 
 
 @njit(cache=True)

@@ -12,7 +12,7 @@ from bisect import bisect_right
 import numpy as np
 
 from netsim.model.event_queue import NEVER_NS
-from netsim.model.random_streams import Model, Streams
+from netsim.model.random_streams import Model, RandomStreams
 
 LONGEST_NS = 1e18
 """Mean time beyond which it makes no difference, 30 years."""
@@ -59,7 +59,7 @@ class _Pair:
 class Obstruction:
     """Lines of sight of all pairs."""
 
-    def __init__(self, *, fraction: float, duration_s: float, stations: int, streams: Streams) -> None:
+    def __init__(self, *, fraction: float, duration_s: float, stations: int, streams: RandomStreams) -> None:
         self._fraction = fraction
         self._always = fraction == 1.0
         self._means_ns = (

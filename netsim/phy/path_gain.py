@@ -6,7 +6,7 @@ Gains are against isotropic antennas in free space over the reference distance o
 import numpy as np
 
 from netsim.model.config import RadioConfig
-from netsim.model.random_streams import Streams
+from netsim.model.random_streams import RandomStreams
 from netsim.phy.antenna import direct_coupling, reflected_coupling, unpolarised_source_coupling
 from netsim.phy.path_loss import (
     REFERENCE_DISTANCE_M,
@@ -27,7 +27,7 @@ ALL = slice(None)
 class PathGain:
     """The settings' models."""
 
-    def __init__(self, config: RadioConfig, streams: Streams) -> None:
+    def __init__(self, config: RadioConfig, streams: RandomStreams) -> None:
         self._frequency_mhz = config.frequency_mhz
         self._bandwidth_mhz = config.bandwidth_mhz
         self._two_ray = config.path_loss == "two_ray"

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from netsim.model.config import RadioConfig
 from netsim.model.event_queue import NEVER_NS
-from netsim.model.random_streams import Streams
+from netsim.model.random_streams import RandomStreams
 from netsim.model.tables import Integers
 from netsim.phy.antenna import body_z_ned
 from netsim.phy.fading import RicianFading
@@ -233,7 +233,7 @@ class Links:
     """Link budgets of all pairs, computed row by row when somebody transmits and kept while nobody moves."""
 
     def __init__(
-        self, config: RadioConfig, trajectories: Trajectories, stations: int, streams: Streams
+        self, config: RadioConfig, trajectories: Trajectories, stations: int, streams: RandomStreams
     ) -> None:
         self._config = config
         self._trajectories = trajectories

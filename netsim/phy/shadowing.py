@@ -16,7 +16,7 @@ from math import pi
 
 import numpy as np
 
-from netsim.model.random_streams import Model, Streams
+from netsim.model.random_streams import Model, RandomStreams
 from netsim.phy.path_loss import Doubles
 
 WAVES = 64
@@ -27,7 +27,7 @@ _Waves = tuple[Doubles, Doubles, Doubles, Doubles]
 class Shadowing:
     """One run's field."""
 
-    def __init__(self, std_db: float, distance_m: float, streams: Streams) -> None:
+    def __init__(self, std_db: float, distance_m: float, streams: RandomStreams) -> None:
         generator = streams.generator(Model.SHADOWING)
         self._distance_m = distance_m
         self._amplitude_db = std_db * (2.0 / WAVES) ** 0.5

@@ -14,7 +14,7 @@ from netsim.wire.messages import Ack, RxBatch, TxBatch, TxItem, decode, encode
 logger = logging.getLogger(__name__)
 
 
-class FreeRadio:
+class AsynchronousRadio:
     """One station's radio; ``put`` is given its deliveries as they come in, in a thread of Zenoh's.
 
     Raises RadioLost if the emulator does not answer. A station number that is in use is not refused: the

@@ -13,7 +13,7 @@ import queue
 from types import TracebackType
 from typing import Self
 
-from netsim.transport.asynchronous_radio import FreeRadio
+from netsim.transport.asynchronous_radio import AsynchronousRadio
 from netsim.transport.lockstep_radio import RadioLost, directory_key
 from netsim.transport.zenoh_session import Transport
 from netsim.wire.messages import (
@@ -53,7 +53,7 @@ class Guest:
             """Simulated time up to which `receive` has told what arrived."""
             self._seq = 0
             self._batches: queue.SimpleQueue[RxBatch] = queue.SimpleQueue()
-            self._radio = FreeRadio(
+            self._radio = AsynchronousRadio(
                 self._transport,
                 run_id=self.directory.run_id,
                 station=self.station,

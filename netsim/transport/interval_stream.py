@@ -26,7 +26,7 @@ SentT = TypeVar("SentT", Advance, Advanced)
 HeardT = TypeVar("HeardT", Advance, Advanced)
 
 
-class ClockLine(Generic[SentT, HeardT]):
+class IntervalStream(Generic[SentT, HeardT]):
     """One end of the line; close it. For one thread."""
 
     def __init__(self, connection: socket.socket, heard: type[HeardT], *, limit_s: float | None) -> None:
@@ -70,11 +70,11 @@ class ClockLine(Generic[SentT, HeardT]):
         self._connection.close()
 
 
-def time_masters_end(connection: socket.socket) -> ClockLine[Advance, Advanced]:
+def time_masters_end(connection: socket.socket) -> IntervalStream[Advance, Advanced]:
     """The end that asks."""
-    return ClockLine(connection, Advanced, limit_s=ADVANCE_LIMIT_S)
+    return IntervalStream(connection, Advanced, limit_s=ADVANCE_LIMIT_S)
 
 
-def emulators_end(connection: socket.socket) -> ClockLine[Advanced, Advance]:
+def emulators_end(connection: socket.socket) -> IntervalStream[Advanced, Advance]:
     """The end that simulates; it waits as long as the run does."""
-    return ClockLine(connection, Advance, limit_s=None)
+    return IntervalStream(connection, Advance, limit_s=None)

@@ -2,7 +2,7 @@
 
 from foundation.profiling.profiler import LINK
 
-PARTS = {
+PROFILE_GROUPS = {
     "netsim.phy": "physical layer",
     "netsim.mac": "medium access",
     "netsim.ftm": "ranging",

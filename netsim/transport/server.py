@@ -21,12 +21,12 @@ import msgspec
 
 from foundation.processes.child_protocol import Finished, Influenced, Ready, Stop, commands, emit
 from foundation.profiling.profiler import profiled
-from netsim.emulator.service import HostedEmulator
+from netsim.emulator.service import EmulatorService
 from netsim.model.config import ServerConfig
-from netsim.transport.interval_stream import BATCH_LIMIT_S, ClockLine, emulators_end
+from netsim.transport.interval_stream import BATCH_LIMIT_S, IntervalStream, emulators_end
 from netsim.transport.lockstep_radio import directory_key, in_pieces, receive_key, transmit_key
-from netsim.transport.profile_groups import PARTS
-from netsim.transport.zenoh_session import Asker, Question, Sender, Transport
+from netsim.transport.profile_groups import PROFILE_GROUPS
+from netsim.transport.zenoh_session import Asker, Question, TopicSender, Transport
 from netsim.wire.lockstep import Advance, Advanced
 from netsim.wire.messages import (
     Ack,
@@ -52,7 +52,7 @@ class Server:
     """
 
     def __init__(self, config: ServerConfig, *, on_visit: Callable[[], None] = lambda: None) -> None:
-        self._hosted = HostedEmulator(config)
+        self._hosted = EmulatorService(config)
         self._directory = encode(
             Directory(
                 run_id=config.run_id,
@@ -71,7 +71,7 @@ class Server:
             raise
         self._askers: dict[Station, Asker] = {}
         """By station in no lockstep."""
-        self._senders: dict[Station, Sender] = {}
+        self._senders: dict[Station, TopicSender] = {}
         """By vehicle in lockstep."""
         for station in range(self._hosted.stations):
             key = receive_key(config.run_id, station)
@@ -93,7 +93,7 @@ class Server:
         """How far the air has been simulated."""
         return self._hosted.reached_us
 
-    def serve(self, clock: ClockLine[Advanced, Advance]) -> dict[str, Any]:
+    def serve(self, clock: IntervalStream[Advanced, Advance]) -> dict[str, Any]:
         """Simulate as the time master asks until it hangs up; returns the run's counters.
 
         Raises ValueError for what it cannot mean.
@@ -137,7 +137,7 @@ class Server:
                 missing.discard(batch.station)
         return missing
 
-    def _send(self, sender: Sender, batch: RxBatch) -> None:
+    def _send(self, sender: TopicSender, batch: RxBatch) -> None:
         for piece in in_pieces(batch):
             sender.send(encode(piece))
 
@@ -193,7 +193,9 @@ def run(config_path: Path, clock_fd: int, *, supervised: bool) -> None:
         gc.collect()
         gc.freeze()
         emit(Ready(name="radio", pid=os.getpid(), details={"endpoint": server.endpoint}))
-        with profiled(PARTS, now_us=lambda: server.reached_us, from_us=config.profile_from_us) as profile:
+        with profiled(
+            PROFILE_GROUPS, now_us=lambda: server.reached_us, from_us=config.profile_from_us
+        ) as profile:
             details = server.serve(clock)
         if supervised:
             inbox.get()  # who still talks to it has time to end

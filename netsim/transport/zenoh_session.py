@@ -62,7 +62,7 @@ class Asker:
         return Pending(self._querier.get(payload=payload))
 
 
-class Sender:
+class TopicSender:
     """Sends to one key again and again, one way, in order, and to whoever listens at the time."""
 
     def __init__(self, publisher: zenoh.Publisher) -> None:
@@ -152,9 +152,11 @@ class Transport:
         control = zenoh.CongestionControl.DROP if lossy else zenoh.CongestionControl.BLOCK
         return Asker(self._session.declare_querier(key, timeout=timeout_s, congestion_control=control))
 
-    def sender(self, key: str) -> Sender:
+    def sender(self, key: str) -> TopicSender:
         """Declare that this process will send to ``key``."""
-        return Sender(self._session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK))
+        return TopicSender(
+            self._session.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
+        )
 
     def mailbox(self, key: str) -> Mailbox:
         """Have what is sent to ``key`` from now on kept for this process."""

@@ -17,7 +17,7 @@ from antenna.solvers.interface import Accuracy
 from studies.antenna.checks import difference, said_missing, witness, worst
 from studies.antenna.figures import save_agreement
 from studies.antenna.plan import AntennaPlan
-from studies.common.report import Check, Section, Table
+from studies.common.report import Check, ReportTable, Section
 from studies.common.runner import Job, Results
 
 SEEN_DBI = -20.0
@@ -56,7 +56,7 @@ DECK: dict[str, Any] = {"element_kind": "deck", "element_deck": BRANCHED}
 OVER_GROUND: dict[str, Any] = {"ground": "perfect"}
 
 
-class Case(Struct, frozen=True, kw_only=True):
+class AgreementCase(Struct, frozen=True, kw_only=True):
     """One kind of random formation."""
 
     name: str
@@ -77,7 +77,7 @@ class Case(Struct, frozen=True, kw_only=True):
 class Lot(Struct, frozen=True, kw_only=True):
     """Some formations of a case, by a solver named in its case or by nec2c, beside NEC2 of PyNEC."""
 
-    case: Case
+    case: AgreementCase
     solver: str
     number: int
     count: int
@@ -103,8 +103,8 @@ class Compared(Struct, frozen=True, kw_only=True):
     """Formations that one alone found to touch."""
 
 
-def _case(name: str, shape: dict[str, Any], wavelength_m: float, **fields: Any) -> Case:  # noqa: ANN401
-    return Case(name=name, config=AntennaConfig(wavelength_m=wavelength_m, **shape), **fields)
+def _case(name: str, shape: dict[str, Any], wavelength_m: float, **fields: Any) -> AgreementCase:  # noqa: ANN401
+    return AgreementCase(name=name, config=AntennaConfig(wavelength_m=wavelength_m, **shape), **fields)
 
 
 CASES = (
@@ -178,7 +178,7 @@ def _by(config: AntennaConfig, solver: str) -> AntennaConfig:
     return AntennaConfig(**fields | {"backend": solver})
 
 
-def formations(case: Case, *, seed: int, count: int) -> tuple[list[Snapshot], int]:
+def formations(case: AgreementCase, *, seed: int, count: int) -> tuple[list[Snapshot], int]:
     """Draw formations whose wires are as far apart as the case wants, and count those that were not."""
     element, wavelength_m = case.config.element(), case.config.wavelength_m
     places_m = grid(case.columns * case.rows, case.columns, 0.85 * wavelength_m, 0.25 * wavelength_m)
@@ -301,7 +301,7 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
         ),
         checks=tuple(checks),
         tables=tuple(
-            Table(caption=caption, columns=COLUMNS, rows=tuple(rows[solver]))
+            ReportTable(caption=caption, columns=COLUMNS, rows=tuple(rows[solver]))
             for solver, caption in (
                 ("batch", "The batch solver less PyNEC:"), ("nec2c", "The program nec2c less PyNEC:"),
             )

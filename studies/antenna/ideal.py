@@ -24,7 +24,7 @@ from studies.antenna.closed_form import (
     policy_voltages,
 )
 from studies.antenna.plan import AntennaPlan
-from studies.common.report import Check, Section, Table
+from studies.common.report import Check, ReportTable, Section
 from studies.common.runner import Job, Results
 
 SOLVERS = ("nec2", "nec2c", "batch")
@@ -178,7 +178,7 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section: 
     )
 
 
-def _of_short_dipoles(short: dict[tuple[float, str], Solved | None]) -> tuple[list[Check], Table]:
+def _of_short_dipoles(short: dict[tuple[float, str], Solved | None]) -> tuple[list[Check], ReportTable]:
     checks, rows = [], []
     found: dict[str, list[Solved]] = {name: [] for name in ("exact", *SOLVERS)}
     for wavelength_m in WAVELENGTHS_M:
@@ -200,7 +200,7 @@ def _of_short_dipoles(short: dict[tuple[float, str], Solved | None]) -> tuple[li
         "solver", "wavelength m", "maximum dBi", "theta °", "phi °", "average gain", "directivity dBi",
         "azimuth °", "elevation °", "side lobe dBi", "to -y dBi",
     )  # fmt: skip
-    return checks, Table(caption="Short dipoles:", columns=columns, rows=tuple(rows))
+    return checks, ReportTable(caption="Short dipoles:", columns=columns, rows=tuple(rows))
 
 
 def _shape(name: str, found: Sequence[Solved]) -> list[Check]:
@@ -247,7 +247,7 @@ def from_main_lobe_deg(found: Solved) -> float:
 
 def _of_long_dipoles(
     long: dict[tuple[float, float, str], Solved | None],
-) -> tuple[list[Check], Table]:
+) -> tuple[list[Check], ReportTable]:
     checks, rows = [], []
     for wavelength_m, radius_m in product(LONG_DBI, LONG_RADII_M):
         reference_dbi, tolerance_db = LONG_DBI[wavelength_m]
@@ -259,7 +259,7 @@ def _of_long_dipoles(
         gains = [None if found is None else found.max_gain_dbi for found in solved]
         average = None if solved[0] is None else solved[0].average_gain
         rows.append(row(f"{wavelength_m:g}", f"{1e3 * radius_m:g}", f"{reference_dbi:g}", *gains, average))
-    return checks, Table(
+    return checks, ReportTable(
         caption="Dipoles of 5 m, 11 segments, maximum in dBi; equal voltages no longer give equal currents. "
         f"The reference does not say its wire's radius; {1e3 * REFERENCE_RADIUS_M:g} mm was chosen since all "
         "of its numbers come out with it, so that they are a check of the solvers together, but not of each "
@@ -271,7 +271,7 @@ def _of_long_dipoles(
 
 def _of_policies(
     policies: dict[tuple[str, str, str], Solved | None],
-) -> tuple[list[Check], Table]:
+) -> tuple[list[Check], ReportTable]:
     checks, rows, wavelength_m = [], [], 10.0
     apart_db: dict[str, list[float]] = {solver: [] for solver in SOLVERS}
     for (kind, policy), reference_dbi in REFERENCE_DBI.items():
@@ -292,7 +292,7 @@ def _of_policies(
         if errors_db:
             name = f"all policies: {solver}'s directivity, less the exact, at worst"
             checks.append(difference(name, worst(errors_db), WIRES_DB, "dB"))
-    return checks, Table(
+    return checks, ReportTable(
         caption="Feeding policies, 10 m: directivity along +y in closed form; solvers' maximum gain, dBi:",
         columns=("formation", "policy", "reference", "exact", *SOLVERS),
         rows=tuple(rows),

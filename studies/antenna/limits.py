@@ -12,12 +12,12 @@ from antenna.lab.formations import ideal
 from antenna.model.config import AntennaConfig
 from antenna.model.geometry import ElementsTouch, Snapshot, along, upright
 from studies.antenna import near, power
-from studies.antenna.agreement import Case, Compared, differences, formations
+from studies.antenna.agreement import AgreementCase, Compared, differences, formations
 from studies.antenna.checks import difference, row, said_missing, witness, worst
 from studies.antenna.figures import save_convergence
 from studies.antenna.ideal import EXACT_DBI, SOLVERS, places
 from studies.antenna.plan import AntennaPlan
-from studies.common.report import Check, Section, Table
+from studies.common.report import Check, ReportTable, Section
 from studies.common.runner import Job, Results
 
 SEGMENTS = (5, 7, 9, 11, 15, 21, 31, 41, 61)
@@ -40,7 +40,7 @@ TOUCHING = ("side by side, 0.3 mm", "one on the other", "crossing", "end to end"
 """Arrangements of two short dipoles without a pattern."""
 
 
-class Answer(Struct, frozen=True, kw_only=True):
+class LimitAnswer(Struct, frozen=True, kw_only=True):
     """What a solver made of an array: gain, or which elements touch."""
 
     max_gain_dbi: float = math.nan
@@ -85,7 +85,7 @@ def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:
     }  # fmt: skip
 
 
-def solve_ideal(config: AntennaConfig) -> Answer | None:
+def solve_ideal(config: AntennaConfig) -> LimitAnswer | None:
     """Solve the ideal array."""
     return answer(ideal(places(4, config.wavelength_m), config), config)
 
@@ -97,13 +97,13 @@ def solve_refined(wanted: tuple[float, int, int, int]) -> Compared | None:
     coarse, fine = (witness(config) for config in configs)
     if coarse is None or fine is None:
         return None
-    case = Case(name="segments", config=configs[0], least_apart_m=LEAST_APART_M)
+    case = AgreementCase(name="segments", config=configs[0], least_apart_m=LEAST_APART_M)
     snapshots, redrawn = formations(case, seed=SEED, count=count)
     found = fine.patterns(snapshots), coarse.patterns(snapshots)
     return differences(*found, (math.inf, math.inf), redrawn=redrawn)
 
 
-def solve_near(wanted: tuple[str, float]) -> Answer | None:
+def solve_near(wanted: tuple[str, float]) -> LimitAnswer | None:
     """Solve two upright short dipoles fed in phase, at a distance along x."""
     solver, apart_m = wanted
     return answer(
@@ -111,7 +111,7 @@ def solve_near(wanted: tuple[str, float]) -> Answer | None:
     )
 
 
-def solve_touching(wanted: tuple[str, str]) -> Answer | None:
+def solve_touching(wanted: tuple[str, str]) -> LimitAnswer | None:
     """Solve two dipoles that touch, or one that is in the ground."""
     solver, name = wanted
     axes = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
@@ -128,16 +128,16 @@ def solve_touching(wanted: tuple[str, str]) -> Answer | None:
     return answer(Snapshot(centres_m, along(axes), np.ones(2, complex)), _config(solver, **fields))
 
 
-def answer(snapshot: Snapshot, config: AntennaConfig) -> Answer | None:
+def answer(snapshot: Snapshot, config: AntennaConfig) -> LimitAnswer | None:
     """Solve one array; None where the solver is not installed."""
     solver = witness(config)
     if solver is None:
         return None
     (found,) = solver.patterns([snapshot])
     if isinstance(found, Pattern):
-        return Answer(max_gain_dbi=found.max_gain_dbi, average_gain=found.average_gain)
+        return LimitAnswer(max_gain_dbi=found.max_gain_dbi, average_gain=found.average_gain)
     assert isinstance(found, ElementsTouch)  # noqa: S101  there is no third result
-    return Answer(refusal=str(found), touching=(found.first, found.second))
+    return LimitAnswer(refusal=str(found), touching=(found.first, found.second))
 
 
 def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
@@ -188,7 +188,7 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
     )
 
 
-def _of_segments(long: dict[tuple[float, str, int], Answer | None]) -> tuple[list[Check], Table]:
+def _of_segments(long: dict[tuple[float, str, int], LimitAnswer | None]) -> tuple[list[Check], ReportTable]:
     checks: list[Check] = []
     rows = []
     for wavelength_m in LONG_WAVELENGTHS_M:
@@ -203,14 +203,14 @@ def _of_segments(long: dict[tuple[float, str, int], Answer | None]) -> tuple[lis
         if apart:
             name = f"batch less nec2 of the same segments, 5 m at {wavelength_m:g} m, at worst"
             checks.append(difference(name, worst(apart), FOLLOWS_DB, "dB"))
-    return checks, Table(
+    return checks, ReportTable(
         caption="Ideal array of dipoles of 5 m, maximum in dBi:",
         columns=("wavelength m", "segments", "nec2", "batch", "less nec2 dB", "average gain of nec2"),
         rows=tuple(rows),
     )
 
 
-def _of_refinement(results: list[Compared | None]) -> tuple[list[Check], Table]:
+def _of_refinement(results: list[Compared | None]) -> tuple[list[Check], ReportTable]:
     checks, rows = [], []
     for (wavelength_m, few, many), found in zip(REFINED, results, strict=True):
         if found is None:
@@ -225,7 +225,7 @@ def _of_refinement(results: list[Compared | None]) -> tuple[list[Check], Table]:
             checks.append(
                 Check(name=name, value=float(np.median(pattern_db)), unit="dB", at_least=UNCONVERGED_DB)
             )
-    return checks, Table(
+    return checks, ReportTable(
         caption="Random formations of dipoles of 5 m (0.5 m, 10 degrees), NEC2 with more segments less NEC2 "
         "with fewer. One reference gives 0.94 dB from 9 to 21 segments at 5 m, and does not say of what; it "
         "is the pattern that moves so far, not the maximum:",
@@ -235,7 +235,7 @@ def _of_refinement(results: list[Compared | None]) -> tuple[list[Check], Table]:
     )  # fmt: skip
 
 
-def _of_balance(short: dict[int, Answer | None]) -> tuple[list[Check], Table]:
+def _of_balance(short: dict[int, LimitAnswer | None]) -> tuple[list[Check], ReportTable]:
     found = {segments: one for segments, one in short.items() if one is not None}
     checks = [
         difference(
@@ -244,7 +244,7 @@ def _of_balance(short: dict[int, Answer | None]) -> tuple[list[Check], Table]:
             worst(one.directivity_dbi - EXACT_DBI for one in found.values()), DIRECTIVITY_DB, "dB",
         )
     ] if found else []  # fmt: skip
-    return checks, Table(
+    return checks, ReportTable(
         caption="Short dipoles at 10 m by NEC2: what segments cost is in the average gain, and nowhere else:",
         columns=("segments", "maximum dBi", "average gain", "directivity dBi"),
         rows=tuple(
@@ -254,7 +254,7 @@ def _of_balance(short: dict[int, Answer | None]) -> tuple[list[Check], Table]:
     )
 
 
-def _of_near(two: dict[tuple[str, float], Answer | None]) -> tuple[list[Check], Table]:
+def _of_near(two: dict[tuple[str, float], LimitAnswer | None]) -> tuple[list[Check], ReportTable]:
     checks, rows = [], []
     for solver in SOLVERS:
         balances = [
@@ -272,12 +272,12 @@ def _of_near(two: dict[tuple[str, float], Answer | None]) -> tuple[list[Check], 
         ]
         rows.append(row(f"{1e3 * apart_m:g}", *cells))
     columns = ("apart mm", *(f"{solver}{what}" for solver in SOLVERS for what in (" dBi", ": average gain")))
-    return checks, Table(
+    return checks, ReportTable(
         caption="Two short dipoles of 50 mm side by side, in phase, 10 m:", columns=columns, rows=tuple(rows)
     )
 
 
-def _of_touching(touching: dict[tuple[str, str], Answer | None]) -> tuple[list[Check], Table]:
+def _of_touching(touching: dict[tuple[str, str], LimitAnswer | None]) -> tuple[list[Check], ReportTable]:
     checks, rows = [], []
     for name in TOUCHING:
         found = {solver: one for solver in SOLVERS if (one := touching[solver, name]) is not None}
@@ -292,6 +292,6 @@ def _of_touching(touching: dict[tuple[str, str], Answer | None]) -> tuple[list[C
         rows.append(
             (name, "; ".join(f"{solver}: {one.refusal or 'a pattern'}" for solver, one in found.items()))
         )
-    return checks, Table(
+    return checks, ReportTable(
         caption="What is said of them:", columns=("two short dipoles", "error"), rows=tuple(rows)
     )

@@ -11,7 +11,7 @@ from studies.antenna.agreement import (
     COLUMNS,
     LIMITS_DB,
     LOOP,
-    Case,
+    AgreementCase,
     Compared,
     Lot,
     cells,
@@ -22,7 +22,7 @@ from studies.antenna.agreement import (
 )
 from studies.antenna.checks import difference, witness, worst
 from studies.antenna.plan import AntennaPlan
-from studies.common.report import Check, Table
+from studies.common.report import Check, ReportTable
 from studies.common.runner import Job, Results
 
 APART_M = (0.5, 0.3, 0.2, 0.15, 0.1, 0.08, 0.05, 0.03)
@@ -57,13 +57,15 @@ def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:
     }
 
 
-def _loops(round_m: float) -> Case:
-    return Case(name=f"loops of {round_m:g} m", config=AntennaConfig(**LOOP | {"element_length_m": round_m}))
+def _loops(round_m: float) -> AgreementCase:
+    return AgreementCase(
+        name=f"loops of {round_m:g} m", config=AntennaConfig(**LOOP | {"element_length_m": round_m})
+    )
 
 
 def pairs(apart_m: float, count: int) -> list[Snapshot]:
     """Random formations of short dipoles (0.5 m, 10 degrees), one of which stands beside another."""
-    snapshots, _ = formations(Case(name="pairs", config=AntennaConfig()), seed=SEED, count=count)
+    snapshots, _ = formations(AgreementCase(name="pairs", config=AntennaConfig()), seed=SEED, count=count)
     rng = np.random.default_rng(SEED)
     found = []
     for snapshot in snapshots:
@@ -89,7 +91,7 @@ def solve_pairs(wanted: tuple[float, int]) -> Pairs | None:
     return Pairs(others=others)
 
 
-def judge(results: Results) -> tuple[list[Check], list[Table]]:
+def judge(results: Results) -> tuple[list[Check], list[ReportTable]]:
     """Bound what is solved, and that all refuse the same."""
     found = {m: one for m, one in zip(APART_M, results["pairs"], strict=True) if one is not None}
     checks: list[Check] = []
@@ -103,7 +105,7 @@ def judge(results: Results) -> tuple[list[Check], list[Table]]:
                 rows.append(cells(f"{name}, {1e3 * apart_m:g} mm", one.others[name]))
     least, most = CREDIBLE
     tables = [
-        Table(
+        ReportTable(
             caption="Eight short dipoles at 10 m, in random formations (0.5 m, 10 degrees), the second of "
             "which is moved beside the fifth; less PyNEC. Their near fields exchange far more than they "
             "radiate, and the thin wires' equations no longer balance: a solution that radiates less than "
@@ -125,7 +127,7 @@ def judge(results: Results) -> tuple[list[Check], list[Table]]:
             "large elements all the same:"
         )
         named = tuple(cells(_loops(round_m).name, one) for round_m, one in loops)
-        tables.append(Table(caption=caption, columns=COLUMNS, rows=named))
+        tables.append(ReportTable(caption=caption, columns=COLUMNS, rows=named))
     return checks, tables
 
 

@@ -11,10 +11,10 @@ from antenna.model.geometry import upright
 from antenna.solvers.interface import Accuracy, Backend
 from antenna.solvers.ports import ports
 from antenna.solvers.selection import make_backend
-from studies.antenna.agreement import LIMITS_DB, Case, Compared, differences, formations
+from studies.antenna.agreement import LIMITS_DB, AgreementCase, Compared, differences, formations
 from studies.antenna.checks import difference, witness, worst
 from studies.antenna.plan import AntennaPlan
-from studies.common.report import Check, Table
+from studies.common.report import Check, ReportTable
 from studies.common.runner import Job
 
 PROGRAMS = ("nec2", "nec2c")
@@ -48,7 +48,7 @@ def solve(wanted: tuple[float, int, int]) -> Balance:
     """Solve formations of short dipoles (0.5 m, 10 degrees) with every solver there is."""
     wavelength_m, segments, count = wanted
     config = AntennaConfig(wavelength_m=wavelength_m, segments=segments)
-    snapshots, redrawn = formations(Case(name="power", config=config), seed=SEED, count=count)
+    snapshots, redrawn = formations(AgreementCase(name="power", config=config), seed=SEED, count=count)
     alone = ports(upright(np.zeros((1, 3)), np.ones(1, complex)), config)
     impedance_ohm = 1.0 / complex(alone.admittance_s[0, 0])
     programs: dict[str, Backend] = {}
@@ -67,7 +67,7 @@ def solve(wanted: tuple[float, int, int]) -> Balance:
     )
 
 
-def judge(results: list[Balance | None]) -> tuple[list[Check], Table]:
+def judge(results: list[Balance | None]) -> tuple[list[Check], ReportTable]:
     """Bound directivity everywhere; that the maximum is not bounded is bounded too."""
     found = {size: one for size, one in zip(SIZES, results, strict=True) if one is not None}
     checks = []
@@ -90,7 +90,7 @@ def judge(results: list[Balance | None]) -> tuple[list[Check], Table]:
     return checks, _table(found)
 
 
-def _table(found: dict[tuple[float, int], Balance]) -> Table:
+def _table(found: dict[tuple[float, int], Balance]) -> ReportTable:
     rows = []
     for ((wavelength_m, segments), one), solver in product(found.items(), (*PROGRAMS, "batch")):
         of = one.batch if solver == "batch" else one.programs.get(solver)
@@ -104,7 +104,7 @@ def _table(found: dict[tuple[float, int], Balance]) -> Table:
             f"{wavelength_m:g}", str(segments), f"{one.resistance_of_reactance:.2g}", solver, str(len(gains)),
             f"{gains.min():.4f} to {gains.max():.4f}", f"{gains.std():.5f}", *apart,
         ))  # fmt: skip
-    return Table(
+    return ReportTable(
         caption="Random formations of dipoles of 0.05 m (0.5 m, 10 degrees). A dipole far smaller than the "
         "wavelength is all but a capacitor: the power that it takes is in a small resistance beside a great "
         "reactance, whose ratio falls with the cube of the wavelength. NEC2's current on a segment, constant "

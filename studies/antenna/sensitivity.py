@@ -16,7 +16,7 @@ from studies.antenna.checks import difference, worst
 from studies.antenna.figures import save_sensitivity
 from studies.antenna.ideal import places
 from studies.antenna.plan import AntennaPlan
-from studies.common.report import Check, Section, Table
+from studies.common.report import Check, ReportTable, Section
 from studies.common.runner import Job, Results
 
 REFERENCE = Path(__file__).parents[2] / "tests" / "reference" / "antenna_sensitivity.csv"
@@ -46,7 +46,7 @@ _FEEDS = {
 }
 
 
-class Reference(Struct, frozen=True, kw_only=True):
+class SensitivityReference(Struct, frozen=True, kw_only=True):
     """One row: 1000 formations by NEC2, the maximum of a grid of 2 degrees."""
 
     wavelength_m: float
@@ -80,11 +80,12 @@ class Moments(Struct, frozen=True, kw_only=True):
     std_error_db: float
 
 
-def reference_rows() -> tuple[Reference, ...]:
+def reference_rows() -> tuple[SensitivityReference, ...]:
     """Read the reference table."""
     with REFERENCE.open(encoding="utf-8", newline="") as file:
         return tuple(
-            Reference(**{name: float(value) for name, value in line.items()}) for line in csv.DictReader(file)
+            SensitivityReference(**{name: float(value) for name, value in line.items()})
+            for line in csv.DictReader(file)
         )
 
 
@@ -200,12 +201,12 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
         ),
         checks=tuple(checks),
         tables=(
-            Table(
+            ReportTable(
                 caption="Maximum gain, mean ± deviation, dBi:",
                 columns=("σ m", "wavelength m", "reference", "grid of 2°", "refined", "touch"),
                 rows=tuple(cells),
             ),
-            Table(
+            ReportTable(
                 caption="What the feeds are made of, wavelength 10 m, σ 0.5 m, grid of 2 degrees, dBi: "
                 "phases remade for true positions no longer share their error with the array, and gain less:",
                 columns=("feeds", "reference", "mean", "deviation", "standard error of the mean"),
@@ -221,7 +222,7 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
     )  # fmt: skip
 
 
-def compared(name: str, ours: Moments, reference: Reference) -> list[Check]:
+def compared(name: str, ours: Moments, reference: SensitivityReference) -> list[Check]:
     """Mean and deviation against one row of the reference."""
     mean_bound_db = TOLERANCE_DB + STANDARD_ERRORS * ours.mean_error_db
     std_bound_db = TOLERANCE_DB + STANDARD_ERRORS * ours.std_error_db
@@ -232,7 +233,7 @@ def compared(name: str, ours: Moments, reference: Reference) -> list[Check]:
     ]
 
 
-def alike_db(rows: tuple[Reference, ...], gains: list[Gains]) -> float:
+def alike_db(rows: tuple[SensitivityReference, ...], gains: list[Gains]) -> float:
     """Greatest difference between the same draws of rows whose σ/wavelength is the same, refined."""
     groups: dict[float, list[Array]] = {}
     for one, of in zip(rows, gains, strict=True):
@@ -246,12 +247,12 @@ def alike_db(rows: tuple[Reference, ...], gains: list[Gains]) -> float:
     )
 
 
-def _grids(results: list[Gains]) -> Table:
+def _grids(results: list[Gains]) -> ReportTable:
     rows = []
     for step_deg, gains in zip(GRIDS_DEG, results, strict=True):
         lost_db = np.array(gains.refined) - np.array(gains.on_grid)
         rows.append((f"{step_deg:g}", f"{lost_db.mean():.4f}", f"{lost_db.max():.4f}"))
-    return Table(
+    return ReportTable(
         caption="What a grid alone would lose of the maximum, wavelength 10 m, σ 0.5 m, dB:",
         columns=("grid °", "on average", "at most"),
         rows=tuple(rows),

@@ -10,7 +10,7 @@ import msgspec
 from antenna.solvers.interface import BackendUnavailable
 from studies.antenna.checks import said_missing
 from studies.antenna.plan import AntennaPlan
-from studies.common.report import Check, Section, Table
+from studies.common.report import Check, ReportTable, Section
 from studies.common.runner import Job, Results
 
 LEAST = {"speedup_short_dipole": 200.0, "speedup_5m_dipole": 40.0, "speedup_two_cores": 1.7}
@@ -49,7 +49,9 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section: 
         ),
         checks=() if fields is None else requirements(fields),
         tables=() if fields is None else (
-            Table(caption="All that it measured:", columns=("field", "value"), rows=tuple(flat(fields))),
+            ReportTable(
+                caption="All that it measured:", columns=("field", "value"), rows=tuple(flat(fields))
+            ),
         ),
     )  # fmt: skip
 

@@ -17,7 +17,7 @@ from rich.console import Console
 
 from harness.campaign import Campaign, CampaignError, ClusterError, Table, run
 from harness.campaign.definition import expand
-from harness.campaign.display import Display
+from harness.campaign.display import CampaignDisplay
 from harness.campaign.running import known
 from harness.campaign.store import FAILED, Store
 from harness.campaign.worker import sources_state
@@ -29,10 +29,10 @@ from studies.article.evidence import Evidence
 from studies.article.monte_carlo import WAVELENGTHS_M as DRAWN_M
 from studies.article.monte_carlo import WIND_PHIS_DEG, array_of, draw, frequency_mhz, ideal_gains, tilted
 from studies.article.patterns import read_pattern
-from studies.article.plan import FIGURE_WAVELENGTH_M, FIGURE_WIND_N, KEPT, QUICK, Plan, campaigns
+from studies.article.plan import FIGURE_WAVELENGTH_M, FIGURE_WIND_N, KEPT, QUICK, ArticlePlan, campaigns
 from studies.article.retained_flights import figure_flights, figure_patterns_of, kept_flights, separate
 from studies.article.setup_findings import IDEAL_DBI
-from studies.article.statements import Verdict, count, judge_all
+from studies.article.statements import StatementVerdict, count, judge_all
 from studies.common.command_line import WIDTH, progress_lines
 from studies.common.report import Section, markdown, show, write
 from studies.common.standard_output import keep_stdout
@@ -71,7 +71,7 @@ def article(
 ) -> None:
     """Fly the article's formation, and set each of its statements beside what came out."""
     messages = Console(stderr=True, highlight=False)
-    plan = QUICK if quick else Plan()
+    plan = QUICK if quick else ArticlePlan()
     plan = replace(plan, seeds=seeds or plan.seeds, duration_s=duration or plan.duration_s)
     stdout = keep_stdout()
     try:
@@ -119,7 +119,7 @@ def _fly(
             soft_wrap=True,
             markup=False,
         )
-        with Display(messages, campaign, total=total, kept=total - len(missing)) as display:
+        with CampaignDisplay(messages, campaign, total=total, kept=total - len(missing)) as display:
             tables[name] = run(
                 campaign, out=folder, workers=workers, retry=retry, progress=display.on_landed,
                 note=display.note,
@@ -127,7 +127,7 @@ def _fly(
     return tables
 
 
-def _measure(plan: Plan, tables: Mapping[str, Table], messages: Console) -> page.Results:
+def _measure(plan: ArticlePlan, tables: Mapping[str, Table], messages: Console) -> page.Results:
     """Take everything that the statements need out of the tables, and judge them."""
     cells = {
         key: cell for name, table in tables.items() if name != KEPT for key, cell in read_cells(table).items()
@@ -195,10 +195,10 @@ def _tell(
         return
     found = count(results.judged)
     result = {
-        "agree": found[Verdict.AGREES],
-        "differ": found[Verdict.DIFFERS],
-        "not_told_apart": found[Verdict.OPEN],
-        "not_measured": found[Verdict.UNKNOWN],
+        "agree": found[StatementVerdict.AGREES],
+        "differ": found[StatementVerdict.DIFFERS],
+        "not_told_apart": found[StatementVerdict.OPEN],
+        "not_measured": found[StatementVerdict.UNKNOWN],
         "failed": len(results.broken),
         "page": None if out is None else str(out / page.FILE_NAME),
         "statements": results.judged,

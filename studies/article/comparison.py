@@ -16,7 +16,7 @@ TOLD_APART = 2.0
 """Standard errors by which a number has to differ from its bound."""
 
 
-class Estimate(Struct, frozen=True, kw_only=True):
+class ComparedEstimate(Struct, frozen=True, kw_only=True):
     """A number of several flights."""
 
     value: float
@@ -38,21 +38,21 @@ class Estimate(Struct, frozen=True, kw_only=True):
         return self.value > 0.0
 
 
-def jackknife(seeds: Sequence[int], measure: Callable[[Sequence[int]], float]) -> Estimate:
+def jackknife(seeds: Sequence[int], measure: Callable[[Sequence[int]], float]) -> ComparedEstimate:
     """Estimate what ``measure`` gives of seeds, with the standard error of Quenouille and Tukey's jackknife.
 
     Of a mean over seeds it is the usual one, s / sqrt(n).
     """
     value, n = measure(seeds), len(seeds)
     if n < 2:
-        return Estimate(value=value, error=None, flights=n)
+        return ComparedEstimate(value=value, error=None, flights=n)
     parts = [measure([*seeds[:k], *seeds[k + 1 :]]) for k in range(n)]
     if not all(map(math.isfinite, parts)):  # densities of gains that are all alike
         alike = all(part == value for part in parts)
-        return Estimate(value=value, error=0.0 if alike else None, flights=n)
+        return ComparedEstimate(value=value, error=0.0 if alike else None, flights=n)
     mean = math.fsum(parts) / n
     square = (n - 1) / n * math.fsum((part - mean) ** 2 for part in parts)
-    return Estimate(value=value, error=math.sqrt(square), flights=n)
+    return ComparedEstimate(value=value, error=math.sqrt(square), flights=n)
 
 
 def common_seeds(cells: Sequence[Cell], known: Callable[[OneFlight], bool]) -> list[int]:
@@ -61,7 +61,7 @@ def common_seeds(cells: Sequence[Cell], known: Callable[[OneFlight], bool]) -> l
     return sorted(set.intersection(*seeds)) if seeds else []
 
 
-def holds(margins: Iterable[Estimate]) -> bool | None:
+def holds(margins: Iterable[ComparedEstimate]) -> bool | None:
     """Whether all are above 0: no as soon as one is told below it, else None if one cannot be told."""
     found = [each.positive for each in margins]
     if False in found:

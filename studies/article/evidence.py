@@ -6,7 +6,14 @@ from dataclasses import dataclass, field
 from antenna.analysis.patterns import Pattern
 from antenna.analysis.statistics import GainStatistics
 from studies.article.campaign_data import Cell, Key, OneFlight
-from studies.article.comparison import Estimate, common_seeds, has_gains, has_shape, jackknife, mean_dbi
+from studies.article.comparison import (
+    ComparedEstimate,
+    common_seeds,
+    has_gains,
+    has_shape,
+    jackknife,
+    mean_dbi,
+)
 from studies.article.monte_carlo import Drawn
 from studies.article.patterns import PatternReading
 from studies.article.plan import ARTICLE, FIGURE_WAVELENGTH_M, FIGURE_WIND_N
@@ -97,7 +104,7 @@ class Evidence:
         keys: Sequence[Key],
         measure: Callable[..., float],
         known: Callable[[OneFlight], bool] = has_gains,
-    ) -> Estimate:
+    ) -> ComparedEstimate:
         """Measure cells, one argument each, of the seeds that all of them have; raises Missing."""
         cells = [self.flown(key) for key in keys]
         seeds = common_seeds(cells, known)
@@ -105,7 +112,7 @@ class Evidence:
             raise Missing(f"no seed was flown to its end in all of {'; '.join(map(_named, keys))}")
         return jackknife(seeds, lambda kept: measure(*(cell.of(kept) for cell in cells)))
 
-    def shape(self, keys: Sequence[Key], measure: Callable[..., float]) -> Estimate:
+    def shape(self, keys: Sequence[Key], measure: Callable[..., float]) -> ComparedEstimate:
         """Measure shape errors of cells; raises Missing."""
         return self.estimate(keys, measure, has_shape)
 
@@ -126,7 +133,7 @@ class Evidence:
         """Keys of the article's cells in the strongest wind and in none; raises Missing."""
         return (ARTICLE, wavelength_m, self.strongest_n), (ARTICLE, wavelength_m, self.calm_n)
 
-    def wind_loss(self, wavelength_m: float) -> Estimate:
+    def wind_loss(self, wavelength_m: float) -> ComparedEstimate:
         """By how much the mean is lower in the strongest wind than in none, dB; raises Missing."""
         return self.estimate(self.windy_and_calm(wavelength_m), wind_loss_db)
 
@@ -143,7 +150,7 @@ class Evidence:
             raise Missing(f"no flight at {FIGURE_WAVELENGTH_M:g} m in {FIGURE_WIND_N:g} N was kept")
         return self.patterns[name]
 
-    def pattern_estimate(self, measure: Callable[[Mapping[str, PatternReading]], float]) -> Estimate:
+    def pattern_estimate(self, measure: Callable[[Mapping[str, PatternReading]], float]) -> ComparedEstimate:
         """Mean of a number of the patterns of one flight, over the flights of figure 4; raises Missing."""
         if not self.pattern_flights:
             raise Missing(f"no flight at {FIGURE_WAVELENGTH_M:g} m in {FIGURE_WIND_N:g} N was kept")

@@ -5,7 +5,7 @@ Numbers are of the flight that is shown, as the article's are; verdicts of all k
 
 from msgspec.structs import replace
 
-from studies.article.comparison import Estimate
+from studies.article.comparison import ComparedEstimate
 from studies.article.evidence import Evidence
 from studies.article.finding import Finding, by_margins
 from studies.article.patterns import COLOUR_FLOOR_DBI, COLOUR_TOP_DBI
@@ -141,9 +141,9 @@ def _lower(by_db: float) -> str:
     return f"{abs(by_db):.2f} dB {'lower' if by_db >= 0.0 else 'higher'} than ideal"
 
 
-def _over(estimate: Estimate) -> str:
+def _over(estimate: ComparedEstimate) -> str:
     return f"over {estimate.flights} flights" if estimate.flights > 1 else "over one flight"
 
 
-def _negative(estimate: Estimate) -> Estimate:
+def _negative(estimate: ComparedEstimate) -> ComparedEstimate:
     return replace(estimate, value=-estimate.value)

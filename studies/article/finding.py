@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from msgspec import Struct
 from msgspec.structs import replace
 
-from studies.article.comparison import TOLD_APART, Estimate, holds
+from studies.article.comparison import TOLD_APART, ComparedEstimate, holds
 
 
 class Finding(Struct, frozen=True, kw_only=True):
@@ -19,7 +19,7 @@ class Finding(Struct, frozen=True, kw_only=True):
 
 
 def by_margins(
-    margins: Mapping[str, Estimate], *, found: str, why: str = "", unit: str = " dB", digits: int = 3
+    margins: Mapping[str, ComparedEstimate], *, found: str, why: str = "", unit: str = " dB", digits: int = 3
 ) -> Finding:
     """Judge by how far numbers are inside their bounds, each by its name; negative ones are outside.
 
@@ -42,5 +42,5 @@ def by_margins(
     return Finding(found=found, agrees=False, why=text.rstrip())
 
 
-def _listed(margins: Mapping[str, Estimate], unit: str, digits: int) -> str:
+def _listed(margins: Mapping[str, ComparedEstimate], unit: str, digits: int) -> str:
     return ", ".join(f"{margin.text(digits, unit)} ({name})" for name, margin in margins.items())

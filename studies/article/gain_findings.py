@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Callable, Iterable, Mapping
 
 from studies.article.campaign_data import Cell
-from studies.article.comparison import Estimate, mean_dbi, peak_per_db, std_db
+from studies.article.comparison import ComparedEstimate, mean_dbi, peak_per_db, std_db
 from studies.article.evidence import Evidence, Missing
 from studies.article.finding import Finding, by_margins
 from studies.article.monte_carlo import Drawn
@@ -137,8 +137,8 @@ def flattens_with_wind(evidence: Evidence) -> Finding:
     """Deviations and peaks by wind at every wavelength."""
     winds_n = _several_winds(evidence)
     weakest_n, strongest_n = winds_n[0], winds_n[-1]
-    deviations: dict[str, Estimate] = {}
-    peaks: dict[str, Estimate] = {}
+    deviations: dict[str, ComparedEstimate] = {}
+    peaks: dict[str, ComparedEstimate] = {}
     for each in evidence.wavelengths_m:
         keys = [(ARTICLE, each, weakest_n), (ARTICLE, each, strongest_n)]
         name = f"λ {each:g} m"
@@ -156,8 +156,8 @@ def flattens_with_wind(evidence: Evidence) -> Finding:
 
 def calm_is_ideal(evidence: Evidence) -> Finding:
     """What the formation loses without wind."""
-    losses: dict[str, Estimate] = {}
-    margins: dict[str, Estimate] = {}
+    losses: dict[str, ComparedEstimate] = {}
+    margins: dict[str, ComparedEstimate] = {}
     for each in evidence.wavelengths_m:
         ideal_dbi = evidence.ideal_dbi(each)
         key = (ARTICLE, each, evidence.calm_n)
@@ -173,7 +173,7 @@ def calm_is_ideal(evidence: Evidence) -> Finding:
     )  # fmt: skip
 
 
-def _calm_text(evidence: Evidence, losses: Mapping[str, Estimate]) -> str:
+def _calm_text(evidence: Evidence, losses: Mapping[str, ComparedEstimate]) -> str:
     """Position errors cost gain; a mean above the ideal is not theirs."""
     above = [name for name, loss in losses.items() if loss.value < -CALM_WITHIN_DB]
     below = [name for name, loss in losses.items() if loss.value > CALM_WITHIN_DB]
@@ -205,7 +205,7 @@ def _by_wind(evidence: Evidence, what: Callable[[Cell], float], name: str, digit
     return f"{name}, in {listed(evidence.winds_n)} N: {'; '.join(words)}"
 
 
-def estimates_text(estimates: Mapping[str, Estimate], digits: int = 3) -> str:
+def estimates_text(estimates: Mapping[str, ComparedEstimate], digits: int = 3) -> str:
     """Say estimates with their standard errors, each by its name."""
     return ", ".join(f"{name} {estimate.text(digits)}" for name, estimate in estimates.items())
 

@@ -19,11 +19,11 @@ from studies.article.plan import (
     MEANINGS,
     QUICK,
     UNCROWDED,
-    Plan,
+    ArticlePlan,
 )
 from studies.article.retained_flights import VARIANTS, FigurePatterns
-from studies.article.statements import Judged, Verdict, count
-from studies.common.report import Section, Table
+from studies.article.statements import Judged, StatementVerdict, count
+from studies.common.report import ReportTable, Section
 
 TITLE = "The article reproduced"
 FILE_NAME, CSV_NAME = "article.md", "article-gains.csv"
@@ -32,15 +32,15 @@ WIND_FIGURE, CHANGES_FIGURE, SIGMA_FIGURE = "article-wind.png", "article-changes
 _WIDTH = 110
 _NONE = "–"
 _SHOWN = {
-    Verdict.AGREES: "yes", Verdict.DIFFERS: "**no**", Verdict.OPEN: "not told apart",
-    Verdict.UNKNOWN: "not measured",
+    StatementVerdict.AGREES: "yes", StatementVerdict.DIFFERS: "**no**",
+    StatementVerdict.OPEN: "not told apart", StatementVerdict.UNKNOWN: "not measured",
 }  # fmt: skip
 
 
 class Results(Struct, frozen=True, kw_only=True):
     """All that the page shows."""
 
-    plan: Plan
+    plan: ArticlePlan
     evidence: Evidence
     judged: Sequence[Judged]
     figure: FigurePatterns | None
@@ -48,9 +48,9 @@ class Results(Struct, frozen=True, kw_only=True):
     """A line for every flight that failed."""
 
 
-def command(plan: Plan, *, quick: bool) -> str:
+def command(plan: ArticlePlan, *, quick: bool) -> str:
     """Give the command that makes the page but for its folders."""
-    usual = QUICK if quick else Plan()
+    usual = QUICK if quick else ArticlePlan()
     options = (
         ("--quick", quick),
         (f"--seeds {plan.seeds}", plan.seeds != usual.seeds),
@@ -64,14 +64,16 @@ def introduction(results: Results, *, quick: bool) -> str:
     plan, cells = results.plan, list(results.evidence.cells.values())
     flights, completed = (sum(getattr(cell, what) for cell in cells) for what in ("flights", "completed"))
     found = count(results.judged)
+    agrees, differs = found[StatementVerdict.AGREES], found[StatementVerdict.DIFFERS]
+    undecided, unmeasured = found[StatementVerdict.OPEN], found[StatementVerdict.UNKNOWN]
     text = _filled(
         'It sets the statements of Calvo-Fullana, Pyattaev, Mox, Andreev and Ribeiro, "Communications and '
         'Robotics Simulation in UAVs: A Case Study on Aerial Synthetic Aperture Antenna", beside what '
         f"comes out here. {flights} flights of `scenarios/article.toml` and changes of it were asked for, "
         f"and {completed} completed: {plan.seeds} of each wavelength in each wind, {plan.duration_s:g} s in "
-        f"formation, with a pattern every 0.1 s. Of {len(results.judged)} statements {found[Verdict.AGREES]} "
-        f"hold here, {found[Verdict.DIFFERS]} do not, {found[Verdict.OPEN]} cannot be told apart, and "
-        f"{found[Verdict.UNKNOWN]} could not be measured. Every criterion stands in the program, and was "
+        f"formation, with a pattern every 0.1 s. Of {len(results.judged)} statements {agrees} "
+        f"hold here, {differs} do not, {undecided} cannot be told apart, and "
+        f"{unmeasured} could not be measured. Every criterion stands in the program, and was "
         "fixed before these flights, though not before all that bears on it: what had been published by then "
         "is listed below. The same sources and seeds give the same numbers."
     )  # fmt: skip
@@ -97,8 +99,8 @@ def _statements_section(judged: Sequence[Judged]) -> Section:
     why = {
         title: [f"- {each.said} {each.why}" for each in judged if each.verdict is verdict]
         for verdict, title in (
-            (Verdict.DIFFERS, "Where a statement does not hold:"),
-            (Verdict.OPEN, "Where it cannot be told whether it does:"),
+            (StatementVerdict.DIFFERS, "Where a statement does not hold:"),
+            (StatementVerdict.OPEN, "Where it cannot be told whether it does:"),
         )
     }
     errors = (
@@ -124,7 +126,7 @@ def _statements_section(judged: Sequence[Judged]) -> Section:
     return Section(
         title="Statement by statement", conditions=_paragraphs(*parts),
         checks=(),
-        tables=(Table(
+        tables=(ReportTable(
             caption="What the article says, in other words; what that is taken to mean; what came out; "
             "whether it agrees.",
             columns=("name", "the article says", "criterion", "came out", "agrees"), rows=rows,
@@ -153,7 +155,7 @@ def _gains_section(results: Results) -> Section:
     )  # fmt: skip
 
 
-def _cells_table(cells: Iterable[Cell], caption: str, *, case: bool = False) -> Table:
+def _cells_table(cells: Iterable[Cell], caption: str, *, case: bool = False) -> ReportTable:
     columns = (
         "λ m", "wind N", "flights", "collided", "instants", "missing", "mean", "std", "between", "5 %",
         "median", "95 %", "peak 1/dB", "shape m", "σ m", "σ/λ", "channel busy %",
@@ -172,7 +174,7 @@ def _cells_table(cells: Iterable[Cell], caption: str, *, case: bool = False) -> 
             _text(None if cell.busy_fraction is None else 100.0 * cell.busy_fraction, 1),
         )  # fmt: skip
         rows.append((cell.case, *row) if case else row)
-    return Table(caption=caption, columns=("case", *columns) if case else columns, rows=tuple(rows))
+    return ReportTable(caption=caption, columns=("case", *columns) if case else columns, rows=tuple(rows))
 
 
 def _pattern_section(results: Results) -> Section:
@@ -207,7 +209,7 @@ def _pattern_section(results: Results) -> Section:
             "wind blows towards φ 45°, and the UAVs lean against it."
         ),
         checks=(),
-        tables=(Table(
+        tables=(ReportTable(
             caption="Solid angles in sr, gains in dBi, differences in dB rms.",
             columns=("pattern", "maximum", "effective lobe", "own lobe", "asymmetry", "lower %",
                      "from ideal", "region", "region's highest", "by colour", "lower there %",
@@ -221,7 +223,7 @@ def _pattern_section(results: Results) -> Section:
     )  # fmt: skip
 
 
-def _leaning_tables(evidence: Evidence) -> tuple[Table, ...]:
+def _leaning_tables(evidence: Evidence) -> tuple[ReportTable, ...]:
     """How much the article's region has by the wind's direction, if that was solved."""
     if not evidence.leaning:
         return ()
@@ -230,7 +232,7 @@ def _leaning_tables(evidence: Evidence) -> tuple[Table, ...]:
          f"{100.0 * found.region_lower_share:.0f}", f"{found.max_gain_dbi:.2f}")
         for phi_deg, found in evidence.leaning.items()
     )  # fmt: skip
-    return (Table(
+    return (ReportTable(
         caption="The same region with all UAVs in their places, leaning by the flights' rms tilt against a "
         "wind that blows towards φ: gains in dBi.",
         columns=("wind towards φ °", "region", "by colour", "lower there %", "maximum"), rows=rows,
@@ -254,7 +256,7 @@ def _separation_section(evidence: Evidence) -> Section:
             "pointing the angle of the maximum from +y."
         ),
         checks=(),
-        tables=(Table(
+        tables=(ReportTable(
             caption="Mean maximum gain less than ideal, dB; angles in degrees rms.",
             columns=("λ m", "wind N", "flights", "as flown", "upright", "in place, tilted", "tilt", "turned",
                      "pointing"),
@@ -286,14 +288,14 @@ def _changes_section(results: Results) -> Section:
     )  # fmt: skip
 
 
-def _drawn_table(drawn: Mapping[tuple[float, float], Drawn]) -> Table:
+def _drawn_table(drawn: Mapping[tuple[float, float], Drawn]) -> ReportTable:
     wavelengths_m = sorted({wavelength_m for _, wavelength_m in drawn})
     rows = []
     for sigma_m in sorted({sigma_m for sigma_m, _ in drawn}):
         found = [drawn[sigma_m, wavelength_m] for wavelength_m in wavelengths_m]
         gains = [f"{each.statistics.mean_dbi:.2f} ± {each.statistics.std_db:.2f}" for each in found]
         rows.append((f"{sigma_m:g}", *gains, _text(drawn[sigma_m, SHORT_M].peak_per_db, 2)))
-    return Table(
+    return ReportTable(
         caption="Random formations, upright: maximum gain in dBi, and the peak of the density of λ = 5 m, "
         "1/dB.",
         columns=("σ m", *(f"λ {each:g} m" for each in wavelengths_m), "peak at 5 m"), rows=tuple(rows),

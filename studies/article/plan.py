@@ -49,7 +49,7 @@ MEANINGS = {
 }
 
 
-class Plan(Struct, frozen=True, kw_only=True):
+class ArticlePlan(Struct, frozen=True, kw_only=True):
     """How much is flown."""
 
     seeds: Annotated[int, Meta(ge=1, le=1000)] = 8
@@ -74,13 +74,13 @@ class Plan(Struct, frozen=True, kw_only=True):
     """Random formations for each size of the position error."""
 
 
-QUICK = Plan(
+QUICK = ArticlePlan(
     seeds=2, duration_s=10.0, wavelengths_m=(5.0, 10.0, 20.0), kept_seeds=2, explaining_seeds=2,
     explaining_wavelengths_m=(5.0, 10.0), explaining_winds_n=(5.0,), crowded_seeds=0, draws=300,
 )  # fmt: skip
 
 
-def campaigns(plan: Plan) -> dict[str, Campaign]:
+def campaigns(plan: ArticlePlan) -> dict[str, Campaign]:
     """Campaigns by name, in the order in which they are flown: the last one's table stays in the folder."""
     seeds = tuple(range(1, plan.seeds + 1))
     fixed = {"run.duration_s": plan.duration_s, "antenna.snapshot_rate_hz": SNAPSHOT_RATE_HZ}

@@ -8,7 +8,7 @@ import numpy as np
 from antenna.analysis.statistics import pointing_errors_deg
 from antenna.solvers.ports import MAIN_LOBE_DEG
 from studies.article.campaign_data import Cell
-from studies.article.comparison import Estimate, has_shape, jackknife, shape_m
+from studies.article.comparison import ComparedEstimate, has_shape, jackknife, shape_m
 from studies.article.evidence import Evidence, Missing
 from studies.article.finding import Finding, by_margins
 from studies.article.monte_carlo import BACKENDS
@@ -99,7 +99,7 @@ def exponential_loss(evidence: Evidence) -> Finding:
     along_rate, along_off_db, _ = _exponential(variances, along_db)
     coherent_rate, coherent_off_db, _ = _exponential(variances, coherent_db)
     ratio = math.sqrt(variances[worst]) / (2.0 * math.pi)
-    margin = Estimate(value=EXPONENTIAL_WITHIN_DB - off_db, error=errors_db[worst], flights=0)
+    margin = ComparedEstimate(value=EXPONENTIAL_WITHIN_DB - off_db, error=errors_db[worst], flights=0)
     why = []
     if along_db[worst] > losses_db[worst]:
         why.append(
@@ -143,7 +143,7 @@ def distances_to_all(evidence: Evidence) -> Finding:
     found = jackknife(seeds, share)
     error_m = [cell.ftm_error_std_m for cell in cells if cell.ftm_error_std_m is not None]
     error = f"; they scatter by {np.sqrt(np.square(error_m).mean()):.3f} m" if error_m else ""
-    margin = Estimate(value=found.value - SESSIONS_SHARE, error=found.error, flights=found.flights)
+    margin = ComparedEstimate(value=found.value - SESSIONS_SHARE, error=found.error, flights=found.flights)
     return by_margins(
         {"share of the sessions": margin}, found=f"{found.value:.2%} of {requested} sessions{error}", unit="",
         why="The others fail on the channel or find their peer busy.",
@@ -170,7 +170,7 @@ def ftm_corrects_gps(evidence: Evidence) -> Finding:
     return by_margins(margins, found="shape error: " + "; ".join(words), unit=" m")
 
 
-def _of(estimate: Estimate) -> str:
+def _of(estimate: ComparedEstimate) -> str:
     return f"{estimate.flights} seeds" if estimate.flights != 1 else "1 seed"
 
 
@@ -190,14 +190,14 @@ def contention_harms(evidence: Evidence) -> Finding:
     )  # fmt: skip
 
 
-def _contention_text(crowded: Cell, usual: Cell, growth: Estimate) -> str:
+def _contention_text(crowded: Cell, usual: Cell, growth: ComparedEstimate) -> str:
     lost = 1.0 - crowded.ftm_completed / max(crowded.ftm_requested, 1)
     times = crowded.ftm_completed / max(usual.ftm_completed, 1)
     balance = {
         True: "what they bring does not make up for it",
         False: "they bring more than contention takes",
         None: "what they bring and what contention takes are about the same",
-    }[Estimate(value=growth.value - 1.0, error=growth.error, flights=growth.flights).positive]
+    }[ComparedEstimate(value=growth.value - 1.0, error=growth.error, flights=growth.flights).positive]
     return (
         f"With ranging every {CROWDED_FTM_PERIOD_S:g} s {lost:.2%} of the sessions fail, and "
         f"{times:.1f} times as many give a distance: {balance}. [codesign-results.md](codesign-results.md), "

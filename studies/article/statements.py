@@ -17,7 +17,7 @@ from studies.article.evidence import Evidence, Missing
 from studies.article.finding import Finding
 
 
-class Verdict(StrEnum):
+class StatementVerdict(StrEnum):
     """Whether a statement holds here."""
 
     AGREES = "yes"
@@ -45,12 +45,12 @@ class Judged(Struct, frozen=True, kw_only=True):
     said: str
     criterion: str
     found: str
-    verdict: Verdict
+    verdict: StatementVerdict
     why: str = ""
     known: str = ""
 
 
-_VERDICTS = {True: Verdict.AGREES, False: Verdict.DIFFERS, None: Verdict.OPEN}
+_VERDICTS = {True: StatementVerdict.AGREES, False: StatementVerdict.DIFFERS, None: StatementVerdict.OPEN}
 
 
 def judge(statement: Statement, evidence: Evidence) -> Judged:
@@ -58,7 +58,7 @@ def judge(statement: Statement, evidence: Evidence) -> Judged:
     try:
         finding = statement.measure(evidence)
     except Missing as missing:
-        found, verdict, why = str(missing), Verdict.UNKNOWN, ""
+        found, verdict, why = str(missing), StatementVerdict.UNKNOWN, ""
     else:
         found, why = finding.found, "" if finding.agrees else finding.why
         verdict = _VERDICTS[finding.agrees]
@@ -73,10 +73,10 @@ def judge_all(evidence: Evidence) -> list[Judged]:
     return [judge(each, evidence) for each in STATEMENTS]
 
 
-def count(judged: Iterable[Judged]) -> dict[Verdict, int]:
+def count(judged: Iterable[Judged]) -> dict[StatementVerdict, int]:
     """How many have each verdict."""
     found = [each.verdict for each in judged]
-    return {verdict: found.count(verdict) for verdict in Verdict}
+    return {verdict: found.count(verdict) for verdict in StatementVerdict}
 
 
 _CODESIGN = "[codesign-results.md](codesign-results.md)"

@@ -4,7 +4,7 @@ import itertools
 from collections.abc import Sequence
 from functools import partial
 
-from studies.article.comparison import Estimate, jackknife, mean_dbi, shape_m
+from studies.article.comparison import ComparedEstimate, jackknife, mean_dbi, shape_m
 from studies.article.evidence import Evidence, Missing, wind_loss_db
 from studies.article.finding import Finding, by_margins
 from studies.article.gain_findings import ALIKE_WITHIN_DB, SHORT_M, estimates_text
@@ -34,11 +34,11 @@ def noticeable(evidence: Evidence) -> Finding:
     )  # fmt: skip
 
 
-def _wind_losses(evidence: Evidence, wavelengths_m: Sequence[float]) -> dict[str, Estimate]:
+def _wind_losses(evidence: Evidence, wavelengths_m: Sequence[float]) -> dict[str, ComparedEstimate]:
     return {f"λ {each:g} m": evidence.wind_loss(each) for each in wavelengths_m}
 
 
-def _losses_text(losses: dict[str, Estimate]) -> str:
+def _losses_text(losses: dict[str, ComparedEstimate]) -> str:
     counts = sorted({loss.flights for loss in losses.values()})
     seeds = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
     return f"cost of 5 N, dB ({seeds} seeds): {estimates_text(losses)}"

@@ -43,7 +43,7 @@ class BenchError(Exception):
     """A measurement failed; the text is one line."""
 
 
-class Plan(Struct, frozen=True, kw_only=True):
+class BenchPlan(Struct, frozen=True, kw_only=True):
     """What is measured."""
 
     agents: tuple[int, ...]
@@ -63,7 +63,7 @@ class Plan(Struct, frozen=True, kw_only=True):
         return SCENARIOS / ("article.toml" if agents <= FEW else "swarm64.toml")
 
 
-class Machine(Struct, frozen=True, kw_only=True):
+class HostMachine(Struct, frozen=True, kw_only=True):
     """What it was measured on."""
 
     processors: int
@@ -76,7 +76,7 @@ class Machine(Struct, frozen=True, kw_only=True):
     """Processes that wanted a processor in the minute before it began, on average"""
 
 
-class Run(Struct, frozen=True, kw_only=True):
+class BenchRun(Struct, frozen=True, kw_only=True):
     """What a swarm of one size costs. Medians of the repeats, where it is not said otherwise."""
 
     agents: int
@@ -114,20 +114,20 @@ class Run(Struct, frozen=True, kw_only=True):
     floors: tuple[FloorCost, ...]
 
 
-class Bench(Struct, frozen=True, kw_only=True):
+class FlightBench(Struct, frozen=True, kw_only=True):
     """Everything that was found."""
 
-    machine: Machine
+    machine: HostMachine
     duration_s: float
     repeats: int
-    runs: tuple[Run, ...]
+    runs: tuple[BenchRun, ...]
     failure: str | None = None
     """Why there are no more runs than these."""
     broken_off: bool = False
     """Its user wanted no more of them."""
 
 
-def bench(plan: Plan, note: Callable[[str], None]) -> Bench:
+def bench(plan: BenchPlan, note: Callable[[str], None]) -> FlightBench:
     """Measure; ``note`` is told how it goes.
 
     What was measured before a measurement failed, or Ctrl-C came, is returned all the same, with the failure.
@@ -135,7 +135,7 @@ def bench(plan: Plan, note: Callable[[str], None]) -> Bench:
     """
     kernel_cache.prepare(note)
     machine = _machine()
-    runs: list[Run] = []
+    runs: list[BenchRun] = []
     failure, broken_off = None, False
     for agents in plan.agents:
         try:
@@ -146,7 +146,7 @@ def bench(plan: Plan, note: Callable[[str], None]) -> Bench:
             broken_off = isinstance(error, KeyboardInterrupt)
             failure = f"{_uavs(agents)}: {'broken off' if broken_off else error}"
             break
-    return Bench(
+    return FlightBench(
         machine=machine,
         duration_s=plan.duration_s,
         repeats=plan.repeats,
@@ -156,7 +156,7 @@ def bench(plan: Plan, note: Callable[[str], None]) -> Bench:
     )
 
 
-def _run(plan: Plan, agents: int, note: Callable[[str], None]) -> Run:
+def _run(plan: BenchPlan, agents: int, note: Callable[[str], None]) -> BenchRun:
     floors, flights = [], []
     for repeat in range(plan.repeats):
         floors.append(_floor(agents, plan.floor_wall_s))
@@ -186,7 +186,7 @@ def summarise(
     floors: Sequence[FloorCost],
     flights: Sequence[FlightCost],
     profiled: FlightCost,
-) -> Run:
+) -> BenchRun:
     """Medians of the repeats, and the processor time's parts as the profiled flight shares it out."""
     cpu_s = {
         kind: statistics.median(flight.steady.cpu_s_per_simulated_s.get(kind, 0.0) for flight in flights)
@@ -197,7 +197,7 @@ def summarise(
         for kind in flights[0].uss_mb
     }
     formed_s = [flight.formed_s for flight in flights if flight.formed_s is not None]
-    return Run(
+    return BenchRun(
         agents=agents,
         scenario=scenario,
         real_time_factor=_median(flight.steady.real_time_factor for flight in flights),
@@ -238,7 +238,7 @@ def _floor(agents: int, wall_s: float) -> FloorCost:
     return _measured("studies.bench.floor", FloorJob(agents=agents, wall_s=wall_s), FloorCost)
 
 
-def _flight(plan: Plan, agents: int, *, profile_from_s: float | None = None) -> FlightCost:
+def _flight(plan: BenchPlan, agents: int, *, profile_from_s: float | None = None) -> FlightCost:
     # here, so that it goes even if the flight's launcher has no time to see to it
     with tempfile.TemporaryDirectory(prefix="coflight-bench-", ignore_cleanup_errors=True) as folder:
         job = FlightJob(
@@ -291,8 +291,8 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
             process.kill()
 
 
-def _machine() -> Machine:
-    return Machine(
+def _machine() -> HostMachine:
+    return HostMachine(
         processors=len(psutil.Process().cpu_affinity()) if sys.platform == "linux" else os.cpu_count() or 1,
         model=_processor_model(),
         memory_gb=round(psutil.virtual_memory().total / 1e9, 1),
@@ -312,7 +312,7 @@ def _processor_model() -> str:
     return next(names, platform.processor())
 
 
-def to_json(found: Bench) -> str:
+def to_json(found: FlightBench) -> str:
     """Make it JSON for programs."""
     plain: Any = msgspec.to_builtins(found)
     return msgspec.json.format(msgspec.json.encode(plain), indent=2).decode()

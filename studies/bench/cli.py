@@ -10,7 +10,7 @@ from rich.console import Console
 from harness.launch.interrupts import interruptible
 from harness.launch.kernel_cache import CompileError
 from harness.scenario.scenario import ScenarioError, load
-from studies.bench.bench import BenchError, Plan, bench, to_json
+from studies.bench.bench import BenchError, BenchPlan, bench, to_json
 from studies.bench.tables import markdown, sheets, terminal_table
 
 FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130
@@ -52,7 +52,7 @@ def main(
     """Measure what flying costs, in turns with a floor: what any lockstep simulation in Python must do."""
     messages = Console(stderr=True, highlight=False)
     try:
-        plan = Plan(
+        plan = BenchPlan(
             agents=_numbers(agents or (QUICK_AGENTS if quick else AGENTS)),
             duration_s=duration or (QUICK_DURATION_S if quick else DURATION_S),
             repeats=repeats or (QUICK_REPEATS if quick else REPEATS),

@@ -2,11 +2,11 @@
 
 from msgspec import Struct
 
-from harness.launch.processes import HANGAR, PHYSICS, RADIO
+from harness.launch.processes import PHYSICS, PREFORK, RADIO
 from harness.launch.profiling import VEHICLES, KindProfile
 
 LAUNCHER = "launcher"
-KINDS = (PHYSICS, RADIO, VEHICLES, HANGAR, LAUNCHER)
+KINDS = (PHYSICS, RADIO, VEHICLES, PREFORK, LAUNCHER)
 """Of processes, in the order in which they are told; others, if there are any, come after them."""
 
 

@@ -6,7 +6,7 @@ from msgspec import Struct
 from rich.table import Table
 
 from harness.launch.profiling import KINDS as KIND_NAMES
-from studies.bench.bench import Bench, Run
+from studies.bench.bench import BenchRun, FlightBench
 from studies.bench.flight_job import KINDS
 
 LEAST_SHARE = 0.005
@@ -23,7 +23,7 @@ class Sheet(Struct, frozen=True, kw_only=True):
     rows: tuple[tuple[str, ...], ...]
 
 
-def sheets(found: Bench) -> tuple[Sheet, ...]:
+def sheets(found: FlightBench) -> tuple[Sheet, ...]:
     """Speed, processor time by process and part, waiting, memory and start-up."""
     runs = found.runs
     heading = ("UAVs", *(str(run.agents) for run in runs))
@@ -66,7 +66,7 @@ def sheets(found: Bench) -> tuple[Sheet, ...]:
     )
 
 
-def _processor_rows(runs: Sequence[Run]) -> Iterator[tuple[str, ...]]:
+def _processor_rows(runs: Sequence[BenchRun]) -> Iterator[tuple[str, ...]]:
     for kind in _kinds(runs):
         yield (_name(kind), *(_ms(run.cpu_s_per_simulated_s.get(kind, 0.0)) for run in runs))
         told, rest = _parts(runs, kind)
@@ -87,7 +87,7 @@ def _processor_rows(runs: Sequence[Run]) -> Iterator[tuple[str, ...]]:
     yield ("floor: bare processes", *(_ms(run.floor_cpu_s_per_simulated_s) for run in runs))
 
 
-def _parts(runs: Sequence[Run], kind: str) -> tuple[list[str], list[str]]:
+def _parts(runs: Sequence[BenchRun], kind: str) -> tuple[list[str], list[str]]:
     """Parts of a kind of process that are worth a row, the dearest of the last run first; and the others."""
     most: dict[str, float] = {}
     for run in reversed(runs):
@@ -97,7 +97,7 @@ def _parts(runs: Sequence[Run], kind: str) -> tuple[list[str], list[str]]:
     return told, [part for part, share in most.items() if share < LEAST_SHARE]
 
 
-def _kinds(runs: Sequence[Run]) -> list[str]:
+def _kinds(runs: Sequence[BenchRun]) -> list[str]:
     """Kinds of process that any run had, in their order."""
     found = {kind for run in runs for kind in run.cpu_s_per_simulated_s}
     return [*(kind for kind in KINDS if kind in found), *sorted(found.difference(KINDS))]
@@ -107,17 +107,17 @@ def _name(kind: str) -> str:
     return KIND_NAMES.get(kind, kind)
 
 
-def _whole(run: Run) -> float:
+def _whole(run: BenchRun) -> float:
     return sum(run.cpu_s_per_simulated_s.values())
 
 
-def _idle(run: Run, kind: str) -> str:
+def _idle(run: BenchRun, kind: str) -> str:
     if kind not in run.waiting_fraction:
         return "-"
     return f"{run.waiting_fraction[kind]:.0%} / {run.queueing_fraction[kind]:.0%}"
 
 
-def _spread(run: Run) -> str:
+def _spread(run: BenchRun) -> str:
     factors = sorted(flight.steady.real_time_factor for flight in run.flights)
     return f"{_factor(factors[0])} to {_factor(factors[-1])}"
 
@@ -140,7 +140,7 @@ def terminal_table(sheet: Sheet) -> Table:
     return table
 
 
-def markdown(found: Bench) -> str:
+def markdown(found: FlightBench) -> str:
     """All of it for a page."""
     machine = found.machine
     hardware = f"{machine.model}, {machine.processors} processors, {machine.memory_gb:g} GB"

@@ -29,7 +29,7 @@ _NO_PATTERNS_HZ = 0.001
 """The patterns that are wanted are computed afterwards: `studies.codesign.flights`."""
 
 
-class Plan(Struct, frozen=True, kw_only=True):
+class CodesignPlan(Struct, frozen=True, kw_only=True):
     """How much is flown."""
 
     seeds: int = 10
@@ -47,10 +47,10 @@ class Plan(Struct, frozen=True, kw_only=True):
         return min(MOST_LIAR_AFTER_S, self.duration_s / 6.0)
 
 
-QUICK = Plan(seeds=2, duration_s=8.0)
+QUICK = CodesignPlan(seeds=2, duration_s=8.0)
 
 
-class Case(Struct, frozen=True, kw_only=True):
+class CodesignCase(Struct, frozen=True, kw_only=True):
     """One change of the article's scenario."""
 
     name: str
@@ -74,7 +74,7 @@ class Case(Struct, frozen=True, kw_only=True):
     last: bool = False
     """Flown when all others have been: it completes a table, and no check needs it."""
 
-    def scenario(self, plan: Plan, seed: int) -> Scenario:
+    def scenario(self, plan: CodesignPlan, seed: int) -> Scenario:
         """What is flown for a seed."""
         settings = [
             f"name={self.name}",
@@ -98,9 +98,9 @@ class Case(Struct, frozen=True, kw_only=True):
         return load(ARTICLE, settings)
 
 
-def wind_agents(localisation: str, agents: int, wind_n: float) -> Case:
+def wind_agents(localisation: str, agents: int, wind_n: float) -> CodesignCase:
     """The article's scenario with another wind and number of vehicles; 8 and 5 N are the article's own."""
-    return Case(
+    return CodesignCase(
         name=f"{localisation}-{agents}-{wind_n:g}n", localisation=localisation, agents=agents, wind_n=wind_n,
         gains=agents == 8 and wind_n >= 2, last=agents != 8 and wind_n != 5,
     )  # fmt: skip
@@ -110,7 +110,7 @@ BASE = wind_agents("ftm", 8, 5)
 GPS_ALONE = wind_agents("gps", 8, 5)
 
 
-def wavelength(localisation: str, wavelength_m: float, wind_n: float) -> Case:
+def wavelength(localisation: str, wavelength_m: float, wind_n: float) -> CodesignCase:
     """The array scaled with its wavelength."""
     case = wind_agents(localisation, 8, wind_n)
     if wavelength_m == case.wavelength_m:
@@ -118,14 +118,14 @@ def wavelength(localisation: str, wavelength_m: float, wind_n: float) -> Case:
     return replace(case, name=f"{case.name}-lambda{wavelength_m:g}", wavelength_m=wavelength_m)
 
 
-def beacon_period(period_ms: int) -> Case:
+def beacon_period(period_ms: int) -> CodesignCase:
     """Beacons more or less often."""
     if period_ms == BASE.beacon_period_ms:
         return BASE
     return replace(BASE, name=f"{BASE.name}-beacon{period_ms}", beacon_period_ms=period_ms, gains=False)
 
 
-def all_pairs(agents: int, period_s: float) -> Case:
+def all_pairs(agents: int, period_s: float) -> CodesignCase:
     """Everybody to everybody in every period."""
     case = wind_agents("ftm", agents, 5)
     if period_s == case.ftm_period_s:
@@ -136,7 +136,7 @@ def all_pairs(agents: int, period_s: float) -> Case:
     )
 
 
-def scheduled(agents: int) -> Case:
+def scheduled(agents: int) -> CodesignCase:
     """Each pair once, when the distance is worth it."""
     case = wind_agents("ftm", agents, 5)
     return replace(case, name=f"{case.name}-scheduled", ranging="scheduled", gains=False)
@@ -148,20 +148,20 @@ LOSSY = replace(BASE, name=f"{BASE.name}-lossy", drop_fraction=DROPPED, gains=Fa
 LIAR_FROM_START = replace(BASE, name=f"{BASE.name}-liar-from-start", lies=True, gains=False)
 
 
-def cut(plan: Plan) -> Case:
+def cut(plan: CodesignPlan) -> CodesignCase:
     """The channel is gone for a while, and twice as long is left after that."""
     fault = RadioAttenuation(attenuation_db=CUT_DB, start_s=plan.cut_s, duration_s=plan.cut_s)
     longer_s = 4.0 * plan.cut_s - plan.duration_s
     return replace(BASE, name=f"{BASE.name}-cut", faults=(fault,), longer_s=longer_s, gains=False)
 
 
-def liar_in_flight(plan: Plan) -> Case:
+def liar_in_flight(plan: CodesignPlan) -> CodesignCase:
     """One vehicle's distances become wrong."""
     fault = RangingBias(uav=LIAR, offset_m=LIE_M, start_s=plan.liar_after_s)
     return replace(BASE, name=f"{BASE.name}-liar", faults=(fault,), gains=False)
 
 
-def groups(plan: Plan) -> dict[str, tuple[Case, ...]]:
+def groups(plan: CodesignPlan) -> dict[str, tuple[CodesignCase, ...]]:
     """Cases by the group that compares them."""
     return {
         "wind_agents": tuple(

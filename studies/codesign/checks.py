@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from studies.codesign.book import Book
-from studies.codesign.cases import Case
+from studies.codesign.cases import CodesignCase
 from studies.codesign.statistics import Interval
 from studies.common.report import Check
 
@@ -17,7 +17,7 @@ NO_WORSE_MOST = 1.1
 """Of the ratio of two errors, where one is said to be no worse than the other: less than a tenth more"""
 
 
-def formed_check(book: Book, cases: Sequence[Case]) -> Check:
+def formed_check(book: Book, cases: Sequence[CodesignCase]) -> Check:
     """Whether enough flights of each case have reached their formation: others have no numbers of it."""
     fewest = min(map(book.formed, cases))
     return Check(
@@ -35,7 +35,7 @@ def fewest_pairs_check(ratios: Sequence[Interval]) -> Check:
     return pairs_check("fewest of a ratio", min(ratio.count for ratio in ratios))
 
 
-def sound_checks(book: Book, cases: Sequence[Case], by: str = "with FTM") -> tuple[Check, Check]:
+def sound_checks(book: Book, cases: Sequence[CodesignCase], by: str = "with FTM") -> tuple[Check, Check]:
     """Whether all flights of the cases formed and none collided; what broke has not formed.
 
     ``by`` says what these formations have for positions, as those on GPS alone may well collide.
@@ -55,7 +55,7 @@ def sound_checks(book: Book, cases: Sequence[Case], by: str = "with FTM") -> tup
     )  # fmt: skip
 
 
-def largest_shape_check(book: Book, cases: Sequence[Case], of_what: str) -> Check:
+def largest_shape_check(book: Book, cases: Sequence[CodesignCase], of_what: str) -> Check:
     """Whether the mean shape error of every case is what it has to be with FTM in the article's scenario."""
     return Check(
         name=f"shape error with FTM, {of_what}, largest mean", value=extreme(book, cases, "shape_m", np.max),
@@ -63,6 +63,8 @@ def largest_shape_check(book: Book, cases: Sequence[Case], of_what: str) -> Chec
     )  # fmt: skip
 
 
-def extreme(book: Book, cases: Sequence[Case], what: str, which: Callable[[Sequence[float]], float]) -> float:
+def extreme(
+    book: Book, cases: Sequence[CodesignCase], what: str, which: Callable[[Sequence[float]], float]
+) -> float:
     """Largest or smallest mean of the cases, by ``np.max`` or ``np.min``; NaN if one of them has none."""
     return float(which([book.mean(case, what).value for case in cases]))

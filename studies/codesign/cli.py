@@ -17,10 +17,19 @@ from harness.campaign.store import CampaignError
 from harness.launch import kernel_cache
 from harness.launch.interrupts import interruptible
 from studies.codesign.book import Book
-from studies.codesign.cases import QUICK, Case, Plan, groups
+from studies.codesign.cases import QUICK, CodesignCase, CodesignPlan, groups
 from studies.codesign.factor_sections import judge_baselines, judge_beacon_period, judge_ranging
 from studies.codesign.introduction import command, introduction
-from studies.codesign.results import FLYING, Flown, Store, Task, fly_tasks, known, make_tasks, sources_state
+from studies.codesign.results import (
+    FLYING,
+    CodesignFlown,
+    CodesignStore,
+    CodesignTask,
+    fly_tasks,
+    known,
+    make_tasks,
+    sources_state,
+)
 from studies.codesign.sections import Judge, judge_wavelength, judge_wind_agents
 from studies.codesign.tables import write_csv
 from studies.codesign.trouble_section import judge_trouble
@@ -71,11 +80,11 @@ def codesign(
     """Measure by how much ranging over the radio repairs the formation, flight by flight."""
     messages = Console(stderr=True, highlight=False)
     names = chosen("experiment_codesign", only, GROUPS, messages)
-    plan = QUICK if quick else Plan()
+    plan = QUICK if quick else CodesignPlan()
     plan = replace(plan, seeds=seeds or plan.seeds, duration_s=duration or plan.duration_s)
     stdout = keep_stdout()
     by_group = {name: cases for name, cases in groups(plan).items() if name in names}
-    store = Store(data)
+    store = CodesignStore(data)
     tasks = make_tasks([case for cases in by_group.values() for case in cases], plan, folder=data)
     flights = known(tasks, store, stale=stale)
     if retry:
@@ -120,10 +129,10 @@ def codesign(
 
 
 def _fly(
-    missing: Sequence[Task],
-    by_group: dict[str, tuple[Case, ...]],
-    store: Store,
-    flights: dict[tuple[str, int], Flown],
+    missing: Sequence[CodesignTask],
+    by_group: dict[str, tuple[CodesignCase, ...]],
+    store: CodesignStore,
+    flights: dict[tuple[str, int], CodesignFlown],
     *,
     workers: int,
     messages: Console,
@@ -145,7 +154,7 @@ def _fly(
             if total[group]:
                 note(group, 0, total[group])
 
-        def landed(flown: Flown) -> None:
+        def landed(flown: CodesignFlown) -> None:
             flights[flown.case, flown.seed] = flown
             group = group_of[flown.case]
             done[group] += 1
@@ -156,7 +165,7 @@ def _fly(
         fly_tasks(missing, store, fly_task, workers=workers, done=landed)
 
 
-def _study(plan: Plan, data: Path, *, workers: int, messages: Console) -> Section:
+def _study(plan: CodesignPlan, data: Path, *, workers: int, messages: Console) -> Section:
     """See `estimator_section`."""
     from studies.codesign.estimator_section import judge_estimator, studies  # noqa: PLC0415  as in `_fly`
 

@@ -12,11 +12,11 @@ import numpy as np
 from msgspec import Struct
 
 from studies.codesign.batch import RANGE_WINDOW_US
-from studies.codesign.cases import Plan, wind_agents
+from studies.codesign.cases import CodesignPlan, wind_agents
 from studies.codesign.results import START_METHOD, sources_state
 from studies.codesign.simulated import Trouble
 from studies.codesign.study import LocalisationResult, localisation_study
-from studies.common.report import PASSED, Check, Section, Table
+from studies.common.report import PASSED, Check, ReportTable, Section
 
 OVER_BOUND_MOST = 1.5
 """Relative position error over the Cramer-Rao bound at the article's geometry"""
@@ -61,7 +61,7 @@ def study(setting: Setting, runs: int) -> LocalisationResult:
 
 def _arguments(setting: Setting, runs: int) -> dict[str, Any]:
     return {
-        "places_ned_m": wind_agents("ftm", setting.agents, 5).scenario(Plan(), 1).places_ned_m(),
+        "places_ned_m": wind_agents("ftm", setting.agents, 5).scenario(CodesignPlan(), 1).places_ned_m(),
         "runs": runs,
         "seed": _SEED,
         "trouble": Trouble(loss=setting.loss),
@@ -71,7 +71,7 @@ def _arguments(setting: Setting, runs: int) -> dict[str, Any]:
 
 
 def studies(
-    plan: Plan, data: Path, *, workers: int, done: Callable[[int, int], None]
+    plan: CodesignPlan, data: Path, *, workers: int, done: Callable[[int, int], None]
 ) -> dict[Setting, LocalisationResult]:
     """Do those that are not on disk yet, ``RUNS_PER_SEED`` runs for each of the plan's seeds.
 
@@ -129,7 +129,7 @@ def judge_estimator(results: dict[Setting, LocalisationResult]) -> Section:
             Check(name="its NEES", value=article.nees, unit="", at_least=low, at_most=high),
         ),
         tables=(
-            Table(
+            ReportTable(
                 caption="Errors in metres.",
                 columns=(
                     "UAVs", "lost", "ranging", "runs", "bound", "filter", "filter says", "filter over bound",

@@ -26,7 +26,7 @@ from studies.codesign.checks import (
     largest_shape_check,
     sound_checks,
 )
-from studies.common.report import Check, Section, Table
+from studies.common.report import Check, ReportTable, Section
 
 OFTEN_MS, SELDOM_MS = 50, 200
 """Between these beacon periods nothing is said to be gained."""
@@ -77,7 +77,7 @@ def judge_beacon_period(book: Book, images: Path | None) -> Section:
             ),
         ),
         tables=(
-            Table(
+            ReportTable(
                 caption="Means and 95 % confidence intervals.",
                 columns=("period ms", "shape m", "estimates m", "control m", "busy %", "collided"),
                 rows=tuple(
@@ -125,7 +125,7 @@ def judge_ranging(book: Book, images: Path | None) -> Section:
         ),
         checks=_ranging_checks(book),
         tables=(
-            Table(
+            ReportTable(
                 caption="Means and 95 % confidence intervals.",
                 columns=(
                     "UAVs", "policy", "shape m", "estimates m", "busy %", "sessions/s", "completed %",
@@ -249,7 +249,7 @@ def judge_baselines(book: Book, images: Path | None) -> Section:  # noqa: ARG001
             ),
         ),
         tables=(
-            Table(
+            ReportTable(
                 caption="Means and 95 % confidence intervals.",
                 columns=("positions", "shape m", "estimates m", "control m", "absolute m", "collided"),
                 rows=tuple(

@@ -8,10 +8,10 @@ from harness.launch.processes import SwarmError
 from harness.launch.swarm import SwarmTimeoutError
 from harness.records.run_folder import RunFolder
 from studies.codesign.measures import measure, read_tables
-from studies.codesign.results import Flown, Task, broken
+from studies.codesign.results import CodesignFlown, CodesignTask, broken
 
 
-def fly_task(task: Task) -> Flown:
+def fly_task(task: CodesignTask) -> CodesignFlown:
     """Fly it; whatever goes wrong is in the result. A formation that is not reached is a result as well."""
     folder = Path(task.folder)
     shutil.rmtree(folder, ignore_errors=True)  # of a campaign that was killed
@@ -23,7 +23,7 @@ def fly_task(task: Task) -> Flown:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _fly(task: Task, folder: Path) -> Flown:
+def _fly(task: CodesignTask, folder: Path) -> CodesignFlown:
     run = task.scenario.run
     with OneProcessSwarm(task.scenario, out=folder) as swarm:
         try:
@@ -44,4 +44,4 @@ def _fly(task: Task, folder: Path) -> Flown:
         wall_s=summary["wall_s"],
         gains=task.gains,
     )
-    return Flown(case=task.case, seed=task.seed, digest=task.digest, measures=measures)
+    return CodesignFlown(case=task.case, seed=task.seed, digest=task.digest, measures=measures)

@@ -5,8 +5,8 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 
 from studies.codesign.book import Book
-from studies.codesign.cases import ARTICLE, QUICK, Plan
-from studies.codesign.results import Task
+from studies.codesign.cases import ARTICLE, QUICK, CodesignPlan
+from studies.codesign.results import CodesignTask
 
 _WIDTH = 110
 _MEANING = (
@@ -15,9 +15,9 @@ _MEANING = (
 )
 
 
-def command(plan: Plan, only: Sequence[str] = (), *, quick: bool = False, stale: bool = False) -> str:
+def command(plan: CodesignPlan, only: Sequence[str] = (), *, quick: bool = False, stale: bool = False) -> str:
     """Give the command that makes the page but for its folders; ``only`` is empty for all groups."""
-    usual = QUICK if quick else Plan()
+    usual = QUICK if quick else CodesignPlan()
     options = (
         ("--quick", quick),
         (f"--only {','.join(only)}", bool(only)),
@@ -28,7 +28,7 @@ def command(plan: Plan, only: Sequence[str] = (), *, quick: bool = False, stale:
     return " ".join(["python scripts/experiment_codesign.py", *(text for text, holds in options if holds)])
 
 
-def introduction(book: Book, tasks: Sequence[Task], *, made_by: str, changed: bool = False) -> str:
+def introduction(book: Book, tasks: Sequence[CodesignTask], *, made_by: str, changed: bool = False) -> str:
     """Say what the numbers of the page rest on, as it was flown.
 
     Args:
@@ -53,7 +53,7 @@ def introduction(book: Book, tasks: Sequence[Task], *, made_by: str, changed: bo
     return "\n".join(lines) + "\n"
 
 
-def _flown(book: Book, tasks: Sequence[Task]) -> str:
+def _flown(book: Book, tasks: Sequence[CodesignTask]) -> str:
     """How many flights of how many cases have numbers, and how long they are."""
     wanted = {(task.case, task.seed): task for task in tasks}
     flown = {key: each.measures for key, each in book.flights.items() if key in wanted and each.measures}
@@ -73,7 +73,7 @@ def _flown(book: Book, tasks: Sequence[Task]) -> str:
     )
 
 
-def _sources(book: Book, tasks: Sequence[Task]) -> str:
+def _sources(book: Book, tasks: Sequence[CodesignTask]) -> str:
     """Whether one state of the sources gives all these numbers again."""
     wanted = {(task.case, task.seed): task.digest for task in tasks}
     flown = {key: each for key, each in book.flights.items() if key in wanted}

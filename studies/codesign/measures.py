@@ -93,7 +93,7 @@ class Measures(Struct, frozen=True, kw_only=True):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Tables:
+class FlightTables:
     """Of a run, T instants of N vehicles; frame: the site's NED."""
 
     time_us: NDArray[np.int64]
@@ -140,12 +140,12 @@ class Tables:
             believed_pos_ned_m=self.own_pos_ned_m,
         )
 
-    def rows(self, begin_us: int, end_us: int) -> "Tables":
+    def rows(self, begin_us: int, end_us: int) -> "FlightTables":
         """Instants of [begin_us, end_us]; all that is counted over time likewise, but for the beacons."""
         at = (self.time_us >= begin_us) & (self.time_us <= end_us)
         air = (self.air_us >= begin_us) & (self.air_us <= end_us)
         sessions = (self.session_us > begin_us) & (self.session_us <= end_us)
-        return Tables(
+        return FlightTables(
             time_us=self.time_us[at],
             alive=self.alive[at],
             pos_ned_m=self.pos_ned_m[at],
@@ -168,7 +168,7 @@ class Tables:
         return self.alive & (self.pos_ned_m[..., 2] < -FLOWN_HEIGHT_M)
 
 
-def read_tables(folder: RunFolder, vehicles: int) -> Tables:
+def read_tables(folder: RunFolder, vehicles: int) -> FlightTables:
     """Read what a run has written."""
     vectors = {"pos_ned_m": "ned", "q_ned_frd": "wxyz", "onboard_pos_ned_m": "ned"}
     names = [f"{name}.{label}" for name, labels in vectors.items() for label in labels]
@@ -183,7 +183,7 @@ def read_tables(folder: RunFolder, vehicles: int) -> Tables:
     }
     heard, lost = _beacons(folder)
     events = [msgspec.json.decode(line) for line in folder.events.read_bytes().splitlines() if line]
-    return Tables(
+    return FlightTables(
         time_us=flight["time_us"][::vehicles].astype(np.int64),
         alive=flight["alive"].astype(np.bool_).reshape(-1, vehicles),
         pos_ned_m=stacked["pos_ned_m"],
@@ -218,7 +218,7 @@ def _columns(path: Any, names: list[str]) -> dict[str, NDArray[Any]]:  # noqa: A
 
 
 def measure(
-    tables: Tables, scenario: Scenario, *, formed_us: int | None, wall_s: float, gains: bool
+    tables: FlightTables, scenario: Scenario, *, formed_us: int | None, wall_s: float, gains: bool
 ) -> Measures:
     """Turn a run's tables into its numbers."""
     end_us = int(tables.time_us[-1]) if len(tables.time_us) else 0
@@ -251,7 +251,7 @@ def measure(
     return Measures(**numbers)
 
 
-def _errors(tables: Tables, places_ned_m: Array) -> dict[str, float | None]:
+def _errors(tables: FlightTables, places_ned_m: Array) -> dict[str, float | None]:
     flown = tables.flight(places_ned_m)
     error = formation_error(flown)
     vertical_m = np.where(flown.alive, flown.pos_ned_m[..., 2] - flown.desired_pos_ned_m[..., 2], np.nan)
@@ -268,7 +268,7 @@ def _errors(tables: Tables, places_ned_m: Array) -> dict[str, float | None]:
     }
 
 
-def _over_the_air(tables: Tables, vehicles: int) -> dict[str, Any]:
+def _over_the_air(tables: FlightTables, vehicles: int) -> dict[str, Any]:
     span_us = int(tables.time_us[-1] - tables.time_us[0]) if len(tables.time_us) else 0
     air_us = int(tables.air_us[-1] - tables.air_us[0]) if len(tables.air_us) else 0
     busy_ns = int(tables.busy_ns[-1] - tables.busy_ns[0]) if len(tables.air_us) else 0
@@ -286,7 +286,7 @@ def _over_the_air(tables: Tables, vehicles: int) -> dict[str, Any]:
     }
 
 
-def _least_distance_m(tables: Tables) -> float | None:
+def _least_distance_m(tables: FlightTables) -> float | None:
     """Of all pairs and instants with both in the air; None where there are none."""
     in_the_air, least_m = tables.in_the_air, np.inf
     for i in range(in_the_air.shape[1] - 1):
@@ -303,7 +303,7 @@ def _track_mm(flight: Flight) -> tuple[tuple[int, ...], ...]:
     return tuple(map(tuple, rows))
 
 
-def _gains(tables: Tables, scenario: Scenario) -> tuple[float, ...]:
+def _gains(tables: FlightTables, scenario: Scenario) -> tuple[float, ...]:
     heading_rad = math.radians(scenario.formation.heading_deg)
     flight = tables.flight(scenario.places_ned_m(), heading_rad=heading_rad)
     antenna: AntennaConfig = msgspec.structs.replace(scenario.antenna, snapshot_rate_hz=GAIN_RATE_HZ)

@@ -24,7 +24,7 @@ from harness.campaign.sources import ROOT, hash_sources
 from harness.campaign.store import CampaignError, alone
 from harness.scenario.scenario import Scenario
 from harness.world.faults import AnyFault
-from studies.codesign.cases import Case, Plan
+from studies.codesign.cases import CodesignCase, CodesignPlan
 from studies.codesign.measures import Measures
 
 START_METHOD = "spawn"
@@ -34,7 +34,7 @@ FLYING = "flying"
 _MEASURED_BY = ("studies/codesign/flights.py", "studies/codesign/measures.py")
 
 
-class Task(Struct, frozen=True, kw_only=True):
+class CodesignTask(Struct, frozen=True, kw_only=True):
     """A flight to be flown, as a worker is told."""
 
     case: str
@@ -52,7 +52,7 @@ class Task(Struct, frozen=True, kw_only=True):
     """For the run while it lasts"""
 
 
-class Flown(Struct, frozen=True, kw_only=True):
+class CodesignFlown(Struct, frozen=True, kw_only=True):
     """A flight that has ended: its numbers, or why there are none."""
 
     case: str
@@ -67,7 +67,7 @@ class Flown(Struct, frozen=True, kw_only=True):
     """In formation by the plan, after which cuts and lies are timed"""
 
 
-class Store:
+class CodesignStore:
     """Flights in ``flights.jsonl`` of a folder, which is made."""
 
     def __init__(self, folder: Path) -> None:
@@ -75,20 +75,20 @@ class Store:
         self.path = folder / "flights.jsonl"
         folder.mkdir(parents=True, exist_ok=True)
 
-    def append(self, flown: Flown) -> None:
+    def append(self, flown: CodesignFlown) -> None:
         """Write a flight down for good."""
         with self.path.open("ab") as file:
             if file.tell() and not self._ends_a_line():
                 file.write(b"\n")
             file.write(msgspec.json.encode(flown) + b"\n")
 
-    def flights(self) -> list[Flown]:
+    def flights(self) -> list[CodesignFlown]:
         """All that are there, oldest first; a line that a killed campaign has left unfinished is none."""
         flights = []
         if self.path.exists():
             for line in self.path.read_bytes().splitlines():
                 try:
-                    flights.append(msgspec.json.decode(line, type=Flown))
+                    flights.append(msgspec.json.decode(line, type=CodesignFlown))
                 except msgspec.DecodeError:  # also of a layout that has changed: it has another digest
                     continue
         return flights
@@ -109,7 +109,9 @@ def sources_state(root: Path = ROOT) -> str:
     return hash_sources(root, measured_by=_MEASURED_BY)
 
 
-def make_tasks(cases: Iterable[Case], plan: Plan, *, folder: Path, state: str | None = None) -> list[Task]:
+def make_tasks(
+    cases: Iterable[CodesignCase], plan: CodesignPlan, *, folder: Path, state: str | None = None
+) -> list[CodesignTask]:
     """All flights of the cases, each once, seed by seed: a part of a campaign has all cases but the last.
 
     ``state`` is that of the sources.
@@ -123,7 +125,7 @@ def make_tasks(cases: Iterable[Case], plan: Plan, *, folder: Path, state: str | 
         content = msgspec.json.encode((state, scenario, case.faults, case.gains))
         digest = hashlib.sha256(content).hexdigest()[:16]
         tasks.append(
-            Task(
+            CodesignTask(
                 case=case.name, seed=seed, digest=digest, state=state[:16], plan_s=plan.duration_s,
                 scenario=scenario, faults=case.faults, gains=case.gains,
                 folder=str(folder / FLYING / digest),
@@ -132,14 +134,16 @@ def make_tasks(cases: Iterable[Case], plan: Plan, *, folder: Path, state: str | 
     return tasks
 
 
-def known(tasks: Sequence[Task], store: Store, *, stale: bool = False) -> dict[tuple[str, int], Flown]:
+def known(
+    tasks: Sequence[CodesignTask], store: CodesignStore, *, stale: bool = False
+) -> dict[tuple[str, int], CodesignFlown]:
     """Flights of the tasks that are on disk, by case and seed, the latest of each.
 
     ``stale`` takes those of other states of the sources where there is none of this one, if they are of
     the same plan.
     """
     wanted = {(task.case, task.seed): task for task in tasks}
-    found: dict[tuple[str, int], Flown] = {}
+    found: dict[tuple[str, int], CodesignFlown] = {}
     for flown in store.flights():
         key = (flown.case, flown.seed)
         if (task := wanted.get(key)) is None:
@@ -152,12 +156,12 @@ def known(tasks: Sequence[Task], store: Store, *, stale: bool = False) -> dict[t
 
 
 def fly_tasks(
-    tasks: Sequence[Task],
-    store: Store,
-    fly: Callable[[Task], Flown],
+    tasks: Sequence[CodesignTask],
+    store: CodesignStore,
+    fly: Callable[[CodesignTask], CodesignFlown],
     *,
     workers: int,
-    done: Callable[[Flown], None],
+    done: Callable[[CodesignFlown], None],
 ) -> None:
     """Fly them all in worker processes; each is in the store before ``done`` hears of it.
 
@@ -166,7 +170,7 @@ def fly_tasks(
     when a worker finds other sources than the tasks are of.
     """
 
-    def finish(task: Task, flown: Flown) -> None:
+    def finish(task: CodesignTask, flown: CodesignFlown) -> None:
         flown = replace(flown, state=task.state, plan_s=task.plan_s)
         store.append(flown)
         done(flown)
@@ -178,19 +182,19 @@ def fly_tasks(
                 finish(task, broken(task, "its process died"))
 
 
-def broken(task: Task, reason: str) -> Flown:
+def broken(task: CodesignTask, reason: str) -> CodesignFlown:
     """Make what is written down of a flight without numbers."""
-    return Flown(case=task.case, seed=task.seed, digest=task.digest, broken=reason)
+    return CodesignFlown(case=task.case, seed=task.seed, digest=task.digest, broken=reason)
 
 
 def _fly_while_whole(
-    waiting: deque[Task],
-    fly: Callable[[Task], Flown],
+    waiting: deque[CodesignTask],
+    fly: Callable[[CodesignTask], CodesignFlown],
     workers: int,
-    finish: Callable[[Task, Flown], None],
-) -> list[Task]:
+    finish: Callable[[CodesignTask, CodesignFlown], None],
+) -> list[CodesignTask]:
     """Fly what is waiting, and take it out; returns those in the air when a worker died."""
-    flying: dict[Future[Flown], Task] = {}
+    flying: dict[Future[CodesignFlown], CodesignTask] = {}
     context = multiprocessing.get_context(START_METHOD)
     with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(fly,)) as pool:
         try:
@@ -206,12 +210,12 @@ def _fly_while_whole(
     return []
 
 
-def _begin(fly: Callable[[Task], Flown]) -> None:  # noqa: ARG001  it is given so that it is imported by now
+def _begin(fly: Callable[[CodesignTask], CodesignFlown]) -> None:  # noqa: ARG001  it is given so that it is imported by now
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C goes to all, and the parent alone speaks of it
     sources_state()  # kept: of what has just been read
 
 
-def _fly_of_state(fly: Callable[[Task], Flown], task: Task) -> Flown:
+def _fly_of_state(fly: Callable[[CodesignTask], CodesignFlown], task: CodesignTask) -> CodesignFlown:
     if sources_state()[: len(task.state)] != task.state:
         raise CampaignError("the sources have changed since the campaign began; start it again")
     return fly(task)

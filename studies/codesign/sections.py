@@ -14,13 +14,13 @@ from studies.codesign.cases import (
     GPS_ALONE,
     WAVELENGTHS_M,
     WINDS_N,
-    Case,
+    CodesignCase,
     wavelength,
     wind_agents,
 )
 from studies.codesign.checks import SHAPE_MOST_M, formed_check, largest_shape_check, pairs_check, sound_checks
 from studies.codesign.sensitivity import IDEAL_DBI, expected_gain, per_axis_sigma_m, vertical_sigma_m
-from studies.common.report import Check, Section, Table
+from studies.common.report import Check, ReportTable, Section
 
 RATIO_LEAST = 5.0
 """Of the shape error with GPS alone to that with FTM"""
@@ -107,7 +107,7 @@ def judge_wind_agents(book: Book, images: Path | None) -> Section:
             largest_shape_check(book, ftm_cases, "all winds and numbers of UAVs that were flown"),
         ),
         tables=(
-            Table(
+            ReportTable(
                 caption="Horizontal rms, m: mean and 95 % confidence interval over the flights.",
                 columns=(
                     "UAVs", "wind N", "GPS: shape", "FTM: shape", "ratio", "FTM: estimates",
@@ -115,7 +115,7 @@ def judge_wind_agents(book: Book, images: Path | None) -> Section:
                 ),
                 rows=tuple(shape),
             ),
-            Table(
+            ReportTable(
                 caption="Flights that formed and that collided, the smallest distance of any two UAVs in the "
                 "air in any of them, and with FTM the channel.",
                 columns=(
@@ -199,7 +199,7 @@ def judge_wavelength(book: Book, images: Path | None) -> Section:
             ),
         ),
         tables=(
-            Table(
+            ReportTable(
                 caption="Maximum gain, dBi (the ideal formation has "
                 f"{IDEAL_DBI:.2f}), and what the position error lets expect. At λ = {TIGHT_M:g} m and "
                 f"{TIGHT_WIND_N:g} N GPS alone collides in "
@@ -215,18 +215,18 @@ def judge_wavelength(book: Book, images: Path | None) -> Section:
     )  # fmt: skip
 
 
-def _of_any(book: Book, case: Case, count: Callable[[Case], int]) -> float:
+def _of_any(book: Book, case: CodesignCase, count: Callable[[CodesignCase], int]) -> float:
     """Count flights; not a number if there are none."""
     return float(count(case)) if book.flown(case) else math.nan
 
 
-def _given_back(book: Book, gps: Case, ftm: Case) -> float:
+def _given_back(book: Book, gps: CodesignCase, ftm: CodesignCase) -> float:
     """Share of GPS alone's loss against the ideal gain that FTM does not have; NaN if it is not known."""
     gps_dbi, ftm_dbi = (book.mean(case, "gain_mean_dbi").value for case in (gps, ftm))
     return (ftm_dbi - gps_dbi) / (IDEAL_DBI - gps_dbi) if gps_dbi < IDEAL_DBI else math.nan
 
 
-def _gain_cells(book: Book, case: Case) -> tuple[str, ...]:
+def _gain_cells(book: Book, case: CodesignCase) -> tuple[str, ...]:
     """Gain, deviation, sigmas, their ratio to the wavelength and what it lets expect."""
     sigma_m = _pooled_sigma(book.values(case, "shape_m"), case.agents, per_axis_sigma_m)
     vertical_m = _pooled_sigma(book.values(case, "vertical_m"), case.agents, vertical_sigma_m)
@@ -248,5 +248,5 @@ def _pooled_sigma(
     return sigma(float(np.sqrt(np.mean(np.square(known)))), vehicles) if known else None
 
 
-def _all_gains_dbi(book: Book, case: Case) -> list[float]:
+def _all_gains_dbi(book: Book, case: CodesignCase) -> list[float]:
     return [gain_dbi for flight in book.flown(case) for gain_dbi in flight.gain_dbi]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from studies.codesign.book import Book
-from studies.codesign.cases import Case
+from studies.codesign.cases import CodesignCase
 from studies.codesign.measures import Measures
 
 SETTINGS = (
@@ -27,7 +27,7 @@ MEANS = (
 )  # fmt: skip
 
 
-def write_csv(out: Path, cases: Iterable[Case], book: Book) -> None:
+def write_csv(out: Path, cases: Iterable[CodesignCase], book: Book) -> None:
     """Write ``codesign-flights.csv`` and ``codesign-cases.csv`` into the folder, which is made."""
     out.mkdir(parents=True, exist_ok=True)
     distinct = list({case.name: case for case in cases}.values())
@@ -49,7 +49,7 @@ def write_csv(out: Path, cases: Iterable[Case], book: Book) -> None:
     _write(out / "codesign-cases.csv", ["case", *SETTINGS, "flights", "formed", "collided", *bounds], rows)
 
 
-def _settings(case: Case) -> list[Any]:
+def _settings(case: CodesignCase) -> list[Any]:
     return [getattr(case, name) for name in SETTINGS]
 
 

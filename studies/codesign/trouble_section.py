@@ -16,8 +16,8 @@ from studies.codesign.cases import (
     LIAR_FROM_START,
     LIE_M,
     LOSSY,
-    Case,
-    Plan,
+    CodesignCase,
+    CodesignPlan,
     cut,
     liar_in_flight,
 )
@@ -36,7 +36,7 @@ from studies.codesign.trouble import (
     judge_liar,
     shape_over_time_m,
 )
-from studies.common.report import Check, Section, Table
+from studies.common.report import Check, ReportTable, Section
 
 GROWTH_MOST = 1.5
 RECOVERY_MOST_S = 10.0
@@ -124,7 +124,7 @@ def judge_trouble(book: Book, images: Path | None) -> Section:
             ),
         ),
         tables=(
-            Table(
+            ReportTable(
                 caption="Shape error with losses, m: means and 95 % confidence intervals; growth by pairs.",
                 columns=(
                     "lost", "shape m", "estimates m", "completed %", "beacons lost %", "growth", "collided",
@@ -149,7 +149,7 @@ def judge_trouble(book: Book, images: Path | None) -> Section:
     )  # fmt: skip
 
 
-def _conditions(plan: Plan) -> str:
+def _conditions(plan: CodesignPlan) -> str:
     return f"""8 UAVs with FTM in 5 N.
 
 Losses: {DROPPED:.0%} of the received beacons and of the ranging results, on top of the channel's.
@@ -169,7 +169,7 @@ gusts, and the lasting displacement within the shape alone tells.
 """
 
 
-def _shapes_over_time(book: Book, case: Case) -> list[Array]:
+def _shapes_over_time(book: Book, case: CodesignCase) -> list[Array]:
     """(T,) of every flight that formed."""
     places_ned_m = case.scenario(book.plan, 1).places_ned_m()
     return [
@@ -177,7 +177,7 @@ def _shapes_over_time(book: Book, case: Case) -> list[Array]:
     ]
 
 
-def _pulls(book: Book, case: Case, from_s: float) -> list[Pull]:
+def _pulls(book: Book, case: CodesignCase, from_s: float) -> list[Pull]:
     """Of the seeds that have both flights."""
     places_ned_m = case.scenario(book.plan, 1).places_ned_m()
     return [
@@ -191,7 +191,7 @@ def _known(values: Sequence[float | None]) -> list[float]:
     return [value for value in values if value is not None]
 
 
-def _lies_m(book: Book, plan: Plan) -> list[float]:
+def _lies_m(book: Book, plan: CodesignPlan) -> list[float]:
     flights = [*book.flown(liar_in_flight(plan)), *book.flown(LIAR_FROM_START)]
     return _known([flight.range_offsets_m[LIAR] for flight in flights if flight.range_offsets_m])
 
@@ -201,7 +201,7 @@ def _worst(pulls: Sequence[Pull], what: str) -> float:
     return float(np.max([getattr(pull, what) for pull in pulls])) if pulls else math.nan
 
 
-def _cut_table(book: Book, case: Case, cuts: Sequence[CutResult]) -> Table:
+def _cut_table(book: Book, case: CodesignCase, cuts: Sequence[CutResult]) -> ReportTable:
     def cell(what: str) -> str:
         values = [getattr(each, what) for each in cuts]
         return mean_interval([value if math.isfinite(value) else None for value in values]).text()
@@ -210,7 +210,7 @@ def _cut_table(book: Book, case: Case, cuts: Sequence[CutResult]) -> Table:
         return f"{max((getattr(each, what) for each in cuts), default=math.nan):.2f}"
 
     recovered = sum(math.isfinite(each.recovery_s) for each in cuts)
-    return Table(
+    return ReportTable(
         caption="The cut: shape error, m, and seconds from the channel's return to the recovery, which is 0 "
         "for a flight that was within the bounds by then; the largest error, rms over "
         f"{SMOOTHED_S:g} s, of the worst flight; and flights that left the bounds at all.",
@@ -227,7 +227,7 @@ def _cut_table(book: Book, case: Case, cuts: Sequence[CutResult]) -> Table:
     )  # fmt: skip
 
 
-def _liar_table(pulls: dict[str, list[Pull]]) -> Table:
+def _liar_table(pulls: dict[str, list[Pull]]) -> ReportTable:
     rows = []
     for since, of_seeds in pulls.items():
         values = {
@@ -243,7 +243,7 @@ def _liar_table(pulls: dict[str, list[Pull]]) -> Table:
                 for what in ("displacement_m", "lasting_m", "moved_m", "shift_m", "turn_deg")
             ),
         ))  # fmt: skip
-    return Table(
+    return ReportTable(
         caption="The liar: the other seven's shape error, the largest displacement of one of them, and how "
         "far they were shifted and turned as a whole, m and degrees; of displacements, shift and turn the "
         "mean of the flights and the worst flight.",

@@ -43,7 +43,7 @@ class Check(Struct, frozen=True, kw_only=True):
         return self.name, f"{_number(self.value)} {self.unit}".rstrip(), self.requirement, verdict
 
 
-class Table(Struct, frozen=True, kw_only=True):
+class ReportTable(Struct, frozen=True, kw_only=True):
     """Numbers that explain the checks."""
 
     caption: str
@@ -58,7 +58,7 @@ class Section(Struct, frozen=True, kw_only=True):
     conditions: str
     """How it was measured: Markdown paragraphs"""
     checks: tuple[Check, ...]
-    tables: tuple[Table, ...] = ()
+    tables: tuple[ReportTable, ...] = ()
     figures: tuple[tuple[str, str], ...] = ()
     """(file name, what it shows)"""
 

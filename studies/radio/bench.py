@@ -31,7 +31,7 @@ REAL_TIME_LIMIT = 0.15
 """Of one core at real time, for the article's swarm"""
 
 
-class Cost(Struct, frozen=True, kw_only=True):
+class RadioCost(Struct, frozen=True, kw_only=True):
     """Time that was spent on a simulated second, seconds."""
 
     wall_s: float
@@ -43,14 +43,14 @@ class SaturatedCost(Struct, frozen=True, kw_only=True):
 
     stations: int
     rate_mbps: int
-    process: Cost
+    process: RadioCost
     """A process from its start to its end"""
-    run: Cost
+    run: RadioCost
     """Without start-up and end"""
-    floor: Cost
+    floor: RadioCost
     """Python's event queue alone: as many events, which do nothing; those of the air are compiled"""
     events: float
-    peer: Cost | None
+    peer: RadioCost | None
     """Another program's process"""
     faster_wall: float | None
     """Speed over the peer's, both as whole processes, by wall time"""
@@ -63,10 +63,10 @@ class ArticleCost(Struct, frozen=True, kw_only=True):
     """A swarm's traffic in the lockstep's steps: medians over the repetitions, per simulated second."""
 
     stations: int
-    emulator: Cost
-    with_messages: Cost
+    emulator: RadioCost
+    with_messages: RadioCost
     """With decoding what comes from, and encoding what goes to the other processes"""
-    floor: Cost
+    floor: RadioCost
     events: float
     frames: float
     steps_run: float
@@ -245,30 +245,30 @@ def _nothing(_argument: None) -> None:
     pass
 
 
-def _cost(work: Callable[[], object], simulated_s: float) -> Cost:
+def _cost(work: Callable[[], object], simulated_s: float) -> RadioCost:
     """Of one call in this process; what lives before it is not walked, as in the emulator's process."""
     gc.collect()
     gc.freeze()
     wall_s, cpu_s = time.perf_counter(), time.thread_time()
     work()
-    spent = Cost(
+    spent = RadioCost(
         wall_s=(time.perf_counter() - wall_s) / simulated_s, cpu_s=(time.thread_time() - cpu_s) / simulated_s
     )
     gc.unfreeze()
     return spent
 
 
-def _process_cost(command: Sequence[str], simulated_s: float) -> Cost:
+def _process_cost(command: Sequence[str], simulated_s: float) -> RadioCost:
     """Of a process and its children."""
     wall_s, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return Cost(wall_s=(time.perf_counter() - wall_s) / simulated_s, cpu_s=cpu_s / simulated_s)
+    return RadioCost(wall_s=(time.perf_counter() - wall_s) / simulated_s, cpu_s=cpu_s / simulated_s)
 
 
-def _median(costs: Sequence[Cost]) -> Cost:
-    return Cost(
+def _median(costs: Sequence[RadioCost]) -> RadioCost:
+    return RadioCost(
         wall_s=statistics.median(cost.wall_s for cost in costs),
         cpu_s=statistics.median(cost.cpu_s for cost in costs),
     )

@@ -17,7 +17,7 @@ from studies.radio.bench import (
     FASTER_LIMIT,
     REAL_TIME_LIMIT,
     ArticleCost,
-    Cost,
+    RadioCost,
     SaturatedCost,
     bench_article,
     bench_saturated,
@@ -106,5 +106,5 @@ def _article_table(cost: ArticleCost, name: str) -> Table:
     return table
 
 
-def _cells(cost: Cost) -> tuple[str, str, str]:
+def _cells(cost: RadioCost) -> tuple[str, str, str]:
     return f"{cost.wall_s:.4f}", f"{cost.cpu_s:.4f}", f"{1.0 / cost.wall_s:.1f}"

@@ -6,7 +6,7 @@ from pathlib import Path
 from msgspec import Struct
 
 from netsim.lab.broadcast import BroadcastResult, broadcast
-from studies.common.report import Check, Section, Table
+from studies.common.report import Check, ReportTable, Section
 from studies.common.runner import Job, Results
 from studies.radio.figures import save_broadcast
 from studies.radio.peers import Broadcasts, ns3_broadcasts, ns3_phase_draws
@@ -110,7 +110,7 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
         ),
         checks=tuple(checks),
         tables=(
-            Table(
+            ReportTable(
                 caption="Ours ± standard error (ns-3):",
                 columns=("stations, period, jitter", "runs", "delivered", "mean delay, ms", "95 %, ms"),
                 rows=tuple(cells),

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from netsim.phy.errors import packet_error_rate
 from netsim.phy.modes import phy_mode
-from studies.common.report import Check, Section, Table
+from studies.common.report import Check, ReportTable, Section
 from studies.common.runner import Job, Results
 from studies.radio.figures import save_error_rates
 from studies.radio.peers import ErrorCurve, ns3_error_curves
@@ -71,7 +71,7 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:  #
         ),
         checks=tuple(checks),
         tables=(
-            Table(
+            ReportTable(
                 caption=f"SNR at PER {TARGET:g}, dB (ns-3; ours less it):",
                 columns=("mode", *(f"{length} B" for length in lengths)),
                 rows=tuple(

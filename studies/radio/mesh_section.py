@@ -6,7 +6,7 @@ import numpy as np
 from msgspec import Struct
 
 from netsim.lab.ranging import MeshResult, range_mesh
-from studies.common.report import Check, Section, Table
+from studies.common.report import Check, ReportTable, Section
 from studies.common.runner import Job, Results
 from studies.radio.figures import save_mesh
 from studies.radio.plan import RadioPlan
@@ -80,7 +80,7 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
         ),
         checks=tuple(checks),
         tables=(
-            Table(
+            ReportTable(
                 caption="By number of stations (delay ± standard error):",
                 columns=(
                     "period, s", "n", "sessions/s", "air wanted", "completed", "round trips", "delay, ms",

@@ -8,7 +8,7 @@ from msgspec import Struct
 
 from netsim.lab.ranging import FtmResultSummary, range_pair
 from netsim.model.config import BandwidthMhz, Mode
-from studies.common.report import Check, Section, Table
+from studies.common.report import Check, ReportTable, Section
 from studies.common.runner import Job, Results
 from studies.radio.figures import save_ranging
 from studies.radio.plan import RadioPlan
@@ -146,7 +146,7 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
         ),
         checks=tuple(checks),
         tables=(
-            Table(
+            ReportTable(
                 caption=f"Mean of {plan.seeds} seeds ± standard error, {BIAS_SESSIONS} sessions each:",
                 columns=(
                     "MHz", "error less bias, cm", "sigma of a round trip, m", "of a session, m", "failed",

@@ -7,7 +7,7 @@ from msgspec import Struct
 
 from netsim.lab.saturation import SaturationResult, saturate
 from netsim.model.config import Mode
-from studies.common.report import Check, Section, Table
+from studies.common.report import Check, ReportTable, Section
 from studies.common.runner import Job, Results
 from studies.radio.figures import save_saturation
 from studies.radio.peers import BIANCHI_PACKET_BYTES, BIANCHI_UDP_BYTES, Saturated, bianchi, ns3_saturation
@@ -94,7 +94,7 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
         ),
         checks=checks,
         tables=tuple(
-            Table(
+            ReportTable(
                 caption=f"Ours ± standard error, Mbit/s ({told}; deviation; frames that collide):",
                 columns=("n", *(_column(*column) for column in _columns(rows, name))),
                 rows=_cells(rows, name, ours, collisions),

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from studies.common.report import Check, Section, Table
+from studies.common.report import Check, ReportTable, Section
 from studies.vehicle.allocation import AllocationResult, check_allocation
 from studies.vehicle.figures import save_upsets
-from studies.vehicle.plan import Job, Plan, Results
+from studies.vehicle.plan import Job, Results, VehiclePlan
 from studies.vehicle.solo import STEP_S
 from studies.vehicle.upsets import (
     ALIGNED_DEG,
@@ -27,7 +27,7 @@ ROUNDING_N_M = 1e-9
 _ALLOCATION_SEED = 1
 
 
-def upset_jobs(plan: Plan) -> dict[str, list[Job]]:
+def upset_jobs(plan: VehiclePlan) -> dict[str, list[Job]]:
     """Recoveries of the controller, throws of the whole vehicle."""
     return {
         "recover": [(recover, seed) for seed in range(plan.recoveries)],
@@ -35,7 +35,7 @@ def upset_jobs(plan: Plan) -> dict[str, list[Job]]:
     }
 
 
-def judge_upsets(plan: Plan, results: Results, images: Path | None) -> Section:
+def judge_upsets(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
     """Check the slowest."""
     recoveries: list[Upset] = results["recover"]
     catches: list[Catch] = results["throw"]
@@ -90,7 +90,7 @@ def judge_upsets(plan: Plan, results: Results, images: Path | None) -> Section:
         ),
         checks=checks,
         tables=(
-            Table(
+            ReportTable(
                 caption="Distribution:",
                 columns=("what", "median", "95 %", "greatest"),
                 rows=tuple(
@@ -103,7 +103,7 @@ def judge_upsets(plan: Plan, results: Results, images: Path | None) -> Section:
     )
 
 
-def allocation_jobs(plan: Plan) -> dict[str, list[Job]]:
+def allocation_jobs(plan: VehiclePlan) -> dict[str, list[Job]]:
     """One job: it takes seconds."""
     return {"all": [(_check_allocation, plan.demands)]}
 
@@ -112,7 +112,7 @@ def _check_allocation(demands: int) -> AllocationResult:
     return check_allocation(demands, _ALLOCATION_SEED)
 
 
-def judge_allocation(plan: Plan, results: Results, images: Path | None) -> Section:  # noqa: ARG001  # one shape
+def judge_allocation(plan: VehiclePlan, results: Results, images: Path | None) -> Section:  # noqa: ARG001  # one shape
     """Check the worst demand."""
     worst: AllocationResult = results["all"][0]
     return Section(

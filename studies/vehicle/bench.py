@@ -29,8 +29,8 @@ from autopilot.mavlink.hil import TO_VEHICLE, HilActuatorControls, HilEncoder, H
 from autopilot.onboard.app import OnboardApp
 from autopilot.parameters.config import OnboardConfig, VehicleConfig
 from autopilot.services.services import Services
-from autopilot.services.streams import Streams
-from autopilot.vehicle.fast_step import InertialSteps
+from autopilot.services.streams import MessageStreams
+from autopilot.vehicle.fast_step import FastSteps
 from autopilot.vehicle.host import Host
 from autopilot.vehicle.monitor import Monitor
 from autopilot.vehicle.pilot import Pilot
@@ -42,7 +42,7 @@ LIMIT_US = 60.0
 CHILD_STEPS = 4_000
 """Of the flight without compiler, which is slow: after this many the mean no longer moves."""
 _PARTS: tuple[tuple[str, type, tuple[str, ...]], ...] = (
-    ("steps of an inertial sample", InertialSteps, ("step",)),
+    ("steps of an inertial sample", FastSteps, ("step",)),
     ("decode", HilParser, ("push",)),
     ("encode", Encoder, ("encode",)),
     ("encode", HilEncoder, ("encode",)),
@@ -53,7 +53,7 @@ _PARTS: tuple[tuple[str, type, tuple[str, ...]], ...] = (
     ("setpoints and land detector", Pilot, ("feel", "fly")),
     ("control", FlightController, ("update",)),
     ("services", Services, ("on_timer", "on_message")),
-    ("streams", Streams, ("on_timer",)),
+    ("streams", MessageStreams, ("on_timer",)),
 )
 """Part, class and methods; what is called within another part is taken off that one."""
 REST = "the step around them"
@@ -67,7 +67,7 @@ class Recording(Struct, frozen=True, kw_only=True):
     """First step in which it was armed; the costs are of those from there on"""
 
 
-class Cost(Struct, frozen=True, kw_only=True):
+class StepCost(Struct, frozen=True, kw_only=True):
     """Means over the steps, microseconds."""
 
     step_us: float
@@ -94,13 +94,13 @@ def record_flight(seconds: float) -> Recording:
         return Recording(stream=solo.stream, armed_from=armed_from)
 
 
-def measure(recording: Recording, *, streams: bool, repeats: int) -> Cost:
+def measure(recording: Recording, *, streams: bool, repeats: int) -> StepCost:
     """Play the flight ``repeats`` times and take the quickest: what else runs here only adds."""
     step_us, longest_us = min(_play(recording, streams=streams) for _ in range(repeats))
     passes = [_play_by_part(recording, streams=streams) for _ in range(repeats)]
     parts_us = {part: min(spent_us[part] for spent_us in passes) for part in passes[0]}
     scale = step_us / sum(parts_us.values())
-    return Cost(
+    return StepCost(
         step_us=step_us,
         floor_us=min(_play_floor(recording) for _ in range(repeats)),
         parts_us={part: scale * spent_us for part, spent_us in parts_us.items()},
@@ -108,7 +108,7 @@ def measure(recording: Recording, *, streams: bool, repeats: int) -> Cost:
     )
 
 
-def measure_without_compiler(recording: Recording) -> Cost:
+def measure_without_compiler(recording: Recording) -> StepCost:
     """Play the air-borne beginning in a process of its own with NUMBA_DISABLE_JIT=1, streams off."""
     short = Recording(
         stream=recording.stream[: recording.armed_from + CHILD_STEPS], armed_from=recording.armed_from
@@ -121,7 +121,7 @@ def measure_without_compiler(recording: Recording) -> Cost:
             [sys.executable, "-c", code], env=os.environ | {"NUMBA_DISABLE_JIT": "1"}, capture_output=True,
             check=True,
         )  # fmt: skip
-    return msgspec.json.decode(done.stderr.splitlines()[-1], type=Cost)
+    return msgspec.json.decode(done.stderr.splitlines()[-1], type=StepCost)
 
 
 def play_file(path: str) -> None:

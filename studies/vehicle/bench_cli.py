@@ -9,7 +9,7 @@ from rich.table import Table
 
 from harness.launch import kernel_cache
 from studies.common.standard_output import keep_stdout
-from studies.vehicle.bench import LIMIT_US, Cost, measure, measure_without_compiler, record_flight
+from studies.vehicle.bench import LIMIT_US, StepCost, measure, measure_without_compiler, record_flight
 
 bench_app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -39,7 +39,7 @@ def bench(
     raise typer.Exit(0 if costs["streams off"].step_us <= LIMIT_US else 1)
 
 
-def _table(costs: dict[str, Cost], steps: int) -> Table:
+def _table(costs: dict[str, StepCost], steps: int) -> Table:
     table = Table(
         title=f"Microseconds per step, mean of {steps} steps from the arming on", title_justify="left"
     )

@@ -6,9 +6,9 @@ from pathlib import Path
 from studies.common.report import Section
 from studies.common.runner import Subject, run_subjects
 from studies.vehicle import attitude_sections, estimation_section, hover_section, move_section
-from studies.vehicle.plan import Plan
+from studies.vehicle.plan import VehiclePlan
 
-SUBJECTS: dict[str, Subject[Plan]] = {
+SUBJECTS: dict[str, Subject[VehiclePlan]] = {
     "px4": Subject(hover_section.px4_jobs, hover_section.judge_px4),
     "hover": Subject(hover_section.hover_jobs, hover_section.judge_hover),
     "steps": Subject(move_section.jobs, move_section.judge),
@@ -19,7 +19,11 @@ SUBJECTS: dict[str, Subject[Plan]] = {
 
 
 def run(
-    plan: Plan, subjects: Sequence[str], *, images: Path | None, progress: Callable[[str, int, int], None]
+    plan: VehiclePlan,
+    subjects: Sequence[str],
+    *,
+    images: Path | None,
+    progress: Callable[[str, int, int], None],
 ) -> list[Section]:
     """Fly what the subjects of these names need, and judge it: see `run_subjects`."""
     chosen = {name: SUBJECTS[name] for name in subjects}

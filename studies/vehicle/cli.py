@@ -11,7 +11,7 @@ from harness.launch import kernel_cache
 from studies.common.command_line import BAD_INPUT, Page, chosen, run_with_progress, tell
 from studies.common.standard_output import keep_stdout
 from studies.vehicle.campaign import SUBJECTS
-from studies.vehicle.plan import QUICK, Plan
+from studies.vehicle.plan import QUICK, VehiclePlan
 
 __all__ = ["BAD_INPUT", "validate_app"]
 
@@ -43,7 +43,7 @@ def validate(
     """Measure how well one vehicle flies, and compare it with what is required and with a real PX4."""
     messages = Console(stderr=True, highlight=False)
     names = chosen("validate_vehicle", only, SUBJECTS, messages)
-    plan = QUICK if quick else Plan()
+    plan = QUICK if quick else VehiclePlan()
     if seeds is not None:
         plan = replace(plan, seeds=seeds)
     kernel_cache.prepare(messages.print)

@@ -24,9 +24,9 @@ from studies.vehicle.sensor_flights import (
     SLOW_STEPS,
     STEP_S,
     STEP_US,
-    Flight,
     Noise,
     Path,
+    SimulatedFlight,
     errors,
     feed,
     figure_eight,
@@ -165,7 +165,7 @@ def consistency(
     )
 
 
-def _look(flight: Flight) -> tuple[Array, Array, dict[str, Array], int]:
+def _look(flight: SimulatedFlight) -> tuple[Array, Array, dict[str, Array], int]:
     """One run: epochs (e,), NEES (e, groups), normalised innovations by measurement, count of refusals."""
     estimator = Estimator(MATCHED_PARAMS)
     # what no filter can know: where the first second's pressure puts the frame's height
@@ -204,7 +204,7 @@ def _look(flight: Flight) -> tuple[Array, Array, dict[str, Array], int]:
     return time_s, nees, {name: np.array(values) for name, values in series.items()}, refused
 
 
-def _nees(flight: Flight, horizon_us: int, x: Array, cov: Array, origin_m: Array) -> Array:
+def _nees(flight: SimulatedFlight, horizon_us: int, x: Array, cov: Array, origin_m: Array) -> Array:
     """(groups,) normalised estimation error squared of each three numbers at the horizon."""
     k = horizon_us // STEP_US - 1
     turn = flight.rotations_ned_frd[k] * Rotation.from_quat(x[:4], scalar_first=True).inv()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from studies.common.report import Check, Section, Table
+from studies.common.report import Check, ReportTable, Section
 from studies.vehicle.estimation import (
     MEASUREMENTS,
     SETTLED_S,
@@ -18,7 +18,7 @@ from studies.vehicle.estimation import (
     wrong_compass,
 )
 from studies.vehicle.figures import save_nees
-from studies.vehicle.plan import Job, Plan, Results
+from studies.vehicle.plan import Job, Results, VehiclePlan
 
 REQUIRED = ("position", "velocity")
 CAMPAIGN_SEEDS = (1, 2, 3)
@@ -27,7 +27,7 @@ CAUGHT_LIMIT_S = 10.0
 HEADING_LIMIT_DEG = 10.0
 
 
-def jobs(plan: Plan) -> dict[str, list[Job]]:
+def jobs(plan: VehiclePlan) -> dict[str, list[Job]]:
     """Consistency is one job for each seed, for its runs are drawn together."""
     return {
         "consistency": [(_consistency, (plan.estimator_runs, seed)) for seed in CAMPAIGN_SEEDS],
@@ -45,7 +45,7 @@ def _turned_compass(seed: int) -> WrongCompass:
     return wrong_compass(seed, math.pi)
 
 
-def judge(plan: Plan, results: Results, images: Path | None) -> Section:
+def judge(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
     """Check consistency, whiteness, outage and a compass that is turned round."""
     campaigns: list[Consistency] = results["consistency"]
     found = pooled(campaigns)
@@ -117,7 +117,7 @@ def judge(plan: Plan, results: Results, images: Path | None) -> Section:
         ),
         checks=tuple(checks),
         tables=(
-            Table(
+            ReportTable(
                 caption="NEES per degree of freedom of all groups (in brackets its 95 % band), by seed:",
                 columns=("seed", *found.nees),
                 rows=tuple(
@@ -125,7 +125,7 @@ def judge(plan: Plan, results: Results, images: Path | None) -> Section:
                     for seed, one in zip(CAMPAIGN_SEEDS, campaigns, strict=True)
                 ),
             ),
-            Table(
+            ReportTable(
                 caption=(
                     "Share of epochs in which the mean over a campaign's runs is inside the 95 % band of one "
                     "epoch:"
@@ -136,12 +136,12 @@ def judge(plan: Plan, results: Results, images: Path | None) -> Section:
                     for seed, one in zip(CAMPAIGN_SEEDS, campaigns, strict=True)
                 ),
             ),
-            Table(
+            ReportTable(
                 caption="Innovations (in brackets the 95 % band of a white one):",
                 columns=("measurement", "autocorrelations within ±1.96/√n", "mean square"),
                 rows=tuple(rows),
             ),
-            Table(
+            ReportTable(
                 caption="Distribution:",
                 columns=("what", "median", "greatest"),
                 rows=tuple(

@@ -10,10 +10,10 @@ from msgspec.structs import replace
 
 from autopilot.estimation.atmosphere import GRAVITY_M_S2
 from harness.world.sensors.config import PROFILES
-from studies.common.report import Check, Section, Table
+from studies.common.report import Check, ReportTable, Section
 from studies.vehicle.figures import save_against_px4, save_hover_error
 from studies.vehicle.hover import TRACE_EVERY, Hover, HoverResult, Sensors, fly_hover
-from studies.vehicle.plan import Job, Plan, Results
+from studies.vehicle.plan import Job, Results, VehiclePlan
 from studies.vehicle.solo import STEP_S
 
 TOLERANCE = 0.3
@@ -66,7 +66,7 @@ def _jobs(hovers: Iterable[Hover]) -> list[Job]:
     return [(fly_hover, hover) for hover in hovers]
 
 
-def px4_jobs(plan: Plan) -> dict[str, list[Job]]:
+def px4_jobs(plan: VehiclePlan) -> dict[str, list[Job]]:
     """Every row without and with the observer, and the calm one with our estimator, on the same seeds."""
     groups = {
         f"{row.name}/{observer}": _jobs(
@@ -91,7 +91,7 @@ def px4_jobs(plan: Plan) -> dict[str, list[Job]]:
     return groups
 
 
-def judge_px4(plan: Plan, results: Results, images: Path | None) -> Section:
+def judge_px4(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
     """Compare the 3-D rms of every row."""
     checks, rows = [], []
     ours, observed = (
@@ -139,7 +139,7 @@ def judge_px4(plan: Plan, results: Results, images: Path | None) -> Section:
         ),
         checks=tuple(checks),
         tables=(
-            Table(
+            ReportTable(
                 caption="Per axis, and estimate against truth (3-D), metres rms:",
                 columns=("wind", "north east down", "3-D ± spread", "estimate", "PX4 (3-D; estimate)"),
                 rows=tuple(rows),
@@ -159,7 +159,7 @@ _CONDITIONS: tuple[tuple[str, float, float, Sensors], ...] = (
 )
 
 
-def hover_jobs(plan: Plan) -> dict[str, list[Job]]:
+def hover_jobs(plan: VehiclePlan) -> dict[str, list[Job]]:
     """The article's wind and none, with three kinds of sensors; and one flight without observer to show."""
     groups = {
         f"{name}/{sensors}": _jobs(
@@ -173,7 +173,7 @@ def hover_jobs(plan: Plan) -> dict[str, list[Job]]:
     return groups
 
 
-def judge_hover(plan: Plan, results: Results, images: Path | None) -> Section:
+def judge_hover(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
     """Check what the observer is for; what is asked is asked of the first two conditions."""
     windy, calm = results["5 N ± 1 N/table"], results["calm/table"]
     consumer = {wind: results[f"{wind}/consumer"] for wind in ("5 N ± 1 N", "calm")}
@@ -230,7 +230,7 @@ def judge_hover(plan: Plan, results: Results, images: Path | None) -> Section:
         ),
         checks=checks,
         tables=(
-            Table(
+            ReportTable(
                 caption="Metres and degrees, rms:",
                 columns=(
                     "wind, sensors",

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 
 from autopilot.control import ControlParams
-from studies.common.report import Check, Section, Table
+from studies.common.report import Check, ReportTable, Section
 from studies.vehicle.figures import save_steps
 from studies.vehicle.moves import (
     TRACE_S,
     Move,
-    Response,
+    MoveResponse,
     VelocityStep,
     allowed_s,
     band_of,
@@ -19,7 +19,7 @@ from studies.vehicle.moves import (
     minimum_time_s,
     respond,
 )
-from studies.vehicle.plan import Job, Plan, Results
+from studies.vehicle.plan import Job, Results, VehiclePlan
 
 DISTANCES_M = (1.0, 5.0, 20.0)
 VELOCITIES = (
@@ -32,7 +32,7 @@ OVERSHOOT = 0.05
 VELOCITY_OVERSHOOT = 0.10
 
 
-def jobs(plan: Plan) -> dict[str, list[Job]]:
+def jobs(plan: VehiclePlan) -> dict[str, list[Job]]:
     """Each step on every seed: the mean is to be of the response, not of the noise."""
     seeds = range(plan.seeds)
     groups: dict[str, list[Job]] = {
@@ -46,11 +46,11 @@ def jobs(plan: Plan) -> dict[str, list[Job]]:
     return groups
 
 
-def judge(plan: Plan, results: Results, images: Path | None) -> Section:
+def judge(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
     """Check overshoot and the time until it is settled."""
     limits = ControlParams().trajectory
     checks, rows = [], []
-    moves: list[tuple[str, Response, float]] = []
+    moves: list[tuple[str, MoveResponse, float]] = []
     for distance_m in DISTANCES_M:
         name = f"{distance_m:g} m"
         response = respond(results[name], band=band_of(distance_m))
@@ -68,7 +68,7 @@ def judge(plan: Plan, results: Results, images: Path | None) -> Section:
             name, f"{minimum_time_s(distance_m, limits):.2f} s", f"{response.settled_s:.2f} s",
             f"{100.0 * response.overshoot:.1f} %", f"{100.0 * response.worst_overshoot:.1f} %",
         ))  # fmt: skip
-    velocities: list[tuple[str, Response]] = []
+    velocities: list[tuple[str, MoveResponse]] = []
     for name, _ in VELOCITIES:
         response = respond(results[name], band=0.05)
         velocities.append((name, response))
@@ -104,7 +104,7 @@ def judge(plan: Plan, results: Results, images: Path | None) -> Section:
         ),
         checks=tuple(checks),
         tables=(
-            Table(
+            ReportTable(
                 caption="The worst single flight has the noise of its hover in it:",
                 columns=("step", "minimum time", "settled", "overshoot", "of the worst flight"),
                 rows=tuple(rows),

@@ -42,7 +42,7 @@ class VelocityStep(Struct, frozen=True, kw_only=True):
     vel_ned_m_s: tuple[float, float, float]
 
 
-class Response(Struct, frozen=True, kw_only=True):
+class MoveResponse(Struct, frozen=True, kw_only=True):
     """A step, and what came of it in the mean of several flights."""
 
     overshoot: float
@@ -112,12 +112,12 @@ def fly_velocity_step(step: VelocityStep) -> Array:
     return np.asarray(track.vel_ned_m_s[::TRACE_EVERY] @ wanted / speed_m_s**2)
 
 
-def respond(traces: list[Array], *, band: float) -> Response:
+def respond(traces: list[Array], *, band: float) -> MoveResponse:
     """Judge the flights of one step; ``band`` is what counts as settled, over the step."""
     all_traces = np.array(traces)
     mean = all_traces.mean(axis=0)
     outside = np.flatnonzero(np.abs(mean - 1.0) > band)
-    return Response(
+    return MoveResponse(
         overshoot=max(float(mean.max()) - 1.0, 0.0),
         worst_overshoot=max(float(all_traces.max()) - 1.0, 0.0),
         settled_s=TRACE_S * (int(outside[-1]) + 1 if outside.size else 0),

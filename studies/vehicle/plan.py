@@ -4,10 +4,10 @@ from msgspec import Struct
 
 from studies.common.runner import Job, Results
 
-__all__ = ["QUICK", "Job", "Plan", "Results"]
+__all__ = ["QUICK", "Job", "Results", "VehiclePlan"]
 
 
-class Plan(Struct, frozen=True, kw_only=True):
+class VehiclePlan(Struct, frozen=True, kw_only=True):
     """How much is flown."""
 
     seeds: int = 20
@@ -20,4 +20,4 @@ class Plan(Struct, frozen=True, kw_only=True):
     estimator_runs: int = 20
 
 
-QUICK = Plan(seeds=6, measure_s=20.0, recoveries=40, throws=6, demands=10_000, estimator_runs=20)
+QUICK = VehiclePlan(seeds=6, measure_s=20.0, recoveries=40, throws=6, demands=10_000, estimator_runs=20)

@@ -89,7 +89,7 @@ class Noise:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flight:
+class SimulatedFlight:
     """Truth and sensor samples at times (n,); row k is the step that ends at ``time_us[k]``."""
 
     time_us: NDArray[np.int64]
@@ -169,7 +169,9 @@ def _fixes(
     return fixes, bias_m
 
 
-def simulate(path: Path, duration_s: float, rng: np.random.Generator, noise: Noise | None = None) -> Flight:
+def simulate(
+    path: Path, duration_s: float, rng: np.random.Generator, noise: Noise | None = None
+) -> SimulatedFlight:
     """Fly the path once: IMU 250 Hz, magnetometer and barometer 25 Hz, GPS 5 Hz and 0.12 s late."""
     noise = noise or Noise()
     steps = round(duration_s / STEP_S)
@@ -185,7 +187,7 @@ def simulate(path: Path, duration_s: float, rng: np.random.Generator, noise: Noi
     gyro_bias_rad_s = _walk(rng, noise.gyro_bias_rad_s, noise.gyro_bias_walk_rad_s, steps)
     accel_bias_m_s2 = _walk(rng, noise.accel_bias_m_s2, noise.accel_bias_walk_m_s2, steps)
     pressure_pa = atmosphere.pressure_pa(SITE.altitude_m - pos_m[:, 2])
-    return Flight(
+    return SimulatedFlight(
         time_us=np.round(time_s * 1e6).astype(np.int64),
         pos_ned_m=pos_m,
         vel_ned_m_s=vel_m_s,
@@ -202,7 +204,7 @@ def simulate(path: Path, duration_s: float, rng: np.random.Generator, noise: Noi
     )
 
 
-def feed(estimator: Estimator, flight: Flight, on_step: Callable[[int, Estimator], None]) -> None:
+def feed(estimator: Estimator, flight: SimulatedFlight, on_step: Callable[[int, Estimator], None]) -> None:
     """Give a flight's samples to an estimator and call ``on_step`` after each step."""
     for k, time_us in enumerate(flight.time_us.tolist()):
         if k in flight.fixes:
@@ -219,7 +221,7 @@ def feed(estimator: Estimator, flight: Flight, on_step: Callable[[int, Estimator
 
 
 def replay(
-    estimator: Estimator, flight: Flight, *, on_step: Callable[[int, Estimator], None] | None = None
+    estimator: Estimator, flight: SimulatedFlight, *, on_step: Callable[[int, Estimator], None] | None = None
 ) -> list[EstimatorState]:
     """`feed`, and return the state after every step."""
     states = []
@@ -243,7 +245,7 @@ class Errors:
     """From the place of the start; the estimator's origin lies off that by the first fixes' error."""
 
 
-def errors(flight: Flight, states: list[EstimatorState]) -> Errors:
+def errors(flight: SimulatedFlight, states: list[EstimatorState]) -> Errors:
     """Compare a replay's states with the truth."""
     estimated = Rotation.from_quat(np.array([state.q_ned_frd for state in states]), scalar_first=True)
     return Errors(

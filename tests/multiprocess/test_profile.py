@@ -32,5 +32,5 @@ def test_every_process_tells_where_its_time_went_and_the_logs_are_those_of_any_r
         assert sum(parts.values()) == pytest.approx(kind.cpu_s_per_simulated_s)
         assert 0.0 <= kind.waiting_fraction + kind.queueing_fraction <= 1.0
         # which of them were met in so short a flight is chance
-        assert set(parts) <= {*tables[name].PARTS.values(), REST, THREADS}
-        assert set(parts) & set(tables[name].PARTS.values())
+        assert set(parts) <= {*tables[name].PROFILE_GROUPS.values(), REST, THREADS}
+        assert set(parts) & set(tables[name].PROFILE_GROUPS.values())

@@ -12,7 +12,7 @@ import pytest
 from paths import ROOT, SUPPORT
 
 from harness.launch.one_process import OneProcessSwarm
-from harness.launch.processes import HANGAR, application, uav
+from harness.launch.processes import PREFORK, application, uav
 from harness.launch.swarm import SetupError, Swarm, SwarmError
 from harness.simulator.messages import VehicleLost
 
@@ -137,7 +137,7 @@ def test_a_px4_beside_one_of_coflights_own_in_one_formation(swarm):
         flown.run_until(lambda truth: truth.error_m.max() < 0.7, timeout_s=10.0)
         summary = flown.summary(draw=False)
     assert not summary["deterministic"]
-    assert set(flown.pids) == {"radio", "physics", HANGAR, uav(0), uav(1), application(1)}
+    assert set(flown.pids) == {"radio", "physics", PREFORK, uav(0), uav(1), application(1)}
 
 
 def test_px4s_without_applications_rise_and_their_companion_ports_are_left_to_others(swarm):

@@ -17,9 +17,9 @@ import pytest
 from foundation.processes.child_protocol import Stop
 from foundation.records.record_log import read
 from netsim.emulator.log_layout import FRAME_LOG
-from netsim.emulator.service import HostedEmulator
+from netsim.emulator.service import EmulatorService
 from netsim.model.config import RadioConfig
-from netsim.transport.asynchronous_radio import FreeRadio
+from netsim.transport.asynchronous_radio import AsynchronousRadio
 from netsim.transport.interval_stream import time_masters_end
 from netsim.transport.lockstep_radio import MOST_ITEMS, RadioClient, RadioLost, receive_key, transmit_key
 from netsim.transport.server import ServerConfig
@@ -230,7 +230,7 @@ def test_hostile_bytes_change_nothing_and_are_counted(radio):
     ids="-".join,
 )
 def test_a_time_master_that_makes_no_sense_is_refused(senseless):
-    hosted = HostedEmulator(ServerConfig(run_id=RUN, stations=3, seed=1))
+    hosted = EmulatorService(ServerConfig(run_id=RUN, stations=3, seed=1))
     still = pack_rows(np.zeros((3, 3)))
     state = {"pos_ned_m": still, "vel_ned_m_s": still, "q_ned_frd": LEVEL}
     hosted.advance(Advance(to_us=4000, release_us=8000, at_us=0, **state))
@@ -293,7 +293,7 @@ def test_a_station_in_no_lockstep_is_offered_what_arrives_and_waited_for_by_nobo
         contextlib.closing(Transport.connect(radio.endpoint)) as transport,
     ):
         batches = queue.SimpleQueue()
-        free = FreeRadio(transport, run_id=RUN, station=1, put=batches.put)
+        free = AsynchronousRadio(transport, run_id=RUN, station=1, put=batches.put)
         vehicle.send(4000, [Broadcast(seq=1, at_us=4000, payload=b"x")])
         assert radio.advance(8000, senders=(0,)).delivered == ()
         batch = batches.get(timeout=10.0)

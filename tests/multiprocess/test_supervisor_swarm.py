@@ -56,7 +56,7 @@ def launch() -> Iterator[Launch]:
 
 def test_flies_through_all_run_methods_on_exact_times(launch: Launch) -> None:
     with launch() as swarm:
-        assert set(swarm.pids) == {"radio", "physics", "hangar", "uav 0", "uav 1", "uav 2"}
+        assert set(swarm.pids) == {"radio", "physics", "prefork", "uav 0", "uav 1", "uav 2"}
         assert swarm.truth.time_us == 0
         assert swarm.run(until_s=1.0).time_us == 1_000_000
         assert swarm.run_for(0.5).t_s == pytest.approx(1.5)
@@ -176,14 +176,14 @@ def test_killed_radio_ends_the_run(launch: Launch) -> None:
 
 def test_killed_hangar_ends_the_run_and_the_vehicles_with_it(launch: Launch) -> None:
     with launch() as swarm:
-        pid = swarm.pids["hangar"]
+        pid = swarm.pids["prefork"]
         os.kill(pid, signal.SIGKILL)
-        with pytest.raises(SwarmError, match=rf"^hangar \(pid {pid}\) was killed by SIGKILL$"):
+        with pytest.raises(SwarmError, match=rf"^prefork \(pid {pid}\) was killed by SIGKILL$"):
             swarm.run_until(lambda _: False, timeout_s=1e6)
     assert swarm.forced == ()
     endings = {event.name: event.returncode for event in swarm.events if isinstance(event, Exited)}
     # who could have known how the vehicles ended was gone
-    assert endings == {"hangar": -9, "physics": 0, "radio": 0} | {f"uav {i}": None for i in range(3)}
+    assert endings == {"prefork": -9, "physics": 0, "radio": 0} | {f"uav {i}": None for i in range(3)}
 
 
 def test_hung_physics_ends_with_the_wall_time_and_by_force(

@@ -66,7 +66,7 @@ def test_eight_autopilots_and_the_emulator_were_processes_of_their_own(flown):
     manifest = json.loads((flown["folder"] / "manifest.json").read_text())
     listed = {process["name"]: process["pid"] for process in manifest["processes"]}
     assert listed == flown["pids"]
-    forked = {"hangar", *(f"uav {i}" for i in range(8))}
+    forked = {"prefork", *(f"uav {i}" for i in range(8))}
     assert set(listed) == {"physics", "radio"} | forked
     assert len(set(listed.values())) == 11
     assert {name: flown["names"][name] for name in forked} == {name: name for name in forked}

@@ -52,7 +52,7 @@ def test_a_vehicle_that_stops_answering_is_named_within_a_second_and_the_others_
 def test_a_hangar_that_is_stopped_does_not_hold_up_the_end(swarm):
     flight = swarm(ARTICLE, agents=2)
     flight.run_for(0.1)
-    os.kill(flight.pids["hangar"], signal.SIGSTOP)
+    os.kill(flight.pids["prefork"], signal.SIGSTOP)
     wall_begin_s = time.monotonic()
     flight.stop()
     assert time.monotonic() - wall_begin_s < 5.0  # what a vehicle is given alone is 10 s

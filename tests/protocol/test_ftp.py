@@ -18,7 +18,7 @@ from autopilot.services.ftp import (
     IDLE_US,
     MOST_SESSIONS,
     PACKETS_OF_BURST,
-    Failure,
+    FtpFailure,
     FtpService,
     Opcode,
 )
@@ -71,9 +71,9 @@ def test_a_file_is_opened_with_its_size_read_and_closed():
     assert (read.data, read.offset) == (CONTENT[300:400], 300)
     assert served.one(Opcode.READ, session=5, offset=len(CONTENT) - 3).data == CONTENT[-3:]
     assert served.one(Opcode.READ, session=5, offset=0).data == CONTENT[:DATA_BYTES]
-    assert served.one(Opcode.READ, session=5, offset=len(CONTENT)).failure is Failure.END_OF_FILE
+    assert served.one(Opcode.READ, session=5, offset=len(CONTENT)).failure is FtpFailure.END_OF_FILE
     assert served.one(Opcode.TERMINATE, session=5, seq=20).opcode == Opcode.ACK
-    assert served.one(Opcode.READ, session=5, seq=21).failure is Failure.SESSION
+    assert served.one(Opcode.READ, session=5, seq=21).failure is FtpFailure.SESSION
 
 
 @pytest.mark.parametrize(
@@ -85,8 +85,8 @@ def test_a_file_is_opened_with_its_size_read_and_closed():
 )  # fmt: skip
 def test_nothing_but_the_files_can_be_named(path):
     served = Served()
-    assert served.open(path).failure is Failure.NOT_FOUND
-    assert served.one(Opcode.CHECKSUM, data=path).failure is Failure.NOT_FOUND
+    assert served.open(path).failure is FtpFailure.NOT_FOUND
+    assert served.one(Opcode.CHECKSUM, data=path).failure is FtpFailure.NOT_FOUND
 
 
 @pytest.mark.parametrize("path", [b"/etc/extras/a.bin", b"etc/extras/a.bin\0rest", b"//etc/./extras//a.bin"])
@@ -102,15 +102,15 @@ def test_what_follows_a_question_mark_is_for_the_file():
 
 @pytest.mark.parametrize("opcode", [*range(6, 14)])
 def test_nothing_can_be_written(opcode):
-    assert Served().one(opcode, data=b"/etc/extras/a.bin").failure is Failure.PROTECTED
+    assert Served().one(opcode, data=b"/etc/extras/a.bin").failure is FtpFailure.PROTECTED
 
 
 def test_what_is_no_request_is_refused_or_left():
     served = Served()
     assert (
-        served.one(16).failure is Failure.UNKNOWN_COMMAND
+        served.one(16).failure is FtpFailure.UNKNOWN_COMMAND
     )  # a listing with times, which MAVProxy tries first
-    assert served.one(Opcode.LIST, size=240).failure is Failure.SIZE
+    assert served.one(Opcode.LIST, size=240).failure is FtpFailure.SIZE
     assert served.one(Opcode.NONE).opcode == Opcode.ACK
     assert served.ask(request(Opcode.ACK)) == []
     assert served.ask(request(Opcode.NAK)) == []
@@ -125,8 +125,8 @@ def test_folders_are_listed_by_entries_until_there_are_no_more():
     assert listed(b"/") == [b"Detc", b"Dfs"]
     assert listed(b"/etc/extras") == [b"Fa.bin\t20480", b"Fempty\t0", b"Fquery\t0"]
     assert listed(b"/etc/extras", 2) == [b"Fquery\t0"]
-    assert served.one(Opcode.LIST, data=b"/etc/extras", offset=3).failure is Failure.END_OF_FILE
-    assert served.one(Opcode.LIST, data=b"/none").failure is Failure.NOT_FOUND
+    assert served.one(Opcode.LIST, data=b"/etc/extras", offset=3).failure is FtpFailure.END_OF_FILE
+    assert served.one(Opcode.LIST, data=b"/none").failure is FtpFailure.NOT_FOUND
 
 
 def test_a_long_listing_comes_in_parts_that_make_the_whole():
@@ -141,7 +141,7 @@ def test_a_long_listing_comes_in_parts_that_make_the_whole():
         failure = part.failure
         if failure is None:
             got += [entry[1:].split(b"\t")[0].decode() for entry in part.data.rstrip(b"\0").split(b"\0")]
-    assert (got, failure) == (names, Failure.END_OF_FILE)
+    assert (got, failure) == (names, FtpFailure.END_OF_FILE)
 
 
 def test_the_checksum_is_px4s():
@@ -155,11 +155,11 @@ def test_the_checksum_is_px4s():
 def test_partners_with_the_same_session_number_do_not_meet():
     served = Served()
     served.open()
-    assert served.one(Opcode.READ, partner=OTHER).failure is Failure.SESSION
+    assert served.one(Opcode.READ, partner=OTHER).failure is FtpFailure.SESSION
     served.open(b"/etc/extras/query?x", partner=OTHER)
     assert served.one(Opcode.READ, partner=OTHER).data == b"x"
     assert served.one(Opcode.RESET, partner=OTHER).opcode == Opcode.ACK
-    assert served.one(Opcode.READ, partner=OTHER).failure is Failure.SESSION
+    assert served.one(Opcode.READ, partner=OTHER).failure is FtpFailure.SESSION
     assert served.one(Opcode.READ).data == CONTENT[:DATA_BYTES]
 
 
@@ -167,12 +167,12 @@ def test_sessions_are_few_and_end_when_nothing_is_asked_for():
     served = Served()
     for number in range(MOST_SESSIONS):
         assert served.open(session=number).failure is None
-    assert served.open(session=99).failure is Failure.NO_SESSION_LEFT
+    assert served.open(session=99).failure is FtpFailure.NO_SESSION_LEFT
     assert served.open(session=0).failure is None  # anew, in place of the one before
     served.one(Opcode.READ, session=0, now_us=IDLE_US)
     assert served.open(session=99, now_us=IDLE_US + 1).failure is None
     assert served.one(Opcode.READ, session=0, now_us=IDLE_US + 1).failure is None
-    assert served.one(Opcode.READ, session=1, now_us=IDLE_US + 1).failure is Failure.SESSION
+    assert served.one(Opcode.READ, session=1, now_us=IDLE_US + 1).failure is FtpFailure.SESSION
 
 
 def test_the_same_ending_twice_has_the_same_answer_twice():
@@ -180,7 +180,7 @@ def test_the_same_ending_twice_has_the_same_answer_twice():
     served.open()
     end = request(Opcode.TERMINATE, seq=9)
     assert [answer.opcode for _ in range(3) for answer in served.ask(end)] == [Opcode.ACK] * 3
-    assert served.one(Opcode.TERMINATE, seq=10).failure is Failure.SESSION
+    assert served.one(Opcode.TERMINATE, seq=10).failure is FtpFailure.SESSION
 
 
 def test_an_ending_is_remembered_no_longer_than_a_session():
@@ -195,7 +195,7 @@ def test_an_ending_is_remembered_no_longer_than_a_session():
     assert served.one(Opcode.READ, now_us=IDLE_US).failure is None  # it was the answer of before
     (answer,) = served.ask(end, now_us=IDLE_US + 1)
     assert answer.opcode == Opcode.ACK
-    assert served.one(Opcode.READ, now_us=IDLE_US + 1).failure is Failure.SESSION
+    assert served.one(Opcode.READ, now_us=IDLE_US + 1).failure is FtpFailure.SESSION
 
 
 def bursts(served):
@@ -226,13 +226,13 @@ def test_a_burst_ends_with_the_file_and_a_request_beyond_it_is_refused():
     served.ask(request(Opcode.BURST, size=80, offset=len(CONTENT) - 100))
     packets = [packet for _, packet in bursts(served)]
     assert [(len(packet.data), packet.complete) for packet in packets] == [(80, 0), (20, 1)]
-    assert served.one(Opcode.BURST, offset=len(CONTENT)).failure is Failure.END_OF_FILE
+    assert served.one(Opcode.BURST, offset=len(CONTENT)).failure is FtpFailure.END_OF_FILE
 
 
 def test_an_empty_file_is_one():
     served = Served()
     assert served.open(b"/etc/extras/empty").data == bytes(4)
-    assert served.one(Opcode.BURST).failure is Failure.END_OF_FILE
+    assert served.one(Opcode.BURST).failure is FtpFailure.END_OF_FILE
 
 
 @settings(max_examples=200, deadline=None)

@@ -17,7 +17,7 @@ from autopilot.mavlink.codec import Encoder, Parser
 from autopilot.mavlink.counters import Counters
 from autopilot.mavlink.hil import HilActuatorControls, HilParser, HilSensor
 from autopilot.services.service import COMPANION, GROUND_STATION, Addressed, Partner, is_addressed_to, reply
-from harness.simulator.lockstep import Voice
+from harness.simulator.lockstep import ConnectionState
 from studies.vehicle.solo import STEP_US, Solo
 
 BYTES_A_STEP = 16_000
@@ -138,7 +138,7 @@ def test_garbage_on_the_simulators_link_says_nothing(hot):
 
 
 def test_a_seat_hears_its_vehicle_through_garbage():
-    voice, encoder = Voice(0), Encoder(system=1, component=1)
+    voice, encoder = ConnectionState(0), Encoder(system=1, component=1)
     for i, datagram in enumerate(Fuzz(4).datagrams(200_000)):
         time_us = STEP_US * (i + 1)
         answer = common.MAVLink_hil_actuator_controls_message(time_us, [0.5] * 16, 1, 1)
@@ -193,7 +193,7 @@ def test_messages_that_say_anything_at_all_in_a_pause_neither_raise_nor_pile_up(
     for i in range(rounds):
         for kind in kinds:
             message = fuzz.message_to(kind)
-            for addressed in vehicle.attend([Addressed(Partner(i % 2, i % 11), message)]):
+            for addressed in vehicle.serve_while_paused([Addressed(Partner(i % 2, i % 11), message)]):
                 encoder.encode(addressed.message)
         if i >= rounds // 2:
             gc.collect(0)

@@ -22,10 +22,10 @@ from autopilot.mavlink.signing import (
     OLDEST_NEW_STREAM,
     SIGNATURE_BYTES,
     TICKS_PER_S,
+    SignatureVerdict,
     Signer,
     SigningKeyError,
-    Streams,
-    Verdict,
+    SigningStreams,
     key_of,
 )
 from autopilot.parameters.config import LinksConfig
@@ -103,23 +103,23 @@ def test_without_a_key_signed_frames_are_heard_as_any():
 def test_timestamps_rise_within_a_stream_and_streams_do_not_disturb_each_other():
     signer = Signer(KEY, link_id=0)
     first, second = signed(now=NOW), signed(now=NOW + 1)
-    assert signer.judge(second, NOW) is Verdict.GOOD
-    assert signer.judge(second, NOW) is Verdict.REPLAYED
-    assert signer.judge(first, NOW) is Verdict.REPLAYED
+    assert signer.judge(second, NOW) is SignatureVerdict.GOOD
+    assert signer.judge(second, NOW) is SignatureVerdict.REPLAYED
+    assert signer.judge(first, NOW) is SignatureVerdict.REPLAYED
     for other in ({"link_id": 1}, {"system": 254}, {"component": 191}):
-        assert signer.judge(signed(now=NOW, **other), NOW) is Verdict.GOOD
+        assert signer.judge(signed(now=NOW, **other), NOW) is SignatureVerdict.GOOD
 
 
 def test_a_recorded_stream_is_no_new_one_after_a_minute():
     frame = signed()
-    assert Signer(KEY, link_id=0).judge(frame, NOW + OLDEST_NEW_STREAM) is Verdict.GOOD
-    assert Signer(KEY, link_id=0).judge(frame, NOW + OLDEST_NEW_STREAM + 1) is Verdict.REPLAYED
+    assert Signer(KEY, link_id=0).judge(frame, NOW + OLDEST_NEW_STREAM) is SignatureVerdict.GOOD
+    assert Signer(KEY, link_id=0).judge(frame, NOW + OLDEST_NEW_STREAM + 1) is SignatureVerdict.REPLAYED
 
 
 def test_a_forged_timestamp_does_not_make_the_true_sender_look_old():
     signer = Signer(KEY, link_id=0)
-    assert signer.judge(signed(bytes(KEY_BYTES), now=NOW + 1_000), NOW) is Verdict.BAD
-    assert signer.judge(signed(), NOW) is Verdict.GOOD
+    assert signer.judge(signed(bytes(KEY_BYTES), now=NOW + 1_000), NOW) is SignatureVerdict.BAD
+    assert signer.judge(signed(), NOW) is SignatureVerdict.GOOD
 
 
 def test_own_timestamps_rise_whatever_the_clock_does_and_follow_who_is_ahead():
@@ -140,22 +140,22 @@ def test_streams_are_bounded_and_those_a_minute_old_make_room():
     signer = Signer(KEY, link_id=0)
     streams = [{"link_id": i, "component": 1} for i in range(MAX_STREAMS)]
     for stream in streams:
-        assert signer.judge(signed(**stream), NOW) is Verdict.GOOD
+        assert signer.judge(signed(**stream), NOW) is SignatureVerdict.GOOD
     one_more = {"component": 2, "now": NOW + OLDEST_NEW_STREAM + 2}
-    assert signer.judge(signed(**one_more), NOW + OLDEST_NEW_STREAM) is Verdict.REPLAYED
-    assert signer.judge(signed(**one_more), NOW + OLDEST_NEW_STREAM + 1) is Verdict.GOOD
+    assert signer.judge(signed(**one_more), NOW + OLDEST_NEW_STREAM) is SignatureVerdict.REPLAYED
+    assert signer.judge(signed(**one_more), NOW + OLDEST_NEW_STREAM + 1) is SignatureVerdict.GOOD
     for stream in streams:  # forgotten, and no way in for what was recorded of them
-        assert signer.judge(signed(**stream), NOW + OLDEST_NEW_STREAM + 1) is Verdict.REPLAYED
+        assert signer.judge(signed(**stream), NOW + OLDEST_NEW_STREAM + 1) is SignatureVerdict.REPLAYED
 
 
 def test_what_one_port_of_a_vehicle_has_heard_no_other_takes():
-    heard = Streams()
+    heard = SigningStreams()
     ports = [Signer(KEY, link_id=i, heard=heard) for i in range(2)]
     frames = [signed(now=NOW + i) for i in range(4)]
-    assert ports[0].judge(frames[1], NOW) is Verdict.GOOD
-    assert [ports[1].judge(frame, NOW) for frame in frames[:2]] == [Verdict.REPLAYED] * 2
-    assert ports[1].judge(frames[2], NOW) is Verdict.GOOD
-    assert ports[0].judge(frames[2], NOW) is Verdict.REPLAYED
+    assert ports[0].judge(frames[1], NOW) is SignatureVerdict.GOOD
+    assert [ports[1].judge(frame, NOW) for frame in frames[:2]] == [SignatureVerdict.REPLAYED] * 2
+    assert ports[1].judge(frames[2], NOW) is SignatureVerdict.GOOD
+    assert ports[0].judge(frames[2], NOW) is SignatureVerdict.REPLAYED
 
 
 def test_random_bytes_with_a_key_never_raise():

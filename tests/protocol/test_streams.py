@@ -10,7 +10,7 @@ from autopilot.services.streams import (
     GROUND_STATION_HZ,
     ON_NEW_DATA,
     STEP_US,
-    Streams,
+    MessageStreams,
 )
 
 ATTITUDE = common.MAVLINK_MSG_ID_ATTITUDE
@@ -44,7 +44,7 @@ def dummy_builders(rates_hz):
 
 @pytest.mark.parametrize("rates_hz", [GROUND_STATION_HZ, COMPANION_HZ])
 def test_every_stream_has_its_rate_on_the_4_ms_grid(rates_hz):
-    streams = Streams(dummy_builders(rates_hz), rates_hz)
+    streams = MessageStreams(dummy_builders(rates_hz), rates_hz)
     counts = count_streams(
         streams, 10_000_000, on_step=lambda _: [streams.on_new_data(message_id) for message_id in ON_NEW_DATA]
     )
@@ -53,19 +53,19 @@ def test_every_stream_has_its_rate_on_the_4_ms_grid(rates_hz):
 
 
 def test_new_data_is_sent_once_and_never_above_the_rate():
-    streams = Streams(dummy_builders(COMPANION_HZ), COMPANION_HZ)
+    streams = MessageStreams(dummy_builders(COMPANION_HZ), COMPANION_HZ)
 
     def fixes(every_us):
         return lambda now_us: now_us % every_us or streams.on_new_data(GPS)
 
     assert GPS not in count_streams(streams, 1_000_000)
     assert count_streams(streams, 10_000_000, on_step=fixes(200_000))[GPS] == 50
-    streams = Streams(dummy_builders(COMPANION_HZ), COMPANION_HZ)
+    streams = MessageStreams(dummy_builders(COMPANION_HZ), COMPANION_HZ)
     assert count_streams(streams, 10_000_000, on_step=fixes(20_000))[GPS] == pytest.approx(100, abs=1)
 
 
 def test_for_nobody_only_the_heartbeat_is_formed():
-    streams = Streams(dummy_builders(GROUND_STATION_HZ), GROUND_STATION_HZ)
+    streams = MessageStreams(dummy_builders(GROUND_STATION_HZ), GROUND_STATION_HZ)
     streams.active = False
     streams.hasten(HOME, 0)
     assert count_streams(streams, 3_000_000) == {HEARTBEAT: 3}
@@ -74,7 +74,7 @@ def test_for_nobody_only_the_heartbeat_is_formed():
 
 
 def test_the_deadline_says_when_the_next_message_comes():
-    streams = Streams(dummy_builders(COMPANION_HZ), COMPANION_HZ)
+    streams = MessageStreams(dummy_builders(COMPANION_HZ), COMPANION_HZ)
     now_us = 0
     for _ in range(200):
         assert streams.on_timer(now_us)
@@ -84,7 +84,7 @@ def test_the_deadline_says_when_the_next_message_comes():
 
 
 def test_intervals_can_be_set_stopped_and_restored():
-    streams = Streams(dummy_builders(COMPANION_HZ), COMPANION_HZ)
+    streams = MessageStreams(dummy_builders(COMPANION_HZ), COMPANION_HZ)
     assert streams.set_interval(ATTITUDE, 500_000, 0)
     assert count_streams(streams, 1_000_000)[ATTITUDE] == 2
     assert streams.set_interval(ATTITUDE, -1, 0)
@@ -95,7 +95,7 @@ def test_intervals_can_be_set_stopped_and_restored():
 
 
 def test_nothing_is_sent_more_often_than_the_vehicle_steps():
-    streams = Streams(dummy_builders(COMPANION_HZ), COMPANION_HZ)
+    streams = MessageStreams(dummy_builders(COMPANION_HZ), COMPANION_HZ)
     assert streams.set_interval(ATTITUDE, 1, 0)
     assert streams.interval_us(ATTITUDE) == STEP_US
     assert count_streams(streams, 1_000_000)[ATTITUDE] == 1_000_000 // STEP_US
@@ -103,13 +103,13 @@ def test_nothing_is_sent_more_often_than_the_vehicle_steps():
 
 @pytest.mark.parametrize("interval_us", [-1, 0, 10**30])
 def test_the_heartbeat_cannot_be_stopped(interval_us):
-    streams = Streams(dummy_builders(COMPANION_HZ), COMPANION_HZ)
+    streams = MessageStreams(dummy_builders(COMPANION_HZ), COMPANION_HZ)
     streams.set_interval(HEARTBEAT, interval_us, 0)
     assert count_streams(streams, 5_000_000)[HEARTBEAT] == 5
 
 
 def test_a_change_goes_out_with_the_next_step_and_then_at_the_rate():
-    streams = Streams(dummy_builders(GROUND_STATION_HZ), GROUND_STATION_HZ)
+    streams = MessageStreams(dummy_builders(GROUND_STATION_HZ), GROUND_STATION_HZ)
     period_us = round(1e6 / GROUND_STATION_HZ[HOME])
     times_us = []
     for now_us in range(0, 3 * period_us, STEP_US):
@@ -121,7 +121,7 @@ def test_a_change_goes_out_with_the_next_step_and_then_at_the_rate():
 
 def test_a_builder_that_comes_later_is_found():
     builders = {}
-    streams = Streams(builders, {ATTITUDE: 50.0})
+    streams = MessageStreams(builders, {ATTITUDE: 50.0})
     assert not streams.knows(ATTITUDE)
     assert streams.interval_us(ATTITUDE) == 0
     assert count_streams(streams, 1_000_000) == {}

@@ -23,7 +23,7 @@ from studies.antenna.closed_form import (
     policy_voltages,
 )
 from studies.antenna.plan import QUICK_ANTENNA, AntennaPlan
-from studies.common.report import Check, Section, Table
+from studies.common.report import Check, ReportTable, Section
 from studies.common.runner import Subject
 
 LAMBDA_M = 10.0
@@ -350,7 +350,7 @@ def test_page_table_and_exit_status_follow_the_checks(monkeypatch, tmp_path, at_
         return Section(
             title="Roots", conditions="Of four.\n",
             checks=(Check(name="root", value=results["roots"][0], unit="m", at_most=at_most),),
-            tables=(Table(caption="All:", columns=("of",), rows=(("4",),)),),
+            tables=(ReportTable(caption="All:", columns=("of",), rows=(("4",),)),),
             figures=(("roots.png", "a figure"),),
         )  # fmt: skip
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from studies.article.monte_carlo import array_of, draw, frequency_mhz, ideal_gains, tilted
-from studies.article.plan import SCENARIO, Plan
+from studies.article.plan import SCENARIO, ArticlePlan
 
-SMALL = Plan(seeds=2, duration_s=6.0, wavelengths_m=(5.0, 10.0), winds_n=(0.0, 5.0), draws=20)
+SMALL = ArticlePlan(seeds=2, duration_s=6.0, wavelengths_m=(5.0, 10.0), winds_n=(0.0, 5.0), draws=20)
 
 
 def scenario_of(tmp_path, *changes):

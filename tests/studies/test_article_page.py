@@ -37,7 +37,7 @@ from studies.article.plan import (
     KEPT,
     QUICK,
     UNCROWDED,
-    Plan,
+    ArticlePlan,
     campaigns,
 )
 from studies.article.retained_flights import (
@@ -50,13 +50,13 @@ from studies.article.retained_flights import (
 from studies.article.statements import STATEMENTS, judge_all
 from studies.common.report import markdown
 
-SMALL = Plan(seeds=2, duration_s=6.0, wavelengths_m=(5.0, 10.0), winds_n=(0.0, 5.0), draws=20)
+SMALL = ArticlePlan(seeds=2, duration_s=6.0, wavelengths_m=(5.0, 10.0), winds_n=(0.0, 5.0), draws=20)
 
 
 # ---- what is flown
 
 
-@pytest.mark.parametrize("plan", [Plan(), QUICK], ids=["whole", "quick"])
+@pytest.mark.parametrize("plan", [ArticlePlan(), QUICK], ids=["whole", "quick"])
 def test_every_flight_of_the_plans_can_be_flown(plan):
     """All scenarios load; the article's campaign has every wavelength in every wind with every seed."""
     made = {name: expand(campaign, state="") for name, campaign in campaigns(plan).items()}

@@ -16,7 +16,7 @@ from studies.article.monte_carlo import BACKENDS, SIGMAS_M, Drawn
 from studies.article.patterns import PatternReading
 from studies.article.plan import ARTICLE, CROWDED, GPS, UNCROWDED
 from studies.article.retained_flights import FLOWN, IN_PLACE, UPRIGHT, Separation
-from studies.article.statements import STATEMENTS, Verdict, count, judge, judge_all
+from studies.article.statements import STATEMENTS, StatementVerdict, count, judge, judge_all
 
 WAVELENGTHS_M, WINDS_N = (5.0, 7.5, 10.0, 15.0, 20.0), (0.0, 2.0, 5.0)
 NORMAL = ndtri((np.arange(400) + 0.5) / 400)
@@ -192,16 +192,16 @@ OTHERWISE = {
 
 def test_with_the_articles_numbers_every_statement_holds():
     judged = judge_all(as_in_the_article())
-    assert [(each.name, each.found) for each in judged if each.verdict is not Verdict.AGREES] == []
+    assert [(each.name, each.found) for each in judged if each.verdict is not StatementVerdict.AGREES] == []
     assert not any(each.why for each in judged)
-    none = dict.fromkeys(Verdict, 0)
-    assert count(judged) == none | {Verdict.AGREES: len(STATEMENTS)}
+    none = dict.fromkeys(StatementVerdict, 0)
+    assert count(judged) == none | {StatementVerdict.AGREES: len(STATEMENTS)}
 
 
 @pytest.mark.parametrize("statement", STATEMENTS, ids=lambda each: each.name)
 def test_each_statement_can_fail_and_says_why(statement):
     found = judge(statement, OTHERWISE[statement.name])
-    assert found.verdict is Verdict.DIFFERS, found.found
+    assert found.verdict is StatementVerdict.DIFFERS, found.found
     assert found.why
     assert found.found
 
@@ -210,7 +210,7 @@ def test_each_statement_can_fail_and_says_why(statement):
 def test_what_was_not_measured_is_no_verdict(statement):
     nothing = Evidence(cells={}, ideals={}, separations=[], patterns={}, drawn={})
     found = judge(statement, nothing)
-    assert found.verdict is Verdict.UNKNOWN
+    assert found.verdict is StatementVerdict.UNKNOWN
     assert found.found
     assert "\n" not in found.found
 
@@ -291,7 +291,7 @@ def test_a_pair_that_differs_alike_is_told_apart_though_seeds_differ_more():
     """Shape errors of 0.2, 0.4, 0.6 m and half as much again each: by pairs nothing is left to chance."""
     of = as_in_the_article().cells
     keys = (CROWDED, 10.0, 5.0), (UNCROWDED, 10.0, 5.0)
-    for growth, verdict in ((1.5, Verdict.AGREES), (1.0, Verdict.DIFFERS)):
+    for growth, verdict in ((1.5, StatementVerdict.AGREES), (1.0, StatementVerdict.DIFFERS)):
         cells = {
             key: replace(
                 of[key],
@@ -303,7 +303,9 @@ def test_a_pair_that_differs_alike_is_told_apart_though_seeds_differ_more():
         assert found.verdict is verdict
 
 
-@pytest.mark.parametrize(("scatter_db", "verdict"), [(0.001, Verdict.DIFFERS), (0.1, Verdict.OPEN)])
+@pytest.mark.parametrize(
+    ("scatter_db", "verdict"), [(0.001, StatementVerdict.DIFFERS), (0.1, StatementVerdict.OPEN)]
+)
 def test_a_difference_within_two_standard_errors_is_no_verdict(scatter_db, verdict):
     """5 N cost 0.05 dB at 20 m, 0.05 less than asked; by seeds +s, -2 s, +s: an error of s."""
     key, calm = (ARTICLE, 20.0, 5.0), as_in_the_article().cells[ARTICLE, 20.0, 0.0]
@@ -319,7 +321,11 @@ def test_a_difference_within_two_standard_errors_is_no_verdict(scatter_db, verdi
 
 @pytest.mark.parametrize(
     ("deficits_db", "verdict"),
-    [((1.4, 1.5, 1.6), Verdict.AGREES), ((0.5, 1.0, 1.6), Verdict.OPEN), ((0.4, 0.5, 0.6), Verdict.DIFFERS)],
+    [
+        ((1.4, 1.5, 1.6), StatementVerdict.AGREES),
+        ((0.5, 1.0, 1.6), StatementVerdict.OPEN),
+        ((0.4, 0.5, 0.6), StatementVerdict.DIFFERS),
+    ],
 )
 def test_patterns_are_judged_by_all_flights_that_were_kept(deficits_db, verdict):
     """Of 1 dB in the region; half a dB between flights leaves a mean of 1.03 dB open."""
@@ -336,13 +342,13 @@ def test_patterns_are_judged_by_all_flights_that_were_kept(deficits_db, verdict)
     assert found.verdict is verdict
     assert "over 3 flights" in found.found
     single = replace(evidence, pattern_flights={1: flights[1]})
-    assert judge(statement_of("region: reduced"), single).verdict is Verdict.OPEN
+    assert judge(statement_of("region: reduced"), single).verdict is StatementVerdict.OPEN
 
 
 def test_one_flight_has_no_standard_error():
     runs = as_in_the_article().cells[ARTICLE, 20.0, 5.0].runs
     found = judge(statement_of("resilient"), with_runs((ARTICLE, 20.0, 5.0), runs[:1]))
-    assert found.verdict is Verdict.OPEN
+    assert found.verdict is StatementVerdict.OPEN
     assert "no standard error" in found.why
 
 
@@ -350,7 +356,7 @@ def test_the_winds_effect_has_to_be_alike_and_not_the_means_alone():
     """15 m lose 0.2 dB more in 5 N from a mean 0.2 dB higher without wind: the means in 5 N do not differ."""
     moved = shifted(15.0, 0.0, 0.2)
     found = judge(statement_of("alike"), moved)
-    assert found.verdict is Verdict.DIFFERS
+    assert found.verdict is StatementVerdict.DIFFERS
     assert "cost of 5 N" in found.why
     assert "means" not in found.why.split(". ")[0]
 
@@ -359,9 +365,12 @@ def test_every_solver_means_every_solver():
     """Without one of them nothing can be said, unless one that is here does not meet it."""
     for name in ("main lobe", "ideal gain"):
         found = judge(statement_of(name), without_solver("nec2c", as_in_the_article()))
-        assert found.verdict is Verdict.UNKNOWN
+        assert found.verdict is StatementVerdict.UNKNOWN
         assert "nec2c" in found.found
-        assert judge(statement_of(name), without_solver("nec2c", OTHERWISE[name])).verdict is Verdict.DIFFERS
+        assert (
+            judge(statement_of(name), without_solver("nec2c", OTHERWISE[name])).verdict
+            is StatementVerdict.DIFFERS
+        )
 
 
 def test_the_ideal_is_that_of_the_flights_solver():
@@ -377,13 +386,13 @@ def test_what_falls_exponentially_holds_whatever_its_rate():
         found = judge(
             statement_of("exponential"), falling(lambda v, rate=rate: 10.0 * rate * v / np.log(10.0))
         )
-        assert found.verdict is Verdict.AGREES
+        assert found.verdict is StatementVerdict.AGREES
         assert f"exp(-{rate:.2f} (2π σ/λ)²)" in found.found
 
 
 @pytest.mark.parametrize("loss", [lambda v: 3.0 * np.sqrt(v), lambda v: -10.0 * np.log10(max(1 - v, 0.1))])
 def test_a_fall_in_proportion_to_error_or_variance_is_no_exponential(loss):
-    assert judge(statement_of("exponential"), falling(loss)).verdict is Verdict.DIFFERS
+    assert judge(statement_of("exponential"), falling(loss)).verdict is StatementVerdict.DIFFERS
 
 
 def test_what_remains_in_the_ideal_direction_explains_what_is_no_exponential():
@@ -398,7 +407,7 @@ def test_what_remains_in_the_ideal_direction_explains_what_is_no_exponential():
     }
     along[100.0, 5.0] = replace(along[1.0, 5.0], axis_gain=2.0, mean_gain=5.0)
     explained = judge(statement_of("exponential"), replace(by_variance, drawn=along))
-    assert explained.verdict is Verdict.DIFFERS
+    assert explained.verdict is StatementVerdict.DIFFERS
     assert "3.01 dBi remain" in explained.why
     assert "within 0.00 dB of exp(-1.00" in explained.why
     usual = judge(statement_of("exponential"), by_variance)  # the same in that direction as the maximum
@@ -430,7 +439,7 @@ REASONS = [
 @pytest.mark.parametrize(("name", "evidence", "said", "unsaid"), REASONS)
 def test_a_reason_says_what_its_numbers_do(name, evidence, said, unsaid):
     found = judge(statement_of(name), evidence)
-    assert found.verdict is Verdict.DIFFERS, found.found
+    assert found.verdict is StatementVerdict.DIFFERS, found.found
     assert said in found.why
     assert unsaid not in found.why
 

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from autopilot.mavlink.hil import HilActuatorControls, HilParser, HilSensor
 from harness.launch.profiling import VEHICLES, KindProfile
 from studies.bench import bench, floor
-from studies.bench.bench import Bench, Machine, Plan, summarise, to_json
+from studies.bench.bench import BenchPlan, FlightBench, HostMachine, summarise, to_json
 from studies.bench.cli import FAILED, INTERRUPTED, bench_app
 from studies.bench.flight_job import LAUNCHER, FlightCost, Span
 from studies.bench.floor_job import FloorCost, FloorJob, FloorSpeed
@@ -142,8 +142,8 @@ def test_medians_count_and_the_parts_add_up_to_them(run):
 
 
 def found(*runs):
-    machine = Machine(processors=2, model="any", memory_gb=8.0, system="Linux", python="3.11", load=0.1)
-    return Bench(machine=machine, duration_s=10.0, repeats=3, runs=runs)
+    machine = HostMachine(processors=2, model="any", memory_gb=8.0, system="Linux", python="3.11", load=0.1)
+    return FlightBench(machine=machine, duration_s=10.0, repeats=3, runs=runs)
 
 
 def test_tables_have_a_column_for_every_number_of_uavs(run):
@@ -175,7 +175,7 @@ def test_json_has_what_programs_look_for(run):
 
 
 def test_few_fly_the_article_and_many_a_large_swarm():
-    plan = Plan(agents=(8, 9), duration_s=1.0, repeats=1, floor_wall_s=0.1)
+    plan = BenchPlan(agents=(8, 9), duration_s=1.0, repeats=1, floor_wall_s=0.1)
     assert [plan.scenario_for(number).name for number in plan.agents] == ["article.toml", "swarm64.toml"]
 
 
@@ -246,7 +246,9 @@ def test_when_nothing_was_measured_the_reason_is_all_there_is(measure, reason, s
 
 
 def test_a_measurement_that_fails_is_told_with_its_last_words(tmp_path):
-    plan = Plan(agents=(1,), duration_s=1.0, repeats=1, floor_wall_s=0.1, scenario=tmp_path / "nowhere.toml")
+    plan = BenchPlan(
+        agents=(1,), duration_s=1.0, repeats=1, floor_wall_s=0.1, scenario=tmp_path / "nowhere.toml"
+    )
     with pytest.raises(bench.BenchError, match=r"nowhere\.toml"):
         bench._flight(plan, 1)
 

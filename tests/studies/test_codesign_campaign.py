@@ -15,13 +15,21 @@ from harness.launch import one_process
 from harness.launch.processes import SwarmError, SwarmTimeoutError
 from studies.codesign import cli, flights, results
 from studies.codesign.book import Book
-from studies.codesign.cases import BASE, GPS_ALONE, LOSSY, QUICK, Plan, all_pairs, cut
+from studies.codesign.cases import BASE, GPS_ALONE, LOSSY, QUICK, CodesignPlan, all_pairs, cut
 from studies.codesign.introduction import command, introduction
 from studies.codesign.measures import Measures
-from studies.codesign.results import CampaignError, Flown, Store, fly_tasks, known, make_tasks, sources_state
+from studies.codesign.results import (
+    CampaignError,
+    CodesignFlown,
+    CodesignStore,
+    fly_tasks,
+    known,
+    make_tasks,
+    sources_state,
+)
 from studies.common.command_line import BAD_INPUT, FINE, MISSED
 
-PLAN = Plan(seeds=10, duration_s=30.0)
+PLAN = CodesignPlan(seeds=10, duration_s=30.0)
 
 
 # ---- a campaign on disk
@@ -34,7 +42,7 @@ def flown(task, **numbers):
             "first_collision_s": None, "down": 0, "least_distance_m": 2.0,
         } | numbers
     )  # fmt: skip
-    return Flown(case=task.case, seed=task.seed, digest=task.digest, measures=measures)
+    return CodesignFlown(case=task.case, seed=task.seed, digest=task.digest, measures=measures)
 
 
 def fly_noted(task):
@@ -43,7 +51,7 @@ def fly_noted(task):
     with marks.open("a") as file:
         file.write(f"{task.case} {task.seed}\n")
     if task.case == LOSSY.name and task.seed == 2:
-        return Flown(case=task.case, seed=task.seed, digest=task.digest, broken="fell into the sea")
+        return CodesignFlown(case=task.case, seed=task.seed, digest=task.digest, broken="fell into the sea")
     if task.case == GPS_ALONE.name and task.seed == 1:
         deadline_s = time.monotonic() + 20.0
         while len(marks.read_text().splitlines()) < 3 and time.monotonic() < deadline_s:
@@ -61,13 +69,13 @@ def test_a_campaign_flies_each_flight_once_and_goes_on_after_losses(tmp_path, mo
     """A killed worker costs its own flight alone; a second run flies nothing; a changed one flies anew."""
     monkeypatch.setattr(results, "START_METHOD", "fork")  # spawned ones would import all of this
     monkeypatch.setattr(results, "sources_state", lambda: "one")
-    plan, cases = Plan(seeds=2), (BASE, GPS_ALONE, LOSSY, BASE)
+    plan, cases = CodesignPlan(seeds=2), (BASE, GPS_ALONE, LOSSY, BASE)
     tasks = make_tasks(cases, plan, folder=tmp_path, state="one")
     assert [(task.case, task.seed) for task in tasks] == [
         (case.name, seed) for seed in (1, 2) for case in (BASE, GPS_ALONE, LOSSY)
     ]
     assert make_tasks((all_pairs(16, 0.25), BASE), plan, folder=tmp_path)[-1].case.startswith("ftm-16")
-    store, heard = Store(tmp_path), []
+    store, heard = CodesignStore(tmp_path), []
     fly_tasks(tasks, store, fly_noted, workers=2, done=heard.append)
     assert sorted((each.case, each.seed) for each in heard) == sorted(
         (each.case, each.seed) for each in tasks
@@ -76,7 +84,7 @@ def test_a_campaign_flies_each_flight_once_and_goes_on_after_losses(tmp_path, mo
     assert reasons == {(GPS_ALONE.name, 1): "its process died", (LOSSY.name, 2): "fell into the sea"}
     with store.path.open("ab") as file:
         file.write(b'{"case": "ftm-8-5n", "seed": 1, "dig')  # killed while it wrote
-    there = known(tasks, Store(tmp_path))
+    there = known(tasks, CodesignStore(tmp_path))
     assert len(there) == len(tasks)
     assert there[BASE.name, 2].measures.shape_m == pytest.approx(0.2)
     store.append(flown(tasks[0], shape_m=7.0))
@@ -94,13 +102,13 @@ def test_a_campaign_flies_each_flight_once_and_goes_on_after_losses(tmp_path, mo
 
 def test_two_campaigns_do_not_fly_into_one_folder(tmp_path, monkeypatch):
     monkeypatch.setattr(cli, "keep_stdout", lambda: sys.stdout)
-    with Store(tmp_path).alone():
-        with pytest.raises(CampaignError, match="another campaign"), Store(tmp_path).alone():
+    with CodesignStore(tmp_path).alone():
+        with pytest.raises(CampaignError, match="another campaign"), CodesignStore(tmp_path).alone():
             pass
         result = run_cli("--only", "baselines", "--data", tmp_path)
         assert result.exit_code == BAD_INPUT
         assert "another campaign" in " ".join(result.stderr.split())  # whatever line the folder's name fills
-    with Store(tmp_path).alone():
+    with CodesignStore(tmp_path).alone():
         pass
 
 
@@ -126,7 +134,7 @@ def fly_timed_out(*_, **__):
 
 def test_a_flight_whose_machinery_failed_is_broken(tmp_path, monkeypatch):
     """A timeout is a formation that was not reached, unless it is the machinery's."""
-    (task,) = make_tasks((BASE,), Plan(seeds=1), folder=tmp_path)
+    (task,) = make_tasks((BASE,), CodesignPlan(seeds=1), folder=tmp_path)
     for status, reason in (("failed", "the physics server is silent"), ("not_formed", None)):
 
         class Silent:
@@ -195,7 +203,9 @@ def no_flying(monkeypatch):
             result = fly_made_up(task)
             first = all(task.case != BASE.name or task.seed != 2 for task in flights)
             if (task.case, task.seed) == (BASE.name, 2) and first:
-                result = Flown(case=task.case, seed=task.seed, digest=task.digest, broken="SwarmError: lost")
+                result = CodesignFlown(
+                    case=task.case, seed=task.seed, digest=task.digest, broken="SwarmError: lost"
+                )
             result = replace(result, state=task.state, plan_s=task.plan_s)
             flights.append(task)
             store.append(result)
@@ -277,9 +287,9 @@ def test_the_page_says_what_it_rests_on():
 
 def test_the_page_names_the_command_that_makes_it():
     program = "python scripts/experiment_codesign.py"
-    assert command(Plan()) == program
+    assert command(CodesignPlan()) == program
     assert command(QUICK, quick=True) == f"{program} --quick"
-    plan = replace(Plan(), seeds=3, duration_s=40.0)
+    plan = replace(CodesignPlan(), seeds=3, duration_s=40.0)
     assert (
         command(plan, ("ranging", "trouble"), stale=True)
         == f"{program} --only ranging,trouble --seeds 3 --duration 40 --stale"

@@ -20,19 +20,19 @@ from studies.codesign.cases import (
     LIAR_FROM_START,
     LOSSY,
     QUICK,
-    Plan,
+    CodesignPlan,
     cut,
     groups,
     liar_in_flight,
     wavelength,
 )
-from studies.codesign.measures import TRACK_PERIOD_S, Tables, measure
+from studies.codesign.measures import TRACK_PERIOD_S, FlightTables, measure
 from studies.codesign.sensitivity import expected_gain, per_axis_sigma_m, vertical_sigma_m
 from studies.codesign.simulated import simulate
 from studies.codesign.statistics import mean_interval, ratio_interval
 from studies.codesign.trouble import judge_cut, judge_liar, shape_errors_ne_m, shape_over_time_m
 
-PLAN = Plan(seeds=10, duration_s=30.0)
+PLAN = CodesignPlan(seeds=10, duration_s=30.0)
 PLACES_NED_M = BASE.scenario(PLAN, 1).places_ned_m()
 
 
@@ -164,7 +164,7 @@ def test_sigma_is_what_was_drawn():
 
 
 def test_every_case_is_a_scenario_that_differs_as_its_name_says():
-    plan = Plan(seeds=1)
+    plan = CodesignPlan(seeds=1)
     cases = {case.name: case for members in groups(plan).values() for case in members}
     assert len({msgspec.json.encode((case.scenario(plan, 1), case.faults)) for case in cases.values()}) == 37
     assert {case.name for case in groups(plan)["wavelength"]} & {
@@ -216,7 +216,7 @@ def tables_of(pos_ned_m, *, own_ned_m=None, collisions_us=(), sessions=40):
     """50 rows per second from 1 s on; the channel is busy a tenth of the time, hosts lose 3 beacons of 12."""
     instants, vehicles = pos_ned_m.shape[:2]
     time_us = 1_000_000 + 20_000 * np.arange(instants)
-    return Tables(
+    return FlightTables(
         time_us=time_us,
         alive=np.ones((instants, vehicles), dtype=bool),
         pos_ned_m=pos_ned_m,

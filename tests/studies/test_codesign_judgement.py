@@ -15,17 +15,17 @@ from studies.codesign.cases import (
     LIAR,
     LIAR_FROM_START,
     LOSSY,
-    Plan,
+    CodesignPlan,
     cut,
     groups,
     liar_in_flight,
     wavelength,
 )
 from studies.codesign.measures import TRACK_PERIOD_S, Measures
-from studies.codesign.results import Flown
+from studies.codesign.results import CodesignFlown
 from studies.codesign.study import LocalisationResult
 
-PLAN = Plan(seeds=10, duration_s=30.0)
+PLAN = CodesignPlan(seeds=10, duration_s=30.0)
 
 
 def made_up(
@@ -94,7 +94,7 @@ def made_up(
                 else (),
                 "track_mm": tuple(map(tuple, track_mm.reshape(instants, -1).tolist())),
             }  # fmt: skip
-            flights[case.name, seed] = Flown(
+            flights[case.name, seed] = CodesignFlown(
                 case=case.name, seed=seed, digest="x", measures=Measures(**numbers)
             )
     return Book(plan=plan, flights=flights)
@@ -357,7 +357,7 @@ def test_studies_are_done_once_for_a_state_and_a_number_of_runs(tmp_path, monkey
         seen.clear()
         return estimator_section.studies(plan, tmp_path, workers=2, done=lambda *told: seen.append(told))
 
-    first = go(Plan(seeds=1))
+    first = go(CodesignPlan(seeds=1))
     assert seen == [(done, 5) for done in range(6)]
     section = estimator_section.judge_estimator(first)
     assert [check.passed for check in section.checks] == [False, True, True]  # ten runs are not enough
@@ -370,18 +370,18 @@ def test_studies_are_done_once_for_a_state_and_a_number_of_runs(tmp_path, monkey
     assert (cells[0]["filter says"], cells[0]["batch over bound"]) == ("0.100", "1.20")
     assert "distances of the last 4 s" in section.conditions
     monkeypatch.setattr(estimator_section, "study", None)  # nothing is studied again ...
-    assert go(Plan(seeds=1)) == first
+    assert go(CodesignPlan(seeds=1)) == first
     assert seen == [(5, 5)]
     monkeypatch.setattr(estimator_section, "study", fake_study)
-    assert go(Plan(seeds=2)) != first  # ... but for another number of runs
-    enough = estimator_section.judge_estimator(go(Plan(seeds=10)))
+    assert go(CodesignPlan(seeds=2)) != first  # ... but for another number of runs
+    enough = estimator_section.judge_estimator(go(CodesignPlan(seeds=10)))
     assert [check.passed for check in enough.checks] == [True, True, True]
-    go(Plan(seeds=1))
+    go(CodesignPlan(seeds=1))
     assert seen == [(5, 5)]
     with monkeypatch.context() as patch:
         patch.setattr(estimator_section, "_SEED", 6)
-        go(Plan(seeds=1))
+        go(CodesignPlan(seeds=1))
         assert seen[0] == (0, 5)
     monkeypatch.setattr(estimator_section, "_state", lambda: "another")
-    go(Plan(seeds=1))
+    go(CodesignPlan(seeds=1))
     assert seen[0] == (0, 5)

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from autopilot.control.allocation import effectiveness
 from autopilot.control.params import AllocationParams
 from harness.world.sensors.config import PROFILES
-from studies.common.report import Check, Section, Table, markdown
+from studies.common.report import Check, ReportTable, Section, markdown
 from studies.vehicle import campaign, estimation_section
 from studies.vehicle.allocation import RANGE_N, _is_achievable, check_allocation
 from studies.vehicle.bench import _PARTS, _StopWatch, measure, record_flight
@@ -49,7 +49,7 @@ def test_page():
         title="Hover",
         conditions="In wind.\n",
         checks=(check(0.12345, at_most=0.2), replace(check(3.0, at_least=0.1, at_most=0.2), px4="0.18 m")),
-        tables=(Table(caption="More:", columns=("a", "b"), rows=(("1", "2"),)),),
+        tables=(ReportTable(caption="More:", columns=("a", "b"), rows=(("1", "2"),)),),
         figures=(("x.png", "a figure"),),
     )
     page = markdown([section], introduction="All of it.\n")

@@ -4,7 +4,7 @@ import struct
 
 from pymavlink.dialects.v20 import common
 
-from autopilot.services.ftp import DATA_BYTES, Failure, Opcode
+from autopilot.services.ftp import DATA_BYTES, FtpFailure, Opcode
 from autopilot.services.service import NEVER_US
 
 HEADER = struct.Struct("<HBBBBBxI")
@@ -25,7 +25,7 @@ class Reply:
         self.data = payload[HEADER.size : HEADER.size + size]
         assert payload[HEADER.size + size :].strip(b"\0") == b""
         self.to = message.target_system, message.target_component
-        self.failure = Failure(self.data[0]) if self.opcode == Opcode.NAK else None
+        self.failure = FtpFailure(self.data[0]) if self.opcode == Opcode.NAK else None
 
 
 class Downloader:

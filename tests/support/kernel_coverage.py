@@ -11,10 +11,10 @@ from numba.core.dispatcher import Dispatcher
 
 _CALLED_BY = """
 import json, sys
-from {module} import rehearse
+from {module} import warm_up
 called = set()
 sys.setprofile(lambda frame, *_: called.add((frame.f_code.co_filename, frame.f_code.co_name)))
-rehearse()
+warm_up()
 sys.setprofile(None)
 print(json.dumps(sorted(called)))
 """

@@ -6,7 +6,7 @@ import math
 import numpy as np
 from control_fixtures import DT_S, Iris, estimate
 
-from autopilot.commander.land_detector import LandDetector, LandDetectorParams, Stage
+from autopilot.commander.land_detector import LandDetector, LandDetectorParams, LandStage
 from autopilot.control import ControlParams, FlightController
 from autopilot.mavlink.modes import FlightMode
 from autopilot.navigation.mission import MissionCommand, MissionItem
@@ -107,7 +107,7 @@ class Real(Loop):
         self.controller = FlightController(control)
         self.detector = LandDetector(LandDetectorParams())
         if height_m > 0.0:
-            self.detector.stage = Stage.AIRBORNE
+            self.detector.stage = LandStage.AIRBORNE
         self.force_ned_n = np.zeros(3)
         self.state = self.iris.estimate()
 
@@ -117,7 +117,7 @@ class Real(Loop):
 
     @property
     def touching(self):
-        return self.detector.stage is not Stage.AIRBORNE
+        return self.detector.stage is not LandStage.AIRBORNE
 
     def step(self):
         self.state = self.iris.estimate()

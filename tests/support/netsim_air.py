@@ -6,12 +6,12 @@ from itertools import chain
 import numpy as np
 
 from netsim.mac.access import DCF, AccessParameters
-from netsim.mac.jobs import GroupReception, Job, Outcome, Reception
+from netsim.mac.jobs import GroupReception, Job, JobOutcome, Reception
 from netsim.mac.radios import Radios
 from netsim.mac.rates import RateControl
 from netsim.model.config import Mode, RadioConfig
 from netsim.model.event_queue import EventQueue
-from netsim.model.random_streams import Streams, Uniforms
+from netsim.model.random_streams import RandomStreams, Uniforms
 from netsim.phy.frames import GROUP, FrameKind
 from netsim.phy.modes import phy_mode
 from netsim.phy.propagation import LinkRow
@@ -72,10 +72,10 @@ class Air:
         seed: int = 1,
     ) -> None:
         config = RadioConfig(bandwidth_mhz=20, rician_k_db=None, control_mode=control_mode, queue_frames=10)
-        streams = Streams(np.random.SeedSequence(seed))
+        streams = RandomStreams(np.random.SeedSequence(seed))
         self.queue = EventQueue()
         self.transmissions: list[Transmission] = []
-        self.outcomes: list[Outcome] = []
+        self.outcomes: list[JobOutcome] = []
         self.arrivals: list[tuple[int, int, bool]] = []
         self.bodies: list[object] = []
         """Of the frames to one station that have arrived"""

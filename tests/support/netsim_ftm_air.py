@@ -14,7 +14,7 @@ from netsim.mac.jobs import Job, Reception
 from netsim.mac.radios import Radios
 from netsim.model.config import FtmConfig, RadioConfig
 from netsim.model.event_queue import EventQueue
-from netsim.model.random_streams import Model, Streams
+from netsim.model.random_streams import Model, RandomStreams
 from netsim.phy.frames import DATA_OVERHEAD_BYTES, FrameKind
 from netsim.phy.modes import phy_mode
 from netsim.phy.propagation import LinkRow, Trajectories
@@ -80,7 +80,7 @@ class FtmAir:
         self._bias_m = bias_m
         self._blocked_ways = blocked_ways
         self._blocked_from_ns = blocked_from_ns
-        streams = Streams(np.random.SeedSequence(seed))
+        streams = RandomStreams(np.random.SeedSequence(seed))
         radios = Radios(
             config=config,
             access=EDCA,

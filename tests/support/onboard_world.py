@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from pymavlink.dialects.v20 import common
 
-from autopilot.onboard import OnboardApp, Phase
+from autopilot.onboard import OnboardApp
 from autopilot.onboard.app import NOTHING
+from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.parameters.config import Devices, OnboardConfig, Site
 from foundation.geometry.geodesy import ned_to_geodetic
 from netsim.wire.messages import Broadcast, Delivery, FtmRequest, FtmResult
@@ -195,7 +196,9 @@ class SwarmWorld:
         return [app.phase for app in self.apps]
 
     def formed(self):
-        return all(app.phase is Phase.ON_STATION for i, app in enumerate(self.apps) if i not in self.dead)
+        return all(
+            app.phase is FlightPhase.ON_STATION for i, app in enumerate(self.apps) if i not in self.dead
+        )
 
     def _step(self):
         self.now_us += STEP_US

@@ -17,7 +17,7 @@ from autopilot.services.command import CommandService, TakeoffAltitude
 from autopilot.services.flight_data import FlightData, Home
 from autopilot.services.manual_control import ManualControlService
 from autopilot.services.service import Partner
-from autopilot.services.streams import GROUND_STATION_HZ, Streams
+from autopilot.services.streams import GROUND_STATION_HZ, MessageStreams
 from autopilot.services.telemetry import Telemetry
 
 NAN = math.nan
@@ -55,7 +55,7 @@ class Commanded:
         self.commander = self.flight.commander
         self.altitude = TakeoffAltitude()
         self.telemetry = make_telemetry(self.flight)
-        self.streams = Streams(self.telemetry.builders, GROUND_STATION_HZ)
+        self.streams = MessageStreams(self.telemetry.builders, GROUND_STATION_HZ)
         self.done = []
         self.refusal = None
         self.woken = 0

@@ -148,10 +148,10 @@ def uav(config: dict[str, Any]) -> None:
     emit(Finished(name=name, details={"ground_messages": 0}))
 
 
-def hangar(line: socket.socket) -> None:
-    emit(Ready(name="hangar", pid=os.getpid()))
+def prefork_server(line: socket.socket) -> None:
+    emit(Ready(name="prefork", pid=os.getpid()))
     serve(line, main)
-    emit(Finished(name="hangar"))
+    emit(Finished(name="prefork"))
 
 
 def main(command_line: Sequence[str]) -> int:
@@ -172,7 +172,7 @@ def main(command_line: Sequence[str]) -> int:
         case "netsim":
             radio(settings)
         case "autopilot.process.prefork_server":
-            hangar(socket.socket(fileno=arguments.fork_fd))
+            prefork_server(socket.socket(fileno=arguments.fork_fd))
         case "autopilot":
             uav(settings)
     return 0

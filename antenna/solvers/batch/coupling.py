@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from antenna.model.clearance import measure
 from antenna.model.geometry import Array, Complex
-from antenna.solvers.batch.kind import Kind
+from antenna.solvers.batch.kind import ElementKind
 from antenna.solvers.batch.moments import ETA_OHM, turn
 from antenna.solvers.batch.near import find_near, respond_together
 from antenna.solvers.batch.response import NODES
@@ -94,7 +94,7 @@ def reactions(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def solve_arrays(
-    kind: Kind,
+    kind: ElementKind,
     centres_m: Array,
     rotations: Array,
     voltages: Complex,
@@ -191,7 +191,7 @@ def solve_arrays(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def solve_near(
-    kind: Kind,
+    kind: ElementKind,
     centres_m: Array,
     rotations: Array,
     near: NDArray[np.int64],

@@ -11,7 +11,7 @@ from antenna.model.geometry import Array, Complex
 from antenna.solvers.batch.response import respond
 
 
-class Kind(NamedTuple):
+class ElementKind(NamedTuple):
     """An element's response in plain arrays: K currents as points, on all levels of `NODES`, N segments."""
 
     firsts: NDArray[np.int64]
@@ -57,12 +57,12 @@ class Kind(NamedTuple):
     """Whether all this stands over perfect ground, at height 0."""
 
 
-def make_kind(element: Element, wavelength_m: float, *, image: bool) -> Kind:
+def make_kind(element: Element, wavelength_m: float, *, image: bool) -> ElementKind:
     """Compute the response of an element at a wavelength."""
     response = respond(element, wavelength_m)
     segments = response.segments
     sizes = [len(nodes.places_m) for nodes in response.nodes]
-    return Kind(
+    return ElementKind(
         firsts=np.concatenate([[0], np.cumsum(sizes)]),
         places_m=np.concatenate([nodes.places_m for nodes in response.nodes]),
         axes=np.concatenate([nodes.axes for nodes in response.nodes]),

@@ -11,12 +11,12 @@ from numba import njit
 
 from antenna.analysis.maxima import Index
 from antenna.model.geometry import Array, Complex
-from antenna.solvers.batch.kind import Kind
+from antenna.solvers.batch.kind import ElementKind
 from antenna.solvers.batch.moments import turn, write_fields
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def find_near(kind: Kind, apart_m: Array, image_apart_m: Array, members: Index) -> int:
+def find_near(kind: ElementKind, apart_m: Array, image_apart_m: Array, members: Index) -> int:
     """Write which of n elements are near another one, or an image, (n,), in order; gives how many."""
     n, count = len(members), 0
     for i in range(n):
@@ -33,7 +33,7 @@ def find_near(kind: Kind, apart_m: Array, image_apart_m: Array, members: Index) 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def respond_together(
-    kind: Kind, places_m: Array, rotations: Array, members: Index, together: Complex, feeds_a: Complex
+    kind: ElementKind, places_m: Array, rotations: Array, members: Index, together: Complex, feeds_a: Complex
 ) -> None:
     """Write T (m K, m K), and the currents through the sources for y, (m, m K), of m of n elements."""
     m, count, kept = len(members), len(kind.lengths_m), len(kind.feed_a)

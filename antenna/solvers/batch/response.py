@@ -35,7 +35,7 @@ class Nodes:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Response:
+class ElementResponse:
     """K current distributions of an element, the first of which is that of 1 V at its source."""
 
     nodes: tuple[Nodes, ...]
@@ -71,7 +71,7 @@ def cut(element: Element) -> Segments:
     return Segments(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def respond(element: Element, wavelength_m: float) -> Response:
+def respond(element: Element, wavelength_m: float) -> ElementResponse:
     """Find the currents of an element and how fields drive them."""
     k_rad_m = 2.0 * np.pi / wavelength_m
     segments = cut(element)
@@ -95,7 +95,7 @@ def respond(element: Element, wavelength_m: float) -> Response:
     alone = make_nodes(element, segments, spread, k_rad_m, NODES[-1]).moments_am
     heard = alone.T @ _plane_waves(finest.places_m, finest.axes, k_rad_m)
     projection: Complex = np.linalg.lstsq(reactions.T, heard.T, rcond=None)[0].astype(complex)
-    return Response(nodes, scattering, currents, projection, segments, admits, spread)
+    return ElementResponse(nodes, scattering, currents, projection, segments, admits, spread)
 
 
 def _plane_waves(places_m: Array, axes: Array, k_rad_m: float) -> Complex:

@@ -16,7 +16,7 @@ from antenna.model.geometry import Array, Complex, ElementsTooNear, ElementsTouc
 from antenna.solvers.batch.accuracy import batch_accuracy
 from antenna.solvers.batch.coupling import solve_arrays
 from antenna.solvers.batch.far_field import VECTOR, Single, radiate
-from antenna.solvers.batch.kind import Kind, make_kind
+from antenna.solvers.batch.kind import ElementKind, make_kind
 from antenna.solvers.batch.maximum import survey_arrays
 from antenna.solvers.batch.moments import ETA_OHM, turn
 from antenna.solvers.batch.response import NODES
@@ -38,7 +38,7 @@ class Grid(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def place_points(
-    kind: Kind,
+    kind: ElementKind,
     first: int,
     last: int,
     centres_m: Array,

@@ -18,23 +18,23 @@ NAN = float("nan")
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class RepeatedCommand:
     """A COMMAND_LONG: its MAV_CMD and seven parameters."""
 
     number: int
     params: tuple[float, float, float, float, float, float, float]
 
 
-ARM = Command(common.MAV_CMD_COMPONENT_ARM_DISARM, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-OFFBOARD = Command(
+ARM = RepeatedCommand(common.MAV_CMD_COMPONENT_ARM_DISARM, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+OFFBOARD = RepeatedCommand(
     common.MAV_CMD_DO_SET_MODE,
     (common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, FlightMode.OFFBOARD.main, 0.0, 0.0, 0.0, 0.0, 0.0),
 )
 
 
-def take_off(altitude_m: float) -> Command:
+def take_off(altitude_m: float) -> RepeatedCommand:
     """Take off here to an altitude above mean sea level."""
-    return Command(common.MAV_CMD_NAV_TAKEOFF, (0.0, 0.0, 0.0, NAN, NAN, NAN, altitude_m))
+    return RepeatedCommand(common.MAV_CMD_NAV_TAKEOFF, (0.0, 0.0, 0.0, NAN, NAN, NAN, altitude_m))
 
 
 class CommandSender:
@@ -50,11 +50,11 @@ class CommandSender:
         self.accepted = False
         self.refusals = 0
         self._target_system = target_system
-        self._wanted: Command | None = None
+        self._wanted: RepeatedCommand | None = None
         self._send_us = 0
         self._confirmation = 0
 
-    def want(self, command: Command | None, now_us: int) -> None:
+    def want(self, command: RepeatedCommand | None, now_us: int) -> None:
         """Make this the command to get accepted; None wants nothing, the same again changes nothing."""
         if command == self._wanted:
             return
@@ -63,7 +63,7 @@ class CommandSender:
         self._send_us = now_us
         self._confirmation = 0
 
-    def wants(self, command: Command) -> bool:
+    def wants(self, command: RepeatedCommand) -> bool:
         """Whether this is the command that was wanted last."""
         return command == self._wanted
 

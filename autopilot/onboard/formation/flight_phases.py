@@ -13,7 +13,7 @@ from msgspec import Struct
 from autopilot.mavlink.modes import FlightMode
 from autopilot.onboard.formation.commands import ARM, OFFBOARD, CommandSender, take_off
 from autopilot.onboard.formation.own_state import OwnState
-from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.formation.phases import FlightPhase
 
 SHAPE_STD_M = 0.35
 LOCALISE_TIMEOUT_US = 10_000_000
@@ -37,8 +37,8 @@ class Situation(Struct, frozen=True, kw_only=True):
     """Of the own place over the ground."""
 
 
-class Flight:
-    """The phases of one UAV's flight, in the order of `Phase`.
+class FlightSequence:
+    """The phases of one UAV's flight, in the order of `FlightPhase`.
 
     Attributes:
         phase: where in the flight it is.
@@ -55,7 +55,7 @@ class Flight:
         on_station_hold_s: float,
         held: bool = False,
     ) -> None:
-        self.phase = Phase.WAITING
+        self.phase = FlightPhase.WAITING
         self.held = held
         self.texts: list[str] = []
         self._commands = commands
@@ -69,12 +69,12 @@ class Flight:
     @property
     def in_air(self) -> bool:
         """Whether it has been sent up."""
-        return Phase.TAKE_OFF <= self.phase <= Phase.LANDED
+        return FlightPhase.TAKE_OFF <= self.phase <= FlightPhase.LANDED
 
     @property
     def in_formation(self) -> bool:
         """Whether the application has the vehicle."""
-        return self.phase in {Phase.JOINING, Phase.ON_STATION}
+        return self.phase in {FlightPhase.JOINING, FlightPhase.ON_STATION}
 
     def update(self, own: OwnState, situation: Situation, now_us: int) -> None:
         """Go on to the phase that the facts of now lead to, and want the command that it needs."""
@@ -82,58 +82,60 @@ class Flight:
         if phase is not self.phase:
             self.phase, self._phase_since_us = phase, now_us
 
-    def _next(self, own: OwnState, situation: Situation, now_us: int) -> Phase:
+    def _next(self, own: OwnState, situation: Situation, now_us: int) -> FlightPhase:
         disarmed = not own.armed and own.heartbeat_us > self._phase_since_us + HEARTBEAT_LAG_US
         match self.phase:
-            case Phase.JOINING | Phase.ON_STATION:  # first, for so it is nearly always
+            case FlightPhase.JOINING | FlightPhase.ON_STATION:  # first, for so it is nearly always
                 return self._in_formation(own, situation, now_us, disarmed=disarmed)
-            case Phase.WAITING if own.origin_ned_m is not None and own.fix is not None:
-                return Phase.HELD if self.held else self._begin(situation)
-            case Phase.HELD if not self.held:
+            case FlightPhase.WAITING if own.origin_ned_m is not None and own.fix is not None:
+                return FlightPhase.HELD if self.held else self._begin(situation)
+            case FlightPhase.HELD if not self.held:
                 return self._begin(situation)
-            case Phase.LOCALISING:
+            case FlightPhase.LOCALISING:
                 if situation.shape_std_m < SHAPE_STD_M:
-                    return Phase.ARMING
+                    return FlightPhase.ARMING
                 if now_us - self._phase_since_us > LOCALISE_TIMEOUT_US:
                     self.texts.append("formation not localised: taking off all the same")
-                    return Phase.ARMING
-            case Phase.ARMING:
+                    return FlightPhase.ARMING
+            case FlightPhase.ARMING:
                 self._commands.want(ARM, now_us)
                 if self._commands.accepted:
-                    return Phase.TAKE_OFF
-            case Phase.TAKE_OFF:
+                    return FlightPhase.TAKE_OFF
+            case FlightPhase.TAKE_OFF:
                 return self._taking_off(own, situation, now_us, disarmed=disarmed)
-            case Phase.YIELDED:
+            case FlightPhase.YIELDED:
                 self._commands.want(None, now_us)
                 if own.mode is FlightMode.OFFBOARD and not own.failsafe:
-                    return Phase.JOINING
-                return Phase.LANDED if disarmed else self.phase
-            case Phase.LANDED:
+                    return FlightPhase.JOINING
+                return FlightPhase.LANDED if disarmed else self.phase
+            case FlightPhase.LANDED:
                 self._commands.want(None, now_us)
         return self.phase
 
     @staticmethod
-    def _begin(situation: Situation) -> Phase:
-        return Phase.LOCALISING if situation.shape_std_m > 0.0 else Phase.ARMING
+    def _begin(situation: Situation) -> FlightPhase:
+        return FlightPhase.LOCALISING if situation.shape_std_m > 0.0 else FlightPhase.ARMING
 
-    def _taking_off(self, own: OwnState, situation: Situation, now_us: int, *, disarmed: bool) -> Phase:
+    def _taking_off(self, own: OwnState, situation: Situation, now_us: int, *, disarmed: bool) -> FlightPhase:
         height_m = -own.local_ned_m[2]
         take_off_height_m = min(TAKE_OFF_HEIGHT_M, situation.place_height_m)
         if disarmed:
-            return Phase.LANDED if self._has_flown else Phase.ARMING
+            return FlightPhase.LANDED if self._has_flown else FlightPhase.ARMING
         if own.failsafe:
             return self._yield("failsafe", now_us)
         self._has_flown |= height_m > FLOWN_HEIGHT_M
         if height_m < min(HAND_OVER_HEIGHT_M, 0.5 * take_off_height_m) and not self._commands.wants(OFFBOARD):
             self._commands.want(take_off(own.origin_alt_m + take_off_height_m), now_us)
-            return Phase.TAKE_OFF
+            return FlightPhase.TAKE_OFF
         self._commands.want(OFFBOARD, now_us)
         self._offboard_seen = False
-        return Phase.JOINING if self._commands.accepted else Phase.TAKE_OFF
+        return FlightPhase.JOINING if self._commands.accepted else FlightPhase.TAKE_OFF
 
-    def _in_formation(self, own: OwnState, situation: Situation, now_us: int, *, disarmed: bool) -> Phase:
+    def _in_formation(
+        self, own: OwnState, situation: Situation, now_us: int, *, disarmed: bool
+    ) -> FlightPhase:
         if disarmed:
-            return Phase.LANDED
+            return FlightPhase.LANDED
         if own.failsafe:
             return self._yield("failsafe", now_us)
         if own.mode is FlightMode.OFFBOARD:
@@ -145,13 +147,13 @@ class Flight:
         elif self._arrived_us is None:
             self._arrived_us = now_us
         elif now_us - self._arrived_us >= self._hold_us:
-            return Phase.ON_STATION
+            return FlightPhase.ON_STATION
         return self.phase
 
-    def _yield(self, why: str, now_us: int) -> Phase:
+    def _yield(self, why: str, now_us: int) -> FlightPhase:
         """Leave the flying to whoever has it now, and ask for nothing more."""
         self._offboard_seen = False
         self._arrived_us = None
         self._commands.want(None, now_us)
         self.texts.append(f"{why}: yielding")
-        return Phase.YIELDED
+        return FlightPhase.YIELDED

@@ -159,7 +159,7 @@ def follow(
     motion: Array, joined: NDArray[np.bool_], target: Array, heeded: bool,  # noqa: FBT001
     climb_speed_m_s: float, dt_s: float,
 ) -> None:  # fmt: skip
-    """Move a `Reference` on by ``dt_s``, in place.
+    """Move a `FormationReference` on by ``dt_s``, in place.
 
     Rows of motion (3, 3) are its position, velocity and acceleration; ``joined`` (2,) says whether these are
     the target's, horizontally and in height. Rows of target (4, 3) are those of the target, and where the
@@ -176,7 +176,7 @@ def follow(
     joined[1] = join(pos, vel, acc, target, 2, 3, climb_speed_m_s, dt_s, joined[1])
 
 
-class Reference:
+class FormationReference:
     """A point that joins a moving target, horizontally and vertically apart, and then is the target.
 
     While it joins, its motion relative to the target has bounded speed and acceleration. Once it is within
@@ -238,7 +238,7 @@ class Reference:
 
 
 def joining_time_s(distance_m: float, speed_m_s: float) -> float:
-    """Time in which a `Reference` from rest comes to rest at a target so far away.
+    """Time in which a `FormationReference` from rest comes to rest at a target so far away.
 
     Speeding up with a, braking with `BRAKING` a: from rest over v to rest takes v / a (1 + 1 / BRAKING) and
     half of v times that in distance; the rest goes at v, the speed limit or what the distance allows.

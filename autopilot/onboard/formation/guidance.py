@@ -6,14 +6,14 @@ believes itself elsewhere than it is.
 """
 
 from autopilot.onboard.formation.avoidance import Avoidance
-from autopilot.onboard.formation.formation_control import Correction, Reference
+from autopilot.onboard.formation.formation_control import Correction, FormationReference
 from autopilot.onboard.formation.formation_plan import FormationPlan
 from autopilot.onboard.formation.height_layers import HeightLayers
 from autopilot.onboard.formation.motion import MotionStart
 from autopilot.onboard.formation.own_state import OwnState
 from autopilot.onboard.formation.wind import WindObserver
 from autopilot.onboard.localisation.uncertainty import Others
-from autopilot.onboard.radio.neighbour_table import Hearing
+from autopilot.onboard.radio.neighbour_table import NeighbourTable
 from autopilot.onboard.radio.neighbourhood import Neighbourhood
 from autopilot.parameters.config import OnboardConfig
 from foundation.types import Vector
@@ -65,7 +65,7 @@ class Guidance:
         """The autopilot's position less the true one, down; known to those alone who are told the truth."""
         self._station = station
         self._plan = plan
-        self._reference = Reference(climb_speed_m_s=config.climb_speed_m_s)
+        self._reference = FormationReference(climb_speed_m_s=config.climb_speed_m_s)
         self._avoidance = Avoidance(
             own=near.own, places_ned_m=places_ned_m, radius_m=config.safety_radius_m, members=near.members
         )
@@ -89,7 +89,7 @@ class Guidance:
             down_m + vel_d * age_s - self.down_error_m,
         )
 
-    def agree(self, now_us: int, *, on_station: bool, hearing: Hearing) -> None:
+    def agree(self, now_us: int, *, on_station: bool, hearing: NeighbourTable) -> None:
         """Settle with the others when the motion starts."""
         if self._plan.moves:
             self.start.update(now_us, on_station=on_station, neighbours=hearing.neighbours())

@@ -5,7 +5,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.components import AUTOPILOT_COMPONENT
 from autopilot.mavlink.local_messages import PositionTarget
 from autopilot.onboard.formation.guidance import Setpoint
-from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.formation.phases import FlightPhase
 
 START_NAME = b"start_ms"
 """NAMED_VALUE_INT: when the formation's motion begins, milliseconds on the formation's clock."""
@@ -32,7 +32,7 @@ def offboard_setpoint(setpoint: Setpoint, target_system: int, now_us: int) -> Po
     )  # fmt: skip
 
 
-def heartbeat(phase: Phase, start_us: int | None, now_us: int) -> list[common.MAVLink_message]:
+def heartbeat(phase: FlightPhase, start_us: int | None, now_us: int) -> list[common.MAVLink_message]:
     """HEARTBEAT with the phase as its custom mode, and when the formation's motion begins, once agreed."""
     beat = common.MAVLink_heartbeat_message(
         common.MAV_TYPE_ONBOARD_CONTROLLER, common.MAV_AUTOPILOT_INVALID, 0, int(phase),

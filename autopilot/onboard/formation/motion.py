@@ -11,7 +11,7 @@ it kept them apart, go over to what most of them hold once they hear each other.
 from collections import Counter
 from collections.abc import Mapping
 
-from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation.model import CLOCK_TOLERANCE_US, SILENCE_US
 
 LEAD_US = 2_000_000
@@ -23,10 +23,10 @@ SETTLED_US = 50_000
 overtaken by a later proposal."""
 MOST_LEADS = 3
 """So many leads after the first proposal that it held a UAV sets off, whoever keeps proposing later times."""
-STAYS_AWAY = frozenset({Phase.YIELDED, Phase.LANDED, Phase.HELD})
+STAYS_AWAY = frozenset({FlightPhase.YIELDED, FlightPhase.LANDED, FlightPhase.HELD})
 """Phases of a UAV that is not on its way to its place."""
 
-Heard = tuple[Phase, int | None, int]
+Heard = tuple[FlightPhase, int | None, int]
 """Of a neighbour's newest beacon: phase, start time that it holds, when it was heard."""
 
 
@@ -63,12 +63,12 @@ class MotionStart:
             if station not in self._others or now_us - heard_us >= SILENCE_US:
                 continue
             heard += 1
-            ready = ready and (phase is Phase.ON_STATION or phase in STAYS_AWAY)
+            ready = ready and (phase is FlightPhase.ON_STATION or phase in STAYS_AWAY)
             if start_us is None:
                 continue
             if now_us < start_us <= now_us + self._lead_us + CLOCK_TOLERANCE_US:
                 proposed_us.append(start_us)
-            elif phase is Phase.ON_STATION and self._can_have_begun(start_us, heard_us, now_us):
+            elif phase is FlightPhase.ON_STATION and self._can_have_begun(start_us, heard_us, now_us):
                 begun[start_us] += 1
         if self.start_us is not None and self.start_us <= now_us:
             begun[self.start_us] += 1

@@ -3,7 +3,7 @@
 from enum import IntEnum
 
 
-class Phase(IntEnum):
+class FlightPhase(IntEnum):
     """What the application is about; its value is the custom_mode of the application's HEARTBEAT."""
 
     WAITING = 0

@@ -76,7 +76,7 @@ class Joined:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Problem:
+class InitialisationProblem:
     """What there is to solve."""
 
     state: Array

@@ -26,7 +26,7 @@ from autopilot.onboard.localisation.members import Members
 from autopilot.onboard.localisation.receivers import BIAS_SIGMAS
 from autopilot.onboard.localisation.tracks import EXTRAPOLATED_S, KNOWN, Rings, odometry_at
 from autopilot.onboard.radio.beacon import Fix, GpsError
-from autopilot.onboard.radio.neighbour_table import Hearing, Stations
+from autopilot.onboard.radio.neighbour_table import NeighbourTable, Stations
 
 PERIOD_US = 200_000
 """Of a round; with beacons as they are by default, everybody is heard in each."""
@@ -51,7 +51,7 @@ class CommonFrame:
 
     """
 
-    def __init__(self, members: Times, hearing: Hearing) -> None:
+    def __init__(self, members: Times, hearing: NeighbourTable) -> None:
         self.shift_ne_m: Level = (0.0, 0.0)
         self._members = members
         self._hearing = hearing

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from autopilot.onboard.localisation.batch_initialisation import Flags, Joined, Problem, links
+from autopilot.onboard.localisation.batch_initialisation import Flags, InitialisationProblem, Joined, links
 from autopilot.onboard.localisation.distances import Distances
 from autopilot.onboard.localisation.kernels import BIAS, STATES, Array
 from autopilot.onboard.localisation.measurement_update import (
@@ -27,7 +27,7 @@ from autopilot.onboard.localisation.measurement_update import (
     LOST,
     NOT_LOCATED,
     ODOMETRY_JUMPED,
-    SENDER_ANEW,
+    SENDER_RESTARTED,
     advance,
     count_distance,
     read_beacons,
@@ -42,7 +42,7 @@ from autopilot.onboard.localisation.reference_geometry import ReferenceGeometry,
 from autopilot.onboard.localisation.tracks import EXTRAPOLATED_S, KNOWN, Tracks, odometry_at
 from autopilot.onboard.localisation.trust import Trust
 from autopilot.onboard.localisation.uncertainty import SEEN, Others, seen_from, variance_between
-from autopilot.onboard.radio.neighbour_table import Hearing
+from autopilot.onboard.radio.neighbour_table import NeighbourTable
 from foundation.types import Vector
 
 __all__ = ["CLOCK_TOLERANCE_US", "SILENCE_US", "CooperativeLocalisation", "LocalisationModel", "Others"]
@@ -103,7 +103,7 @@ class CooperativeLocalisation:
         self._counted = 0
         self._others: Others = np.zeros(count, SEEN)
 
-    def read(self, hearing: Hearing, now_us: int) -> None:
+    def read(self, hearing: NeighbourTable, now_us: int) -> None:
         """Hear all that has come, and take what it says of those who are localised and of distances."""
         pages, distances = hearing.pages, self._distances
         while True:
@@ -165,7 +165,7 @@ class CooperativeLocalisation:
 
     def _do(self, asked: int, row: int) -> None:
         """Do what a UAV's news ask for; see `intake`."""
-        if asked == SENDER_ANEW:
+        if asked == SENDER_RESTARTED:
             self.restart(row)
         elif asked == LOST:
             self._lose(row)
@@ -407,8 +407,8 @@ class CooperativeLocalisation:
             self.restarts += len(suspects)
             self._take_in(joined, now_us)
 
-    def _problem(self, state: Array, cov: Array, active: Flags, located: Flags) -> Problem:
-        return Problem(
+    def _problem(self, state: Array, cov: Array, active: Flags, located: Flags) -> InitialisationProblem:
+        return InitialisationProblem(
             state=state, cov=cov, time_us=self._time_us, active=active, located=located,
             places_ned_m=self._places_ned_m, odometry_ned_m=self.tracks.newest[:, :3],
             drift_m2_s=self._drift_m2_s, bias_var_m2=self._receivers.stated_var_m2,

@@ -22,7 +22,7 @@ from autopilot.onboard.radio.neighbour_table import (
     Listener,
     Rows,
     Stations,
-    hear,
+    receive_beacon,
     row_of,
 )
 
@@ -35,7 +35,7 @@ PULLED_VAR_M2 = 1.0
 """By how much a UAV may be misplaced that has just been found to measure wrongly, squared."""
 
 DONE = 0
-SENDER_ANEW, LOST, ODOMETRY_JUMPED, FIRST_MEAN, GPS_STEPPED, FULL = 1, 2, 3, 4, 5, 6
+SENDER_RESTARTED, LOST, ODOMETRY_JUMPED, FIRST_MEAN, GPS_STEPPED, FULL = 1, 2, 3, 4, 5, 6
 """What a UAV's news ask for: its application has begun anew, to be heeded before what it says; it was silent
 for long; its odometry has begun anew; fixes have made a first mean; its GPS has made a step; there is no room
 for its distances."""
@@ -177,10 +177,10 @@ def read_beacons(
         page = pages[me["at"]]
         row = row_of(page, rows)
         if not me["is_open"]:
-            heard = hear(page, now_us, listener, stations, rows)
+            heard = receive_beacon(page, now_us, listener, stations, rows)
             me["is_open"] = heard != REFUSED and row >= 0
             if me["is_open"] and heard == BEGUN_ANEW:
-                return SENDER_ANEW
+                return SENDER_RESTARTED
         if me["is_open"]:
             asked = take_beacon(
                 page, row, now_us, rows, filter_row, members, rings, state, cov, pairs, pending,

@@ -6,7 +6,7 @@ import numpy as np
 
 from autopilot.onboard.formation.avoidance import FRESH_US
 from autopilot.onboard.localisation.localisation import CooperativeLocalisation
-from autopilot.onboard.radio.neighbour_table import Hearing
+from autopilot.onboard.radio.neighbour_table import NeighbourTable
 
 MISSED_BEACONS = 5
 """So many without word of a position that is held, and it counts as held no longer."""
@@ -30,7 +30,7 @@ class Support:
     def __init__(
         self,
         localisation: CooperativeLocalisation | None,
-        hearing: Hearing,
+        hearing: NeighbourTable,
         *,
         watched: Sequence[int],
         range_silence_us: int,

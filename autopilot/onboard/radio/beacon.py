@@ -9,7 +9,7 @@ Odometry is the integral of the autopilot's velocity since the sender started, s
 beacons of a sender is its displacement between them, however many were lost in between. Its down component
 is the autopilot's barometric height.
 
-Who hears beacons by the hundred reads them where they lie (`Pages`); `decode` is for all others.
+Who hears beacons by the hundred reads them where they lie (`BeaconBuffer`); `decode` is for all others.
 
 Layout, little-endian, `HEADER_BYTES` + `RANGE_BYTES` per distance (79 + 11 n):
 
@@ -35,7 +35,7 @@ from msgspec import Struct
 from numba import njit
 from numpy.typing import NDArray
 
-from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.formation.phases import FlightPhase
 
 VERSION = 3
 HEADER = np.dtype(
@@ -69,7 +69,7 @@ _FAST2_M2_S2 = 30.0**2
 """No honest sender is faster."""
 _NO_TIME_US = 2**63
 _STD_MAX_M, _MOST_MM = 65.535, 65_535
-_LAST_PHASE = max(int(phase) for phase in Phase)
+_LAST_PHASE = max(int(phase) for phase in FlightPhase)
 _CAPACITY = HEADER_BYTES + MAX_RANGES * RANGE_BYTES
 PAGE = np.dtype([("source", "<i8"), ("size", "<i8"), ("header", HEADER), ("ranges", RANGE, MAX_RANGES)])
 """A datagram: from which station, how many bytes, and these. What they do not reach stays from before."""
@@ -125,7 +125,7 @@ class Beacon(Struct, frozen=True, kw_only=True):
     seq: int
     """Rises by one with each beacon of the sender, modulo `SEQ_MODULUS`."""
     time_us: int
-    phase: Phase
+    phase: FlightPhase
     odometry_ned_m: Vector
     vel_ned_m_s: Vector
     motion_start_ms: int | None = None
@@ -154,7 +154,7 @@ def encode(beacon: Beacon) -> bytes:
 
 
 def encode_with(
-    distances: Sequence[bytes], station: int, seq: int, time_us: int, phase: Phase,
+    distances: Sequence[bytes], station: int, seq: int, time_us: int, phase: FlightPhase,
     odometry_ned_m: Vector, vel_ned_m_s: Vector,
     motion_start_ms: int | None, fix: Fix | None, gps_error: GpsError | None,
 ) -> bytes:  # fmt: skip
@@ -185,7 +185,7 @@ def encode_distance(distance: Distance) -> bytes:
     return _RANGE.pack(distance.peer, distance.time_ms, distance.distance_m, _mm(distance.std_m))
 
 
-class Pages:
+class BeaconBuffer:
     """Places for the bytes of datagrams, where compiled code reads them.
 
     Attributes:
@@ -260,7 +260,7 @@ def is_credible(page: np.void, with_ranges: bool) -> bool:  # noqa: FBT001
 
 def decode(buffer: bytes) -> Beacon | None:
     """Beacon in these bytes; None for what is none (`is_credible`)."""
-    pages = Pages(1)
+    pages = BeaconBuffer(1)
     pages.put(0, buffer)
     page = pages.rows[0]
     if not is_credible(page, with_ranges=True):
@@ -274,7 +274,7 @@ def decode(buffer: bytes) -> Beacon | None:
     if flags & HAS_FIX:
         fix = Fix(fix_ms, (fix_n, fix_e, fix_d), std_h_mm * 1e-3 or None, std_v_mm * 1e-3 or None)
     return Beacon(
-        station=station, seq=seq, time_us=time_us, phase=Phase(phase),
+        station=station, seq=seq, time_us=time_us, phase=FlightPhase(phase),
         odometry_ned_m=(odo_n, odo_e, odo_d), vel_ned_m_s=(vel_n, vel_e, vel_d),
         motion_start_ms=start_ms if flags & HAS_START else None,
         fix=fix,

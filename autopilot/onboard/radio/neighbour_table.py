@@ -10,17 +10,17 @@ from numba import njit
 from numpy.typing import NDArray
 
 from autopilot.onboard.formation.motion import Heard
-from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation.model import CLOCK_TOLERANCE_US, SILENCE_US
 from autopilot.onboard.radio.beacon import (
     HAS_FIX,
     HAS_GPS_ERROR,
     HAS_START,
     SEQ_MODULUS,
+    BeaconBuffer,
     Fix,
     GpsError,
     PageRows,
-    Pages,
     is_credible,
 )
 from autopilot.onboard.radio.neighbourhood import Neighbourhood
@@ -84,7 +84,7 @@ def row_of(page: np.void, rows: Rows) -> int:
 
 
 @njit(cache=True)
-def hear(page: np.void, now_us: int, listener: Listener, stations: Stations, rows: Rows) -> int:
+def receive_beacon(page: np.void, now_us: int, listener: Listener, stations: Stations, rows: Rows) -> int:
     """Take what is on a page, if it is a beacon of who has sent it.
 
     Gives REFUSED if it is not, BEGUN_ANEW if the sender has begun anew since the beacon before, and its
@@ -135,12 +135,12 @@ def hear(page: np.void, now_us: int, listener: Listener, stations: Stations, row
 
 
 @njit(cache=True)
-def hear_all(
+def receive_beacons(
     count: int, now_us: int, pages: PageRows, listener: Listener, stations: Stations, rows: Rows
 ) -> None:
     """Take what is on ``count`` pages."""
     for k in range(count):
-        hear(pages[k], now_us, listener, stations, rows)
+        receive_beacon(pages[k], now_us, listener, stations, rows)
 
 
 @njit(cache=True)
@@ -148,13 +148,13 @@ def all_held(stations: Stations, whose: NDArray[np.int64], since_us: int) -> boo
     """Whether distances have held the positions, since a time, of those of ``whose`` who fly."""
     for station in whose:
         other = stations[station]
-        flies = Phase.TAKE_OFF <= other["phase"] < Phase.LANDED
+        flies = FlightPhase.TAKE_OFF <= other["phase"] < FlightPhase.LANDED
         if flies and other["held_us"] <= since_us:
             return False
     return True
 
 
-class Hearing:
+class NeighbourTable:
     """What one station hears.
 
     Args:
@@ -181,7 +181,7 @@ class Hearing:
         gps_std_m: float,
         near: Neighbourhood | None = None,
     ) -> None:
-        self.pages = Pages(MOST_PAGES)
+        self.pages = BeaconBuffer(MOST_PAGES)
         self.stations: Stations = np.zeros(stations, STATION)
         for name in ("heard_us", "start_us", "located_us"):
             self.stations[name] = -1
@@ -195,7 +195,7 @@ class Hearing:
     def read(self, now_us: int) -> None:
         """Read all pages, for whoever localises nobody by them."""
         pages = self.pages
-        hear_all(pages.count, now_us, pages.rows, self.listener, self.stations, self.rows)
+        receive_beacons(pages.count, now_us, pages.rows, self.listener, self.stations, self.rows)
         pages.count = 0
 
     @property
@@ -220,7 +220,7 @@ class Hearing:
         """Those ever heard, by station, for the agreement on when the motion starts."""
         columns = (self.stations[name].tolist() for name in ("phase", "start_us", "heard_us"))
         return {
-            station: (Phase(phase), None if start_us < 0 else start_us, heard_us)
+            station: (FlightPhase(phase), None if start_us < 0 else start_us, heard_us)
             for station, (phase, start_us, heard_us) in enumerate(zip(*columns, strict=True))
             if heard_us >= 0
         }

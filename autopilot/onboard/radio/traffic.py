@@ -12,9 +12,9 @@ import numpy as np
 
 from autopilot.onboard.formation.commands import NEVER_US
 from autopilot.onboard.formation.own_state import OwnState
-from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.radio import beacon as wire
-from autopilot.onboard.radio.neighbour_table import WAIT_US, Hearing
+from autopilot.onboard.radio.neighbour_table import WAIT_US, NeighbourTable
 from autopilot.onboard.radio.neighbourhood import Neighbourhood
 from autopilot.onboard.radio.ranging import RangingPolicy, RangingSchedule, VarianceOf
 from autopilot.onboard.radio.scheduled_ranging import ScheduledRanging
@@ -70,7 +70,7 @@ class Traffic:
         self._seq = 0
         self._beacon_seq = 0
         self._period_us = config.beacon_period_ms * 1_000
-        self.hearing = Hearing(
+        self.hearing = NeighbourTable(
             station=station, stations=stations, period_us=self._period_us, gps_std_m=config.gps_bias_std_m,
             near=near,
         )  # fmt: skip
@@ -114,7 +114,7 @@ class Traffic:
         *,
         ranging: bool,
         variance_m2: VarianceOf | None = None,
-        phase: Phase = Phase.WAITING,
+        phase: FlightPhase = FlightPhase.WAITING,
         motion_start_ms: int | None = None,
         gps_error: Callable[[], wire.GpsError | None] | None = None,
     ) -> tuple[TxItem, ...]:

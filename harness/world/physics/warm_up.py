@@ -3,7 +3,7 @@
 import numpy as np
 
 from autopilot.parameters.config import Site
-from harness.simulator.actuator_inbox import Answers
+from harness.simulator.actuator_inbox import ActuatorInbox
 from harness.simulator.hil import SensorEncoder
 from harness.world.physics.environment import EnvironmentConfig
 from harness.world.physics.model import IRIS
@@ -16,9 +16,9 @@ STEPS = 100
 _STEP_US = 4_000
 
 
-def rehearse() -> None:
+def warm_up() -> None:
     """Two vehicles lift off, are measured and heard, for a fraction of a second."""
-    Answers(2).take(0)
+    ActuatorInbox(2).take(0)
     spawn_ned_m = np.array([[0.0, 0.0, -IRIS.standing_height_m], [0.0, 5.0, -IRIS.standing_height_m]])
     vehicles, encoder = len(spawn_ned_m), SensorEncoder()
     sensors = SensorSuite(

@@ -42,7 +42,7 @@ class SensorsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ErrorModel:
+class SensorErrorModel:
     """Error of one sensor, for each axis alike: a constant, a slow and a white part, all independent."""
 
     white_std: float = 0.0
@@ -56,7 +56,7 @@ class ErrorModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InertialErrorModel:
-    """As `ErrorModel`, in the units of data sheets: independent of the sampling rate."""
+    """As `SensorErrorModel`, in the units of data sheets: independent of the sampling rate."""
 
     noise_density: float = 0.0
     """White noise, unit/sqrt(Hz)"""
@@ -66,12 +66,12 @@ class InertialErrorModel:
     correlation_s: float = 1.0
     """Time constant of the drift"""
 
-    def at_interval(self, interval_s: float) -> ErrorModel:
+    def at_interval(self, interval_s: float) -> SensorErrorModel:
         """Give the error of one sample of a series ``interval_s`` apart.
 
         A Gauss-Markov process of time constant τ driven by white noise of density d has variance d² τ / 2.
         """
-        return ErrorModel(
+        return SensorErrorModel(
             white_std=self.noise_density / interval_s**0.5,
             turn_on_std=self.turn_on_std,
             drift_std=self.random_walk * (self.correlation_s / 2.0) ** 0.5,
@@ -104,7 +104,7 @@ class SensorProfile:
     accel_m_s2: InertialErrorModel = InertialErrorModel()
     gyro_rad_s: InertialErrorModel = InertialErrorModel()
     mag_gauss: InertialErrorModel = InertialErrorModel()
-    baro_pa: ErrorModel = ErrorModel()
+    baro_pa: SensorErrorModel = SensorErrorModel()
     gps: GpsModel = GpsModel()
     mag_rate_hz: float = 50.0
     baro_rate_hz: float = 50.0
@@ -120,7 +120,7 @@ PROFILES: dict[str, SensorProfile] = {
         accel_m_s2=InertialErrorModel(noise_density=_GAZEBO_ACCEL_DENSITY),
         gyro_rad_s=InertialErrorModel(noise_density=_GAZEBO_GYRO_DENSITY),
         mag_gauss=_GAZEBO_MAG,
-        baro_pa=ErrorModel(white_std=1.0),
+        baro_pa=SensorErrorModel(white_std=1.0),
         # The GPS plugin runs every dt = 4 ms: its bias moves by 2.0 sqrt(dt) dt (vertical 4.0) and loses 1/60
         # of itself each time, so that its rms is 5.06e-4 m x sqrt(60/2) and its time constant 60 dt; its
         # white noises are 2e-4 sqrt(dt) m and 0.2 sqrt(dt) m/s.
@@ -148,7 +148,7 @@ PROFILES: dict[str, SensorProfile] = {
         # 2 mgauss of hard iron after calibration: half a degree of heading where 0.215 gauss are horizontal
         mag_gauss=replace(_GAZEBO_MAG, turn_on_std=2e-3),
         # absolute accuracy of a phone-grade part +-50 Pa, taken as 2 sigma; 2 Pa (17 cm) of slow drift
-        baro_pa=ErrorModel(white_std=1.0, turn_on_std=25.0, drift_std=2.0, drift_time_constant_s=300.0),
+        baro_pa=SensorErrorModel(white_std=1.0, turn_on_std=25.0, drift_std=2.0, drift_time_constant_s=300.0),
         gps=GpsModel(
             horizontal_bias_std_m=1.5,
             vertical_bias_std_m=2.5,

@@ -6,7 +6,7 @@ import numpy as np
 
 from foundation.types import Array
 from harness.world.gauss_markov import STEPS_AHEAD, gauss_markov_path
-from harness.world.sensors.config import ErrorModel
+from harness.world.sensors.config import SensorErrorModel
 
 
 class SensorError:
@@ -18,7 +18,7 @@ class SensorError:
     """
 
     def __init__(
-        self, model: ErrorModel, *, shape: tuple[int, ...], interval_s: float, rng: np.random.Generator
+        self, model: SensorErrorModel, *, shape: tuple[int, ...], interval_s: float, rng: np.random.Generator
     ) -> None:
         self._rng = rng
         self._kept = math.exp(-interval_s / model.drift_time_constant_s)
@@ -35,12 +35,12 @@ class SensorError:
 
     def next(self) -> Array:
         """Error of the next sample; not to be written to."""
-        self.look_ahead()
+        self.begin_fast_steps()
         error: Array = self._errors[self._taken]
         self._taken += 1
         return error
 
-    def look_ahead(self) -> None:
+    def begin_fast_steps(self) -> None:
         """Have the next sample's error ready, so that `next` is quick. Changes no sample."""
         if self._taken < len(self._errors):
             return

@@ -16,7 +16,7 @@ from foundation.types import Array
 from harness.world.faults import Faults
 from harness.world.physics.bodies import in_body_axes
 from harness.world.physics.truth import Truth
-from harness.world.sensors.config import PROFILES, ErrorModel, GpsModel, SensorsConfig
+from harness.world.sensors.config import PROFILES, GpsModel, SensorErrorModel, SensorsConfig
 from harness.world.sensors.errors import SensorError
 
 HPA_PER_PA = 0.01
@@ -116,12 +116,12 @@ class SensorSuite:
         )
         horizontal_std_m = self._gps_model.horizontal_bias_std_m
         vertical_std_m = self._gps_model.vertical_bias_std_m
-        position_error = ErrorModel(
+        position_error = SensorErrorModel(
             white_std=self._gps_model.white_std_m,
             drift_std=(horizontal_std_m, horizontal_std_m, vertical_std_m),
             drift_time_constant_s=self._gps_model.bias_time_constant_s,
         )
-        velocity_error = ErrorModel(white_std=self._gps_model.velocity_std_m_s)
+        velocity_error = SensorErrorModel(white_std=self._gps_model.velocity_std_m_s)
         self._gps_position_error_m = SensorError(
             position_error, shape=axes, interval_s=gps_interval_s, rng=gps_position
         )
@@ -171,10 +171,10 @@ class SensorSuite:
             gps=self._receivers(faults) if gps_due else None,
         )
 
-    def look_ahead(self) -> None:
+    def begin_fast_steps(self) -> None:
         """Draw what the next `sample` will need, while there is time. Changes no sample."""
         for error in self._errors:
-            error.look_ahead()
+            error.begin_fast_steps()
 
     def _is_due(self, time_us: int, period_us: int) -> bool:
         """Whether a multiple of the period lies in the step that ends now."""

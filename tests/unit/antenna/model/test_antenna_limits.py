@@ -31,7 +31,7 @@ def test_arrangements_that_touch_are_refused_by_the_same_elements():
     results["touching"] = [answers[argument] for _, argument in limits.jobs(PLAN)["touching"]]
     assert missed(limits.judge(PLAN, results, None)) == []
     if len([one for one in results["touching"] if one is not None]) > len(limits.TOUCHING):
-        results["touching"][-1] = limits.Answer(max_gain_dbi=5.0, average_gain=1.0)
+        results["touching"][-1] = limits.LimitAnswer(max_gain_dbi=5.0, average_gain=1.0)
         first = results["touching"][0]
         results["touching"][0] = replace(first, touching=(0, 2))
         assert len(missed(limits.judge(PLAN, results, None))) >= 1
@@ -124,5 +124,5 @@ def test_pairs_are_apart_as_wanted_and_what_one_alone_refuses_is_not_met():
 
 
 def test_no_power_is_no_directivity():
-    assert math.isnan(limits.Answer(max_gain_dbi=3.0, average_gain=-0.1).directivity_dbi)
-    assert math.isnan(limits.Answer(refusal="elements 0 and 1 touch").directivity_dbi)
+    assert math.isnan(limits.LimitAnswer(max_gain_dbi=3.0, average_gain=-0.1).directivity_dbi)
+    assert math.isnan(limits.LimitAnswer(refusal="elements 0 and 1 touch").directivity_dbi)

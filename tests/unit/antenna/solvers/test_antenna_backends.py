@@ -100,11 +100,11 @@ def test_nec2c_is_nec2_on_grids_of_an_odd_number_of_steps(step_deg, ground):
     pytest.importorskip("PyNEC", reason="the optional extra coflight[nec2] is not installed")
     if shutil.which("nec2c") is None:
         pytest.skip("the program nec2c is not installed")
-    from antenna.solvers.nec2 import FarField  # noqa: PLC0415 - needs PyNEC
+    from antenna.solvers.nec2 import PynecFarField  # noqa: PLC0415 - needs PyNEC
 
     config = AntennaConfig(wavelength_m=LAMBDA_M, grid_deg=step_deg, backend="nec2c", **ground)
     (snapshot,) = _snapshots(36, 1, 10.0 if ground else 0.0)
-    expected = FarField(snapshot, config).partial_gains(step_deg)
+    expected = PynecFarField(snapshot, config).partial_gains(step_deg)
     found = make_backend(config).far_field(snapshot).partial_gains(step_deg)
     assert found == pytest.approx(expected, rel=0.005, abs=1e-3)
     witness = make_backend(structs.replace(config, backend="nec2")).patterns([snapshot])
@@ -116,7 +116,7 @@ def test_a_pattern_of_nec2c_that_lacks_directions_is_one_clear_line(monkeypatch,
     if shutil.which("nec2c") is None:
         pytest.skip("the program nec2c is not installed")
     backend = make_backend(AntennaConfig(backend="nec2c"))
-    monkeypatch.setattr(nec2c.FarField, "_run", lambda *_: np.ones((37 * 72 - missing, 2)))
+    monkeypatch.setattr(nec2c.PynecFarField, "_run", lambda *_: np.ones((37 * 72 - missing, 2)))
     given = rf"^nec2c gave {37 * 72 - missing} directions; expected 37 by 72$"
     with pytest.raises(Nec2cFailed, match=given):
         backend.patterns([ideal(LAMBDA_M)])

@@ -10,7 +10,7 @@ from msgspec import structs
 
 from autopilot.commander.failure_detector import (
     ESC_TIMEOUT_US,
-    Failure,
+    AttitudeFailure,
     FailureDetector,
     FailureDetectorParams,
     thrust_fraction,
@@ -44,7 +44,7 @@ class Timeline:
             self.now_us += STEP
             if armed and currents_a is not None and self.now_us % ESC_PERIOD == 0:
                 self.detector.on_esc(self.now_us, currents_a, thrusts, LINEAR)
-            for failure in Failure(self.detector.update(self.now_us, q_ned_frd, armed=armed)):
+            for failure in AttitudeFailure(self.detector.update(self.now_us, q_ned_frd, armed=armed)):
                 first.setdefault(failure, self.now_us - begin_us)
         return first
 
@@ -52,7 +52,7 @@ class Timeline:
 # ---- attitude
 
 
-@pytest.mark.parametrize(("failure", "axis"), [(Failure.ROLL, 0), (Failure.PITCH, 1)])
+@pytest.mark.parametrize(("failure", "axis"), [(AttitudeFailure.ROLL, 0), (AttitudeFailure.PITCH, 1)])
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_an_angle_counts_after_its_trigger_time_and_as_long_as_it_lasts(failure, axis, sign):
     line = Timeline()
@@ -93,18 +93,18 @@ def test_the_angles_are_eulers_whatever_the_attitude(
     roll_error_deg = (back_roll_deg - roll_deg + 180.0) % 360.0 - 180.0  # -180 degrees may come back as 180
     assert (roll_error_deg, back_pitch_deg) == pytest.approx((0.0, pitch_deg), abs=1e-6)
     if abs(abs(roll_deg) - roll_max_deg) > 1e-6:
-        assert (Failure.ROLL in first) == (abs(roll_deg) > roll_max_deg)
+        assert (AttitudeFailure.ROLL in first) == (abs(roll_deg) > roll_max_deg)
     if abs(abs(pitch_deg) - pitch_max_deg) > 1e-6:
-        assert (Failure.PITCH in first) == (abs(pitch_deg) > pitch_max_deg)
+        assert (AttitudeFailure.PITCH in first) == (abs(pitch_deg) > pitch_max_deg)
 
 
 def test_attitude_is_judged_disarmed_and_a_limit_of_zero_does_not_look():
     upside_down = quat_from_euler(radians(180.0), 0.0, 0.0)
-    assert Failure.ROLL in Timeline().run(TRIGGER_US + STEP, q_ned_frd=upside_down, armed=False)
+    assert AttitudeFailure.ROLL in Timeline().run(TRIGGER_US + STEP, q_ned_frd=upside_down, armed=False)
     assert Timeline(roll_max_rad=0.0).run(1_000_000, q_ned_frd=upside_down) == {}
     assert Timeline(roll_max_rad=0.0, pitch_max_rad=0.0).run(1_000_000, q_ned_frd=upside_down) == {}
     nose_up = quat_from_euler(0.0, radians(80.0), 0.0)
-    assert Failure.PITCH in Timeline(roll_max_rad=0.0).run(1_000_000, q_ned_frd=nose_up)
+    assert AttitudeFailure.PITCH in Timeline(roll_max_rad=0.0).run(1_000_000, q_ned_frd=nose_up)
 
 
 # ---- motors
@@ -115,14 +115,14 @@ def test_a_motor_that_stands_is_found_at_the_first_sample_after_the_time_out():
     line = Timeline()
     line.run(ESC_PERIOD)
     first = line.run(1_000_000, currents_a=SECOND_STANDS)
-    assert first == {Failure.MOTOR: 4 * ESC_PERIOD}
+    assert first == {AttitudeFailure.MOTOR: 4 * ESC_PERIOD}
     assert line.detector.failed_motors == {1}
 
 
 def test_a_motor_that_stood_from_the_beginning_is_found_because_the_others_turn():
     line = Timeline()
     line.run(1_000_000, currents_a=(0.0,) * 4, thrusts=(0.0,) * 4)
-    assert Failure.MOTOR in line.run(1_000_000, currents_a=SECOND_STANDS)
+    assert AttitudeFailure.MOTOR in line.run(1_000_000, currents_a=SECOND_STANDS)
 
 
 def test_it_stays_failed_until_disarmed():
@@ -142,7 +142,7 @@ def test_it_stays_failed_until_disarmed():
 def test_the_limit_is_proportional_to_thrust_above_the_least(thrust, current_a, per_thrust_a, thrust_min):
     line = Timeline(motor_current_per_thrust_a=per_thrust_a, motor_thrust_min=thrust_min)
     first = line.run(500_000, currents_a=(current_a, 50.0, 50.0, 50.0), thrusts=(thrust, 0.5, 0.5, 0.5))
-    assert (Failure.MOTOR in first) == (thrust > thrust_min and current_a < thrust * per_thrust_a)
+    assert (AttitudeFailure.MOTOR in first) == (thrust > thrust_min and current_a < thrust * per_thrust_a)
 
 
 def test_one_good_sample_begins_the_time_anew():
@@ -162,9 +162,9 @@ def test_missing_telemetry_is_known_and_is_no_motor_failure():
     line.run(2 * ESC_PERIOD, currents_a=SECOND_STANDS)
     # the last sample came with the last step
     first = line.run(1_000_000, currents_a=None)
-    assert first == {Failure.ESC_TELEMETRY: ESC_TIMEOUT_US + STEP}
+    assert first == {AttitudeFailure.ESC_TELEMETRY: ESC_TIMEOUT_US + STEP}
     # what was low before the gap does not count for what is low after it
-    assert Failure.MOTOR not in line.run(ESC_PERIOD, currents_a=SECOND_STANDS)
+    assert AttitudeFailure.MOTOR not in line.run(ESC_PERIOD, currents_a=SECOND_STANDS)
     assert not line.detector.failures
 
 
@@ -179,7 +179,7 @@ def test_settings_act_at_once():
     assert line.detector.failures == 0
     assert line.run(1_000_000, currents_a=SECOND_STANDS) == {}
     line.detector.set_params(structs.replace(PARAMS, roll_max_rad=radians(20.0)))
-    assert Failure.ROLL in line.run(1_000_000, q_ned_frd=quat_from_euler(radians(30.0), 0.0, 0.0))
+    assert AttitudeFailure.ROLL in line.run(1_000_000, q_ned_frd=quat_from_euler(radians(30.0), 0.0, 0.0))
 
 
 @settings(max_examples=100, deadline=None)

@@ -10,7 +10,7 @@ from autopilot.commander.land_detector import (
     MAYBE_LANDED_US,
     LandDetector,
     LandDetectorParams,
-    Stage,
+    LandStage,
 )
 
 STEP = 4_000
@@ -47,7 +47,7 @@ class Timeline:
     def take_off(self):
         self.run(STEP, down_m=0.0, vel_down_m_s=0.0, down_demand_m_s=-1.5, thrust_of_hover=0.5)
         self.run(STEP, down_m=-1.0, vel_down_m_s=-1.0, down_demand_m_s=-1.5, thrust_of_hover=1.1)
-        assert self.detector.stage is Stage.AIRBORNE
+        assert self.detector.stage is LandStage.AIRBORNE
 
 
 def test_standing_armed_is_landed_however_long():
@@ -83,7 +83,7 @@ def test_landing_takes_the_three_stages_one_after_the_other():
     maybe = contact + MAYBE_LANDED_US + (-MAYBE_LANDED_US) % STEP
     landed = maybe + LANDED_US + (-LANDED_US) % STEP
     reached = line.run(2_000_000, **ON_GROUND)
-    assert list(reached) == [Stage.GROUND_CONTACT, Stage.MAYBE_LANDED, Stage.LANDED]
+    assert list(reached) == [LandStage.GROUND_CONTACT, LandStage.MAYBE_LANDED, LandStage.LANDED]
     for stage, expected in zip(reached, (contact, maybe, landed), strict=True):
         assert abs(reached[stage] - expected) <= STEP
 
@@ -94,21 +94,21 @@ def test_hovering_and_a_bounce_are_not_landing():
     assert line.run(20_000_000, **HOVER) == {}
     line.run(600_000, **ON_GROUND)
     line.run(STEP, vel_down_m_s=-0.6, down_demand_m_s=0.7, thrust_of_hover=0.2)
-    assert line.detector.stage is Stage.AIRBORNE
+    assert line.detector.stage is LandStage.AIRBORNE
 
 
 def test_standing_with_thrust_on_is_contact_and_no_more():
     line = Timeline()
     line.take_off()
     line.run(5_000_000, vel_down_m_s=0.0, down_demand_m_s=0.7, thrust_of_hover=0.6)
-    assert line.detector.stage is Stage.GROUND_CONTACT
+    assert line.detector.stage is LandStage.GROUND_CONTACT
 
 
 def test_tumbling_is_not_resting():
     line = Timeline()
     line.take_off()
     line.run(5_000_000, rotation_rad_s=1.0, **ON_GROUND)
-    assert line.detector.stage is Stage.GROUND_CONTACT
+    assert line.detector.stage is LandStage.GROUND_CONTACT
 
 
 def test_disarmed_counts_as_landed():

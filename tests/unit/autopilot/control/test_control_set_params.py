@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from autopilot.control import ControlParams, FlightController, PositionTrajectory
 from autopilot.control.hover_thrust import GRAVITY_M_S2, HoverThrustEstimator
 from autopilot.control.params import DisturbanceParams, HoverThrustParams, PositionParams, RateParams, Rotor
-from autopilot.control.takeoff import Phase, TakeoffRamp
+from autopilot.control.takeoff import TakeoffPhase, TakeoffRamp
 from foundation.types import AttitudeSetpoint, TrajectorySetpoint
 
 PARAMS = ControlParams()
@@ -174,7 +174,7 @@ def test_the_take_off_ramp_goes_on_where_it_was():
         ramp.update(**step)
     new = PositionParams(z_vel_p_acc=8.0, tko_speed_m_s=2.5)
     ramp.set_params(new)
-    assert ramp.update(**step) is Phase.RAMP
+    assert ramp.update(**step) is TakeoffPhase.RAMP
     start_m_s = -GRAVITY_M_S2 / 8.0
     assert ramp.climb_max_m_s == pytest.approx(0.5 * (start_m_s + 2.5))
 

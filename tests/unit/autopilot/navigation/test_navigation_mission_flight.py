@@ -11,7 +11,7 @@ from navigation_fixtures import CONTROL, DT_S, HOME, FlightMode, Ideal, Real, at
 
 from autopilot.navigation.landing import IDLE
 from autopilot.navigation.mission import HeightFrame, MissionCommand, MissionItem, make_mission
-from autopilot.navigation.mission_flight import Stage, overshoot_ned_m
+from autopilot.navigation.mission_flight import MissionStage, overshoot_ned_m
 from autopilot.navigation.params import NavigationParams
 
 TAKEOFF = MissionItem(command=MissionCommand.TAKEOFF, height_m=10.0)
@@ -140,7 +140,7 @@ def test_a_stay_lasts_its_time_at_its_place():
     for item in (at(8.0, 0.0, 10.0, hold_s=3.0), at(8.0, 0.0, 10.0, MissionCommand.LOITER_TIME, hold_s=3.0)):
         loop = start(Ideal((0.0, 0.0, -10.0)), item, at(8.0, 8.0, 10.0))
         mission = loop.navigator.mission
-        assert loop.run(20.0, lambda mission=mission: mission.stage is Stage.STAY)
+        assert loop.run(20.0, lambda mission=mission: mission.stage is MissionStage.STAY)
         arrived_s = loop.now_s
         assert loop.run(20.0, lambda mission=mission: mission.runner.reached == 0)
         assert loop.now_s - arrived_s == pytest.approx(3.0, abs=2 * DT_S)
@@ -155,7 +155,7 @@ def test_loitering_without_limit_never_ends():
         Ideal((0.0, 0.0, -10.0)), at(8.0, 0.0, 10.0, MissionCommand.LOITER_UNLIMITED), at(8.0, 8.0, 10.0)
     )
     loop.run(100.0)
-    assert (loop.navigator.mission.runner.current, loop.navigator.mission.stage) == (0, Stage.STAY)
+    assert (loop.navigator.mission.runner.current, loop.navigator.mission.stage) == (0, MissionStage.STAY)
     np.testing.assert_allclose(loop.state.pos_ned_m, (8.0, 0.0, -10.0), atol=1e-6)
 
 
@@ -337,7 +337,7 @@ def test_a_square_is_flown_in_order_near_its_path_from_the_ground_to_the_ground(
 
 def test_on_the_ground_any_first_place_begins_with_a_climb():
     loop = start(Real(0.0), at(10.0, 0.0, 8.0))
-    assert loop.run(30.0, lambda: loop.navigator.mission.stage is Stage.FLY)
+    assert loop.run(30.0, lambda: loop.navigator.mission.stage is MissionStage.FLY)
     assert math.hypot(*loop.state.pos_ned_m[:2]) < 0.3
     assert loop.state.pos_ned_m[2] == pytest.approx(-8.0, abs=0.8)
     assert [item for item, _ in flown(loop, 60.0)] == [0]

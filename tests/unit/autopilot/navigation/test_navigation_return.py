@@ -14,7 +14,7 @@ from autopilot.navigation.landing import IDLE
 from autopilot.navigation.mission import HeightFrame
 from autopilot.navigation.params import NavigationParams, ReturnParams
 from autopilot.navigation.plan_items import RallyPoint
-from autopilot.navigation.return_home import TRANSITIONS, Event, Phase, return_height_m
+from autopilot.navigation.return_home import TRANSITIONS, ReturnEvent, ReturnPhase, return_height_m
 
 LOW = NavigationParams(return_home=ReturnParams(height_m=20.0, descend_height_m=12.0))
 
@@ -27,7 +27,7 @@ def phases_of(loop, seconds=200.0, until=None):
         phase = loop.navigator.return_phase
         if not seen or seen[-1][0] is not phase:
             seen.append((phase, loop.now_s))
-        return phase is Phase.DONE if until is None else until()
+        return phase is ReturnPhase.DONE if until is None else until()
 
     assert loop.run(seconds, watch)
     return seen
@@ -64,19 +64,19 @@ def test_a_narrow_cone_reaches_up_to_the_return_height():
 
 
 def test_every_phase_ends_on_the_ground_and_leads_there():
-    for phase, event in itertools.product(Phase, Event):
+    for phase, event in itertools.product(ReturnPhase, ReturnEvent):
         after = TRANSITIONS.get((phase, event))
-        if event is Event.LANDED and phase is not Phase.DONE:
-            assert after is Phase.DONE
+        if event is ReturnEvent.LANDED and phase is not ReturnPhase.DONE:
+            assert after is ReturnPhase.DONE
         assert (phase, after) != (phase, phase)  # nothing leads back to itself
-    for wait in (Event.THERE, Event.THERE_TO_WAIT):
-        phase, way = Phase.CLIMB, []
-        while phase is not Phase.DONE:
+    for wait in (ReturnEvent.THERE, ReturnEvent.THERE_TO_WAIT):
+        phase, way = ReturnPhase.CLIMB, []
+        while phase is not ReturnPhase.DONE:
             way.append(phase)
-            events = {Phase.WAIT: Event.WAITED, Phase.LAND: Event.LANDED}
+            events = {ReturnPhase.WAIT: ReturnEvent.WAITED, ReturnPhase.LAND: ReturnEvent.LANDED}
             phase = TRANSITIONS[phase, events.get(phase, wait)]
-        waits = [Phase.GO_DOWN, Phase.WAIT] if wait is Event.THERE_TO_WAIT else []
-        assert way == [Phase.CLIMB, Phase.FLY_HOME, *waits, Phase.LAND]
+        waits = [ReturnPhase.GO_DOWN, ReturnPhase.WAIT] if wait is ReturnEvent.THERE_TO_WAIT else []
+        assert way == [ReturnPhase.CLIMB, ReturnPhase.FLY_HOME, *waits, ReturnPhase.LAND]
 
 
 # ---- timelines
@@ -86,7 +86,12 @@ def test_from_below_it_climbs_on_the_spot_then_flies_straight_home_nose_first():
     loop = Ideal((30.0, 40.0, -8.0), params=LOW)
     loop.enter(FlightMode.RETURN)
     seen = phases_of(loop)
-    assert [phase for phase, _ in seen] == [Phase.CLIMB, Phase.FLY_HOME, Phase.LAND, Phase.DONE]
+    assert [phase for phase, _ in seen] == [
+        ReturnPhase.CLIMB,
+        ReturnPhase.FLY_HOME,
+        ReturnPhase.LAND,
+        ReturnPhase.DONE,
+    ]
     track = np.array(loop.track)
     climb = track[: round(seen[1][1] / DT_S)]
     assert np.abs(climb[:, :2] - (30.0, 40.0)).max() < 1e-6
@@ -102,10 +107,10 @@ def test_from_below_it_climbs_on_the_spot_then_flies_straight_home_nose_first():
 def test_the_nose_points_home_until_near_and_stays_there():
     loop = Ideal((30.0, 40.0, -25.0), params=LOW)
     loop.enter(FlightMode.RETURN)
-    assert loop.navigator.return_phase is Phase.FLY_HOME  # from above it goes at once, and as high
+    assert loop.navigator.return_phase is ReturnPhase.FLY_HOME  # from above it goes at once, and as high
     loop.run(8.0)
     assert loop.setpoint.yaw_rad == pytest.approx(math.atan2(-40.0, -30.0), abs=1e-3)
-    assert loop.run(10.0, lambda: loop.navigator.return_phase is Phase.LAND)
+    assert loop.run(10.0, lambda: loop.navigator.return_phase is ReturnPhase.LAND)
     assert loop.setpoint.yaw_rad == pytest.approx(math.atan2(-40.0, -30.0), abs=1e-3)
     assert loop.state.pos_ned_m[2] == pytest.approx(-25.0, abs=0.01)
 
@@ -113,7 +118,7 @@ def test_the_nose_points_home_until_near_and_stays_there():
 def test_near_home_the_cone_spares_the_climb():
     loop = Ideal((6.0, 0.0, -3.0))
     loop.enter(FlightMode.RETURN)
-    assert loop.navigator.return_phase is Phase.CLIMB
+    assert loop.navigator.return_phase is ReturnPhase.CLIMB
     phases_of(loop)
     assert min(loop.track, key=lambda pos: pos[2])[2] == pytest.approx(-6.0, abs=0.05)  # 45 degrees
 
@@ -124,11 +129,11 @@ def test_with_a_delay_it_waits_at_the_waiting_height():
     loop.enter(FlightMode.RETURN)
     seen = phases_of(loop)
     assert [phase for phase, _ in seen] == [
-        Phase.FLY_HOME, Phase.GO_DOWN, Phase.WAIT, Phase.LAND, Phase.DONE,
+        ReturnPhase.FLY_HOME, ReturnPhase.GO_DOWN, ReturnPhase.WAIT, ReturnPhase.LAND, ReturnPhase.DONE,
     ]  # fmt: skip
     begin = dict(seen)
-    assert begin[Phase.LAND] - begin[Phase.WAIT] == pytest.approx(4.0, abs=2 * DT_S)
-    waiting = loop.track[round(begin[Phase.WAIT] / DT_S) + 1]
+    assert begin[ReturnPhase.LAND] - begin[ReturnPhase.WAIT] == pytest.approx(4.0, abs=2 * DT_S)
+    waiting = loop.track[round(begin[ReturnPhase.WAIT] / DT_S) + 1]
     np.testing.assert_allclose(waiting, (0.0, 0.0, -12.0), atol=0.01)
 
 
@@ -137,7 +142,7 @@ def test_minus_one_never_lands():
     loop = Ideal((15.0, 0.0, -20.0), params=params)
     loop.enter(FlightMode.RETURN)
     loop.run(120.0)
-    assert loop.navigator.return_phase is Phase.WAIT
+    assert loop.navigator.return_phase is ReturnPhase.WAIT
     np.testing.assert_allclose(loop.state.pos_ned_m, (0.0, 0.0, -12.0), atol=1e-6)
     assert not loop.navigator.completed(loop.state)
 
@@ -145,26 +150,26 @@ def test_minus_one_never_lands():
 def test_without_a_home_it_lands_where_it_is_and_on_the_ground_it_stays():
     loop = Ideal((15.0, -4.0, -6.0), home_ned_m=None)
     loop.enter(FlightMode.RETURN)
-    assert [phase for phase, _ in phases_of(loop)] == [Phase.LAND, Phase.DONE]
+    assert [phase for phase, _ in phases_of(loop)] == [ReturnPhase.LAND, ReturnPhase.DONE]
     np.testing.assert_allclose(loop.state.pos_ned_m, (15.0, -4.0, 0.0), atol=1e-6)
     loop.enter(FlightMode.HOLD)
     loop.enter(FlightMode.RETURN)
     assert loop.update() is IDLE
-    assert loop.navigator.return_phase is Phase.DONE
+    assert loop.navigator.return_phase is ReturnPhase.DONE
 
 
 def test_a_jump_of_the_estimate_goes_on_with_the_phase_and_from_where_it_now_is():
     loop = Ideal((30.0, 40.0, -8.0), params=LOW)
     loop.enter(FlightMode.RETURN)
-    assert loop.run(60.0, lambda: loop.navigator.return_phase is Phase.FLY_HOME)
+    assert loop.run(60.0, lambda: loop.navigator.return_phase is ReturnPhase.FLY_HOME)
     loop.run(4.0)
     loop.state.pos_ned_m = loop.state.pos_ned_m + np.array((3.0, -2.0, 1.5))
     loop.enter(FlightMode.RETURN)
-    assert loop.navigator.return_phase is Phase.FLY_HOME
+    assert loop.navigator.return_phase is ReturnPhase.FLY_HOME
     before = loop.state.pos_ned_m.copy()
     loop.step()
     assert np.abs(loop.state.pos_ned_m - before).max() < 5.0 * DT_S + 1e-6  # no jump of the setpoint
-    assert loop.run(60.0, lambda: loop.navigator.return_phase is Phase.LAND)
+    assert loop.run(60.0, lambda: loop.navigator.return_phase is ReturnPhase.LAND)
     np.testing.assert_allclose(loop.state.pos_ned_m, (0.0, 0.0, -20.0), atol=0.01)  # the same height
 
 
@@ -197,7 +202,12 @@ def test_at_a_rally_point_it_lands_and_heights_count_from_it():
     loop.navigator.set_rally_points([rally(40.0, 20.0, 5.0)])
     loop.enter(FlightMode.RETURN)
     seen = phases_of(loop)
-    assert [phase for phase, _ in seen] == [Phase.CLIMB, Phase.FLY_HOME, Phase.LAND, Phase.DONE]
+    assert [phase for phase, _ in seen] == [
+        ReturnPhase.CLIMB,
+        ReturnPhase.FLY_HOME,
+        ReturnPhase.LAND,
+        ReturnPhase.DONE,
+    ]
     assert min(pos[2] for pos in loop.track) == pytest.approx(-25.0, abs=0.05)  # RTL_RETURN_ALT above 5 m
     np.testing.assert_allclose(loop.state.pos_ned_m, (40.0, 20.0, 0.0), atol=1e-3)
 
@@ -209,7 +219,7 @@ def test_a_rally_point_above_the_sea_and_one_taken_away_under_way():
     loop.enter(FlightMode.RETURN)
     loop.run(2.0)
     loop.navigator.set_rally_points([])
-    assert loop.run(60.0, lambda: loop.navigator.return_phase is Phase.DONE)
+    assert loop.run(60.0, lambda: loop.navigator.return_phase is ReturnPhase.DONE)
     np.testing.assert_allclose(loop.state.pos_ned_m[:2], (40.0, 20.0), atol=1e-3)
 
 
@@ -224,13 +234,18 @@ def test_from_50_m_away_it_lands_at_home(wind_n):
     loop.force_ned_n = np.array((wind_n, 0.5 * wind_n, 0.0))
     loop.enter(FlightMode.RETURN)
     seen = phases_of(loop)
-    assert [phase for phase, _ in seen] == [Phase.CLIMB, Phase.FLY_HOME, Phase.LAND, Phase.DONE]
+    assert [phase for phase, _ in seen] == [
+        ReturnPhase.CLIMB,
+        ReturnPhase.FLY_HOME,
+        ReturnPhase.LAND,
+        ReturnPhase.DONE,
+    ]
     assert loop.iris.on_ground
     assert math.hypot(*loop.iris.pos_ned_m[:2]) < 0.5
     assert loop.update() is IDLE
 
 
-@pytest.mark.parametrize("phase", [Phase.CLIMB, Phase.FLY_HOME, Phase.LAND])
+@pytest.mark.parametrize("phase", [ReturnPhase.CLIMB, ReturnPhase.FLY_HOME, ReturnPhase.LAND])
 def test_home_and_rally_points_set_under_way_are_for_the_next_return(phase):
     loop = Real(10.0, params=LOW)
     loop.iris.pos_ned_m[:2] = (20.0, -15.0)
@@ -242,12 +257,12 @@ def test_home_and_rally_points_set_under_way_are_for_the_next_return(phase):
     sideways_m_s, down_m_s = [], []
 
     def watch():
-        if loop.navigator.return_phase is Phase.LAND:
+        if loop.navigator.return_phase is ReturnPhase.LAND:
             north_m_s, east_m_s, falls_m_s = loop.state.vel_ned_m_s
             sideways_m_s.append(math.hypot(north_m_s, east_m_s))
             if loop.state.pos_ned_m[2] > -1.0:
                 down_m_s.append(falls_m_s)
-        return loop.navigator.return_phase is Phase.DONE
+        return loop.navigator.return_phase is ReturnPhase.DONE
 
     assert loop.run(120.0, watch)
     assert max(sideways_m_s) < 1.0
@@ -260,10 +275,10 @@ def test_lifted_off_the_ground_or_after_a_jump_it_lands_where_it_landed():
     loop = Ideal((40.0, 10.0, 0.0), params=LOW)
     loop.landed = True
     loop.enter(FlightMode.RETURN)
-    assert loop.navigator.return_phase is Phase.DONE
+    assert loop.navigator.return_phase is ReturnPhase.DONE
     loop.landed, loop.state.pos_ned_m = False, np.array((40.0, 10.0, -0.6))
     loop.step()
-    assert loop.navigator.return_phase is Phase.LAND
+    assert loop.navigator.return_phase is ReturnPhase.LAND
     loop.enter(FlightMode.RETURN)  # the estimate has jumped
-    assert loop.run(10.0, lambda: loop.navigator.return_phase is Phase.DONE)
+    assert loop.run(10.0, lambda: loop.navigator.return_phase is ReturnPhase.DONE)
     np.testing.assert_allclose(loop.state.pos_ned_m[:2], (40.0, 10.0), atol=0.05)

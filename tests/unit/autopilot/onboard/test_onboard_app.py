@@ -17,12 +17,13 @@ from onboard_world import (
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.modes import FlightMode
-from autopilot.onboard import OnboardApp, Phase
+from autopilot.onboard import OnboardApp
 from autopilot.onboard.formation import messages
 from autopilot.onboard.formation.commands import CommandSender
-from autopilot.onboard.formation.flight_phases import Flight, Situation
+from autopilot.onboard.formation.flight_phases import FlightSequence, Situation
 from autopilot.onboard.formation.formation_control import COAST_S
 from autopilot.onboard.formation.own_state import OwnState
+from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.radio import beacon as wire
 from autopilot.parameters.config import Devices, OnboardConfig
 from autopilot.parameters.table import ParameterSet, Settings
@@ -37,24 +38,29 @@ def beacon_of(station, time_us):
     """Bytes of a beacon with nothing in it."""
     zero = (0.0, 0.0, 0.0)
     beacon = wire.Beacon(
-        station=station, seq=0, time_us=time_us, phase=Phase.WAITING, odometry_ned_m=zero, vel_ned_m_s=zero
+        station=station,
+        seq=0,
+        time_us=time_us,
+        phase=FlightPhase.WAITING,
+        odometry_ned_m=zero,
+        vel_ned_m_s=zero,
     )
     return wire.encode(beacon)
 
 
 def test_timeline_of_a_flight():
     w = world()
-    w.run_until(phase_is(Phase.LOCALISING), limit_s=1.5)
+    w.run_until(phase_is(FlightPhase.LOCALISING), limit_s=1.5)
     # a pair is complete with one distance each way, asked for within one period
-    w.run_until(phase_is(Phase.TAKE_OFF), limit_s=2.0)
-    w.run_until(phase_is(Phase.JOINING), limit_s=3.0)
+    w.run_until(phase_is(FlightPhase.TAKE_OFF), limit_s=2.0)
+    w.run_until(phase_is(FlightPhase.JOINING), limit_s=3.0)
     assert all(-1.2 < z < -0.4 for z in w.pos[:, 2])  # handed over while still climbing
     # 6.8 m at 1.5 m/s with 0.8 m/s^2 at the end, then 2 s of holding
-    w.run_until(phase_is(Phase.ON_STATION), limit_s=6.8 / 1.5 + 2.0 + 4.0)
+    w.run_until(phase_is(FlightPhase.ON_STATION), limit_s=6.8 / 1.5 + 2.0 + 4.0)
     for autopilot in w.autopilots:  # as a ground station has it
         autopilot.mode = MODE_LAND
-    w.run_until(phase_is(Phase.YIELDED), limit_s=1.1)
-    w.run_until(phase_is(Phase.LANDED), limit_s=8.0 / 0.7 + 5.0)
+    w.run_until(phase_is(FlightPhase.YIELDED), limit_s=1.1)
+    w.run_until(phase_is(FlightPhase.LANDED), limit_s=8.0 / 0.7 + 5.0)
     for autopilot in w.autopilots:
         numbers = list(dict.fromkeys(number for _, number, _ in autopilot.commands))
         assert numbers == [
@@ -66,7 +72,7 @@ def test_timeline_of_a_flight():
 
 def test_gps_alone_needs_no_localising_sends_no_requests_and_corrects_nothing():
     w = world(config=GPS)
-    w.run_until(phase_is(Phase.ON_STATION), limit_s=20.0)
+    w.run_until(phase_is(FlightPhase.ON_STATION), limit_s=20.0)
     assert w.sent[FtmRequest] == 0
     assert w.sent[Broadcast] > 0
     assert not any(any(app.estimate(w.now_us).correction_ned_m) for app in w.apps)
@@ -74,14 +80,14 @@ def test_gps_alone_needs_no_localising_sends_no_requests_and_corrects_nothing():
 
 def test_a_lone_uav_flies():
     w = world(ALONE)
-    w.run_until(phase_is(Phase.ON_STATION), limit_s=20.0)
+    w.run_until(phase_is(FlightPhase.ON_STATION), limit_s=20.0)
     assert w.sent[FtmRequest] == 0
 
 
 def test_a_refused_command_is_tried_again_each_second():
     w = world(ALONE)
     w.autopilots[0].refuse = {common.MAV_CMD_COMPONENT_ARM_DISARM: 3}
-    w.run_until(phase_is(Phase.TAKE_OFF), limit_s=8.0)
+    w.run_until(phase_is(FlightPhase.TAKE_OFF), limit_s=8.0)
     arm_us = [now_us for now_us, number, _ in w.autopilots[0].commands if number == 400]
     assert np.diff(arm_us).tolist() == [1_000_000] * 3
 
@@ -106,23 +112,23 @@ def test_an_unanswered_command_is_repeated_with_its_confirmation_raised():
 
 def test_somebody_elses_mode_is_respected_until_offboard_is_chosen_again():
     w = world(ALONE)
-    w.run_until(phase_is(Phase.ON_STATION), limit_s=20.0)
+    w.run_until(phase_is(FlightPhase.ON_STATION), limit_s=20.0)
     w.run(1.5)
     w.autopilots[0].mode = MODE_LOITER
-    w.run_until(phase_is(Phase.YIELDED), limit_s=1.5)
+    w.run_until(phase_is(FlightPhase.YIELDED), limit_s=1.5)
     commands = len(w.autopilots[0].commands)
     w.run(3.0)
     assert len(w.autopilots[0].commands) == commands
     w.autopilots[0].mode = MODE_OFFBOARD
-    w.run_until(phase_is(Phase.JOINING), limit_s=1.5)
-    w.run_until(phase_is(Phase.ON_STATION), limit_s=5.0)
+    w.run_until(phase_is(FlightPhase.JOINING), limit_s=1.5)
+    w.run_until(phase_is(FlightPhase.ON_STATION), limit_s=5.0)
 
 
 def joining():
     """A flight that is joining, in offboard, and what it goes by."""
     commands = CommandSender(target_system=1)
-    flight = Flight(commands=commands, on_station_tolerance_m=0.7, on_station_hold_s=2.0)
-    flight.phase = Phase.JOINING
+    flight = FlightSequence(commands=commands, on_station_tolerance_m=0.7, on_station_hold_s=2.0)
+    flight.phase = FlightPhase.JOINING
     own = OwnState(site=SITE, gps_delay_s=0.12)
     own.armed, own.mode = True, FlightMode.OFFBOARD
     return flight, own
@@ -137,15 +143,15 @@ def test_after_yielding_a_place_is_held_anew():
         flight.update(own, there, now_us)
         since_us.setdefault((flight.phase, now_us >= 63_000_000), now_us)
     assert since_us == {
-        (Phase.JOINING, False): 0,
-        (Phase.ON_STATION, False): 2_000_000,
-        (Phase.YIELDED, False): 3_000_000,
-        (Phase.JOINING, True): 63_000_000,
-        (Phase.ON_STATION, True): 63_050_000 + 2_000_000,
+        (FlightPhase.JOINING, False): 0,
+        (FlightPhase.ON_STATION, False): 2_000_000,
+        (FlightPhase.YIELDED, False): 3_000_000,
+        (FlightPhase.JOINING, True): 63_000_000,
+        (FlightPhase.ON_STATION, True): 63_050_000 + 2_000_000,
     }
 
 
-@pytest.mark.parametrize(("miss_m", "phase"), [(0.1, Phase.ON_STATION), (np.nan, Phase.JOINING)])
+@pytest.mark.parametrize(("miss_m", "phase"), [(0.1, FlightPhase.ON_STATION), (np.nan, FlightPhase.JOINING)])
 def test_a_place_that_is_no_number_is_never_reached(miss_m, phase):
     flight, own = joining()
     for now_us in range(0, 10_000_000, 50_000):
@@ -155,11 +161,11 @@ def test_a_place_that_is_no_number_is_never_reached(miss_m, phase):
 
 def test_without_distances_it_takes_off_after_the_timeout_and_says_so():
     w = world(errors=Errors(radio_loss=1.0))
-    w.run_until(phase_is(Phase.LOCALISING), limit_s=1.5)
+    w.run_until(phase_is(FlightPhase.LOCALISING), limit_s=1.5)
     began_us = w.now_us
-    w.run_until(phase_is(Phase.ARMING), limit_s=10.2)
+    w.run_until(phase_is(FlightPhase.ARMING), limit_s=10.2)
     assert w.now_us - began_us == pytest.approx(10_000_000, abs=200_000)
-    w.run_until(phase_is(Phase.ON_STATION), limit_s=20.0)
+    w.run_until(phase_is(FlightPhase.ON_STATION), limit_s=20.0)
     for app, autopilot in zip(w.apps, w.autopilots, strict=True):
         assert not any(app.estimate(w.now_us).correction_ned_m)
         assert [text for _, text in autopilot.texts] == ["formation not localised: taking off all the same"]
@@ -170,7 +176,7 @@ def test_who_answers_is_located_before_take_off_however_seldom_distances_are_mea
     places = ((-3.0, 0.0, -8.0), (3.0, 0.0, -8.0), (0.0, 4.0, -8.0))
     w = world(places, config=OnboardConfig(ftm_period_s=6.0))
     w.dead.add(2)
-    w.run_until(lambda w: all(app.phase is Phase.TAKE_OFF for app in w.apps[:2]), limit_s=13.0)
+    w.run_until(lambda w: all(app.phase is FlightPhase.TAKE_OFF for app in w.apps[:2]), limit_s=13.0)
     for app in w.apps[:2]:
         assert app.localisation.located.tolist() == [True, True, False]
 
@@ -178,7 +184,7 @@ def test_who_answers_is_located_before_take_off_however_seldom_distances_are_mea
 @pytest.mark.parametrize("ranging", ["all_pairs", "scheduled"])
 def test_neighbours_are_kept_clear_of_through_a_cut_while_odometry_holds(ranging):
     w = world(config=OnboardConfig(ranging=ranging))
-    w.run_until(phase_is(Phase.ON_STATION), limit_s=25.0)
+    w.run_until(phase_is(FlightPhase.ON_STATION), limit_s=25.0)
     w.run(3.0)
     app, asked_us, pushes_m_s = w.apps[0], [], []
     avoidance = app._guidance._avoidance
@@ -210,7 +216,7 @@ def test_the_position_loops_gain_is_asked_for_and_heeded():
     """1.5 1/s instead of 0.95, from the autopilot's own parameter service."""
     w = world()
     app = w.apps[0]
-    w.run_until(phase_is(Phase.ON_STATION), limit_s=25.0)
+    w.run_until(phase_is(FlightPhase.ON_STATION), limit_s=25.0)
     parameters = ParameterSet(Settings())
     service = ParameterService(parameters, parameters.set)
     reference, own = app._guidance._reference, app._own
@@ -240,7 +246,7 @@ def test_the_position_loops_gain_is_asked_for_and_heeded():
 def test_what_is_flown_while_the_autopilot_says_nothing_is_in_nobodys_odometry():
     """4 m in 3 s without LOCAL_POSITION_NED, as when its position is invalid: nobody goes on from before."""
     w = world()
-    w.run_until(phase_is(Phase.ON_STATION), limit_s=25.0)
+    w.run_until(phase_is(FlightPhase.ON_STATION), limit_s=25.0)
     telemetry = w._telemetry
     w._telemetry = lambda i, step: [
         msg for msg in telemetry(i, step) if i or msg.get_type() != "LOCAL_POSITION_NED"
@@ -317,7 +323,7 @@ def test_who_is_told_the_truth_says_so():
 
 def test_a_cut_channel_is_said_once_and_so_is_its_return():
     w = world()
-    w.run_until(phase_is(Phase.ON_STATION), limit_s=25.0)
+    w.run_until(phase_is(FlightPhase.ON_STATION), limit_s=25.0)
     w.radio_cut = True
     w.run(8.0)
     lost = [text for _, text in w.autopilots[0].texts]

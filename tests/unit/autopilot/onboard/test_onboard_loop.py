@@ -6,10 +6,10 @@ from onboard_world import ALONE, STEP_US, phase_is, world
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.local_messages import PositionTarget
-from autopilot.onboard import Phase
 from autopilot.onboard.app import NOTHING
 from autopilot.onboard.formation.formation_plan import FormationPlan, RacetrackMotion
 from autopilot.onboard.formation.guidance import SETPOINT_PERIOD_US
+from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.parameters.config import OnboardConfig
 
 GPS = OnboardConfig(localisation="gps")
@@ -17,7 +17,7 @@ GPS = OnboardConfig(localisation="gps")
 
 def test_setpoints_keep_their_period_before_and_in_offboard():
     w = world(ALONE)
-    w.run_until(phase_is(Phase.TAKE_OFF), limit_s=5.0)
+    w.run_until(phase_is(FlightPhase.TAKE_OFF), limit_s=5.0)
     received = []
     autopilot = w.autopilots[0]
     original = autopilot.on_message
@@ -35,7 +35,7 @@ def test_setpoints_keep_their_period_before_and_in_offboard():
 def test_what_is_due_before_the_loop_comes_round_again_is_handed_over_with_its_own_time(loop_us):
     """Ten beacons a second, a period apart but for their jitter, however slow the loop is."""
     w = world(ALONE, loop_us=loop_us)
-    w.run_until(phase_is(Phase.TAKE_OFF), limit_s=5.0)
+    w.run_until(phase_is(FlightPhase.TAKE_OFF), limit_s=5.0)
     app, beacons_us = w.apps[0], []
     on_timer = app.on_timer
 
@@ -71,7 +71,7 @@ def test_a_step_before_the_deadline_has_nothing_to_send():
 
         app.on_timer = spy
         w.run(12.0)
-        assert app.phase is Phase.ON_STATION
+        assert app.phase is FlightPhase.ON_STATION
         sent.append(outputs)
     assert sent[0] == sent[1]
     assert len(sent[0]) < 0.2 * 12e6 / STEP_US
@@ -89,7 +89,7 @@ def test_heartbeats_tell_the_phase_at_1_hz_and_at_every_change():
         return out
 
     app.on_timer = spy
-    w.run_until(phase_is(Phase.ON_STATION), limit_s=20.0)
+    w.run_until(phase_is(FlightPhase.ON_STATION), limit_s=20.0)
     assert {kind for _, _, kind in beats} == {common.MAV_TYPE_ONBOARD_CONTROLLER}
     assert [phase for k, (_, phase, _) in enumerate(beats) if k == 0 or beats[k - 1][1] != phase] == [
         0,
@@ -120,7 +120,7 @@ def test_a_plan_in_motion_is_kept_to_whatever_the_loops_period(loop_us):
     """Setpoints then come at intervals that differ, and each asks for the plan's half a period on."""
     motion = RacetrackMotion(speed_m_s=3.0, length_m=30.0, radius_m=25.0)
     w = world(ALONE, config=GPS, loop_us=loop_us, motion=motion)
-    w.run_until(phase_is(Phase.ON_STATION), limit_s=20.0)
+    w.run_until(phase_is(FlightPhase.ON_STATION), limit_s=20.0)
     w.run(5.0)  # the motion has begun, and the reference has joined it
     app, plan, misses_m, apart_m_s2 = w.apps[0], FormationPlan(ALONE, 0.0, motion), [], []
     on_timer = app.on_timer

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from autopilot.onboard.formation import avoidance, formation_control
-from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation import (
     common_frame,
     distances,
@@ -81,12 +81,12 @@ def filter_row():
 
 def heard_of(count=3):
     """Pages with beacons of stations 2 and 3, some of which are news."""
-    pages = wire.Pages(count)
+    pages = wire.BeaconBuffer(count)
     for _ in range(count):
         station = int(RNG.integers(2, 4))
         said = wire.Beacon(
             station=station, seq=int(RNG.integers(20)), time_us=int(RNG.integers(9_500_000, 10_500_000)),
-            phase=Phase(RNG.integers(9)), odometry_ned_m=tuple(some(3)), vel_ned_m_s=tuple(some(3)),
+            phase=FlightPhase(RNG.integers(9)), odometry_ned_m=tuple(some(3)), vel_ned_m_s=tuple(some(3)),
             motion_start_ms=None if RNG.integers(2) else 9_000,
             fix=None if RNG.integers(4) == 0 else
                 wire.Fix(int(RNG.integers(9_000, 10_500)), tuple(some(3)), 2.0, None),
@@ -128,9 +128,9 @@ CASES = {
         2, 10_000_000, np.array((0, 2, 3, 5)), listed(neighbour_table.STATION, 7), listed(MEMBER, N), rings(),
         some(5 * N), 0.2, -0.1),
     wire.is_credible: lambda: (heard_of()[0], True),
-    neighbour_table.hear: lambda: (
+    neighbour_table.receive_beacon: lambda: (
         heard_of()[0], 10_000_000, listener(), listed(neighbour_table.STATION, 6), numbers()),
-    neighbour_table.hear_all: lambda: (
+    neighbour_table.receive_beacons: lambda: (
         3, 10_000_000, heard_of(), listener(), listed(neighbour_table.STATION, 6), numbers()),
     neighbour_table.all_held: lambda: (listed(neighbour_table.STATION, 7), np.array((0, 2, 3)), 9_500_000),
     tracks.push: lambda: (

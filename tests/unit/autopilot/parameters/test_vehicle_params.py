@@ -15,8 +15,8 @@ from autopilot.parameters.table import (
     TABLE,
     UNDER,
     ParameterError,
+    ParameterProblem,
     ParameterSet,
-    Problem,
     Settings,
     check_range,
 )
@@ -155,10 +155,10 @@ def test_parameters_without_effect_are_kept_in_their_ranges_and_change_nothing_e
 @pytest.mark.parametrize(
     ("name", "value", "problem"),
     [
-        ("NO_SUCH", 1.0, Problem.UNKNOWN),
-        ("MPC_XY_P", 9.0, Problem.VALUE),
-        ("RTL_TYPE", 3.0, Problem.VALUE),
-        ("MAV_SYS_ID", 3.0, Problem.READ_ONLY),
+        ("NO_SUCH", 1.0, ParameterProblem.UNKNOWN),
+        ("MPC_XY_P", 9.0, ParameterProblem.VALUE),
+        ("RTL_TYPE", 3.0, ParameterProblem.VALUE),
+        ("MAV_SYS_ID", 3.0, ParameterProblem.READ_ONLY),
     ],
 )
 def test_a_refusal_says_what_is_wrong_and_is_no_change(name, value, problem):

@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.logs.companion_record import CompanionLog
 from autopilot.logs.vehicle_record import VEHICLE_RECORD
 from autopilot.mavlink.codec import Encoder, Parser, stamp
-from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.parameters.config import VehicleConfig
 from autopilot.process.companion import CALL_PERIOD_S, LONGEST_LEAP_US, TICK_US, Companion
 from foundation.records.record_log import read
@@ -133,7 +133,7 @@ def test_px4s_mode_and_its_own_phase_are_said_to_the_simulator_under_their_names
     companion.on_message(from_px4(beat(mode=0x03040000)))
     said = companion.on_timer(()).said
     named = {(message.get_srcSystem(), message.get_srcComponent()): message.custom_mode for message in said}
-    assert named == {(SYSTEM, 1): 0x03040000, (SYSTEM, 191): int(Phase.WAITING)}
+    assert named == {(SYSTEM, 1): 0x03040000, (SYSTEM, 191): int(FlightPhase.WAITING)}
     # and come out so on the other side
     encoder = Encoder(system=SYSTEM, component=191)
     heard = Parser().push_datagram(b"".join(map(encoder.encode, said)))

@@ -159,7 +159,7 @@ def test_what_cannot_be_saved_has_failed_with_a_reason(tmp_path, capsys):
 def test_in_a_pause_parameters_are_saved_and_it_is_told_at_once(tmp_path):
     path = tmp_path / "uav.params"
     with saving_host(path) as host:
-        assert results(host.attend([Addressed(ME, save())])) == [IN_PROGRESS, ACCEPTED]
+        assert results(host.serve_while_paused([Addressed(ME, save())])) == [IN_PROGRESS, ACCEPTED]
         assert path.exists()
         assert not host.vehicle.messaging.take_save_wanted()
 
@@ -167,10 +167,10 @@ def test_in_a_pause_parameters_are_saved_and_it_is_told_at_once(tmp_path):
 def test_what_is_asked_before_the_first_step_is_answered_in_it_and_does_not_pile_up(host):
     read = common.MAVLink_param_request_read_message(1, 1, b"MPC_XY_P", -1)
     for _ in range(2):
-        assert host.attend([Addressed(ME, read)] * MOST_WAITING) == []
+        assert host.serve_while_paused([Addressed(ME, read)] * MOST_WAITING) == []
     _, links = step(host, sensor(4_000))
     assert sum(m.get_type() == "PARAM_VALUE" for _, m in links) == MOST_WAITING
-    assert sum(m.get_type() == "PARAM_VALUE" for _, m in host.attend([Addressed(ME, read)])) == 1
+    assert sum(m.get_type() == "PARAM_VALUE" for _, m in host.serve_while_paused([Addressed(ME, read)])) == 1
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux has the policy")

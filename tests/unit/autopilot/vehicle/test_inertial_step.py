@@ -182,7 +182,7 @@ def test_while_the_simulator_is_silent_all_is_as_of_the_last_step(stream):
     host = player.host
     assert host.vehicle.flight.now_us < _time_us(data)
     beat = common.MAVLink_heartbeat_message(common.MAV_TYPE_GCS, 8, 0, 0, 4, 3)
-    host.attend([Addressed(Partner(GROUND_STATION, 0), beat)])
+    host.serve_while_paused([Addressed(Partner(GROUND_STATION, 0), beat)])
     flight = host.vehicle.flight
     assert flight.now_us == flight.state.time_us == _time_us(data)
     assert flight.sensor == HilParser(*TO_VEHICLE).push(data)[0]

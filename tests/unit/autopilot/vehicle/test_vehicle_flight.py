@@ -12,7 +12,7 @@ from autopilot.logs.vehicle_record import VEHICLE_RECORD, record
 from autopilot.mavlink.codec import Encoder, Parser, stamp
 from autopilot.mavlink.modes import FlightMode
 from autopilot.onboard.app import Estimate
-from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.parameters.config import OnboardConfig, VehicleConfig
 from autopilot.parameters.table import ParameterError
 from autopilot.services.service import COMPANION, GROUND_STATION, Addressed, Partner
@@ -306,7 +306,7 @@ def test_what_the_application_believes_is_on_record_at_the_records_instant(fligh
     def estimate(now_us):
         return Estimate((now_us, 0.0, 0.0), *[(0.0, 0.0, 0.0)] * 3)
 
-    flight.vehicle.app = SimpleNamespace(phase=Phase.ON_STATION, estimate=estimate)
+    flight.vehicle.app = SimpleNamespace(phase=FlightPhase.ON_STATION, estimate=estimate)
     row = np.frombuffer(record(flight.vehicle), dtype=VEHICLE_RECORD)[0]
     assert row["onboard_pos_ned_m"][0] == row["time_us"] == flight.now_us
 

@@ -24,9 +24,11 @@ def command(number, *params):
     return common.MAVLink_command_long_message(1, 1, number, 0, *padded)
 
 
-def attend(vehicle, *messages, partner=ME):
+def serve_while_paused(vehicle, *messages, partner=ME):
     """The answers to messages in a pause, less those for others."""
-    answers = vehicle.attend(reply(partner, *(stamp(m, system=255, component=190) for m in messages)))
+    answers = vehicle.serve_while_paused(
+        reply(partner, *(stamp(m, system=255, component=190) for m in messages))
+    )
     return [message for to, message in answers if to in {partner, Partner(partner.link)}]
 
 
@@ -61,12 +63,12 @@ def test_offboard_is_begun_in_a_pause(together):
     with Flight(vehicle_config()) as flight:
         flight.take_off(4.0)
         vehicle = flight.vehicle
-        assert results(attend(vehicle, command(MODE, *OFFBOARD))) == [REFUSED]
+        assert results(serve_while_paused(vehicle, command(MODE, *OFFBOARD))) == [REFUSED]
         if together:  # the setpoint counts wherever it stands
-            answers = attend(vehicle, command(MODE, *OFFBOARD), setpoint(-6.0))
+            answers = serve_while_paused(vehicle, command(MODE, *OFFBOARD), setpoint(-6.0))
         else:
-            assert attend(vehicle, setpoint(-6.0)) == []
-            answers = attend(vehicle, command(MODE, *OFFBOARD))
+            assert serve_while_paused(vehicle, setpoint(-6.0)) == []
+            answers = serve_while_paused(vehicle, command(MODE, *OFFBOARD))
         assert results(answers) == [ACCEPTED]
         assert vehicle.commander.mode is FlightMode.OFFBOARD
         flight.step()
@@ -78,20 +80,20 @@ def test_a_mission_is_uploaded_and_begun_in_a_pause():
     with Flight(vehicle_config()) as flight:
         flight.take_off(5.0)
         vehicle = flight.vehicle
-        assert results(attend(vehicle, command(MODE, *MISSION))) == [REFUSED]
-        answers = attend(vehicle, MissionCount(1, 1, 2, 0))
+        assert results(serve_while_paused(vehicle, command(MODE, *MISSION))) == [REFUSED]
+        answers = serve_while_paused(vehicle, MissionCount(1, 1, 2, 0))
         for item in waypoints(flight, 2):
             assert answers[-1].get_type() == "MISSION_REQUEST_INT"
-            answers = attend(vehicle, item)
+            answers = serve_while_paused(vehicle, item)
         assert answers[-1].type == common.MAV_MISSION_ACCEPTED
-        assert results(attend(vehicle, command(common.MAV_CMD_MISSION_START, -1.0))) == [ACCEPTED]
+        assert results(serve_while_paused(vehicle, command(common.MAV_CMD_MISSION_START, -1.0))) == [ACCEPTED]
         assert vehicle.commander.mode is FlightMode.MISSION
         begin_m = float(vehicle.flight.state.pos_ned_m[0])
         flight.run(3.0)
         assert vehicle.commander.mode is FlightMode.MISSION
         assert vehicle.flight.state.pos_ned_m[0] > begin_m + 1.0
-        attend(vehicle, common.MAVLink_mission_clear_all_message(1, 1, 0))
-        attend(vehicle)
+        serve_while_paused(vehicle, common.MAVLink_mission_clear_all_message(1, 1, 0))
+        serve_while_paused(vehicle)
         assert vehicle.commander.mode is FlightMode.HOLD  # without a mission there is none to fly
 
 
@@ -100,17 +102,17 @@ def test_an_upload_whose_station_is_gone_gives_way_in_a_pause_and_a_living_one_d
         flight.take_off(5.0)
         vehicle, items = flight.vehicle, waypoints(flight, 3)
         begin = MissionCount(1, 1, 3, 0)
-        asked = [answer.seq for answer in attend(vehicle, begin)]
+        asked = [answer.seq for answer in serve_while_paused(vehicle, begin)]
         for item in items[:2]:  # every word of its station keeps it alive
-            (refused,) = attend(vehicle, begin, partner=OTHER)
+            (refused,) = serve_while_paused(vehicle, begin, partner=OTHER)
             assert refused.type == common.MAV_MISSION_ERROR
-            asked += [answer.seq for answer in attend(vehicle, item)]
+            asked += [answer.seq for answer in serve_while_paused(vehicle, item)]
         assert asked == [0, 1, 2]
-        attend(vehicle, begin, partner=OTHER)
-        (answer,) = attend(vehicle, begin, partner=OTHER)
+        serve_while_paused(vehicle, begin, partner=OTHER)
+        (answer,) = serve_while_paused(vehicle, begin, partner=OTHER)
         assert (answer.get_type(), answer.seq) == ("MISSION_REQUEST_INT", 0)
         for item in items:
-            (answer,) = attend(vehicle, item, partner=OTHER)
+            (answer,) = serve_while_paused(vehicle, item, partner=OTHER)
         assert answer.type == common.MAV_MISSION_ACCEPTED
         assert len(vehicle.messaging.plans[PlanType.MISSION].items) == 3
 
@@ -119,9 +121,9 @@ def test_a_station_that_begins_its_upload_again_in_a_pause_is_followed():
     with Flight(vehicle_config()) as flight:
         flight.run(1.0)
         begin = MissionCount(1, 1, 3, 0)
-        attend(flight.vehicle, begin)
-        attend(flight.vehicle, waypoints(flight, 1)[0])
-        (answer,) = attend(flight.vehicle, begin)
+        serve_while_paused(flight.vehicle, begin)
+        serve_while_paused(flight.vehicle, waypoints(flight, 1)[0])
+        (answer,) = serve_while_paused(flight.vehicle, begin)
         assert (answer.get_type(), answer.seq) == ("MISSION_REQUEST_INT", 0)
 
 
@@ -132,7 +134,7 @@ def test_all_that_is_changed_in_a_pause_is_told_once_and_in_batches():
             1, 1, b"MPC_XY_P", b"\0\0\x80\x3f".ljust(128, b"\0"), common.MAV_PARAM_EXT_TYPE_REAL32
         )
         for _ in range(100):
-            attend(flight.vehicle, changed)
+            serve_while_paused(flight.vehicle, changed)
         told = [a for a in flight.step().links if a.message.get_type() == "PARAM_VALUE"]
         assert [a.partner.link for a in told] == [0, 1]
         told = [a for a in flight.step().links if a.message.get_type() == "PARAM_VALUE"]

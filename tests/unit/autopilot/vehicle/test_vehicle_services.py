@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common
 from vehicle_world import STEP_US, Flight, vehicle_config
 
 from autopilot.mavlink.modes import FlightMode
-from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.parameters.config import AutopilotConfig, CircleConfig, MissionItemConfig
 from autopilot.parameters.table import ROWS, ParameterError, ParameterSet, Settings
 from autopilot.vehicle.vehicle import DECISION_PERIOD_US
@@ -409,7 +409,7 @@ def test_the_application_leaves_a_failsafe_alone_and_does_not_take_off_again(act
         vehicle = flight.vehicle
         assert flight.run(30.0, until=lambda: vehicle.commander.failsafe)
         flight.run(20.0)
-        assert vehicle.app.phase is (Phase.YIELDED if action == 2 else Phase.LANDED)
+        assert vehicle.app.phase is (FlightPhase.YIELDED if action == 2 else FlightPhase.LANDED)
         assert vehicle.commander.armed is (action == 2)
         assert vehicle.commander.mode is FlightMode.HOLD
         assert max(flight.height_m, 0.0) < 3.0

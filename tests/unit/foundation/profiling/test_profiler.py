@@ -25,10 +25,12 @@ from harness.launch.profiling import VEHICLES, by_kind, profile_table
 from harness.simulator import profile_groups as physics_parts
 from netsim.transport import profile_groups as radio_parts
 
-PARTS = {"swarm": "all", "swarm.flight": "flight", "swarm.flight.codec": "codec"}
+PROFILE_GROUPS = {"swarm": "all", "swarm.flight": "flight", "swarm.flight.codec": "codec"}
 
 
-@pytest.mark.parametrize("parts", [vehicle_parts.PARTS, physics_parts.PARTS, radio_parts.PARTS])
+@pytest.mark.parametrize(
+    "parts", [vehicle_parts.PROFILE_GROUPS, physics_parts.PROFILE_GROUPS, radio_parts.PROFILE_GROUPS]
+)
 def test_every_part_is_of_modules_that_there_are_and_one_of_them_waits(parts):
     for module in parts:
         assert importlib.util.find_spec(module) is not None, module
@@ -36,10 +38,10 @@ def test_every_part_is_of_modules_that_there_are_and_one_of_them_waits(parts):
 
 
 def test_a_module_is_of_the_part_of_the_nearest_package_that_has_one():
-    assert part_of("swarm.flight.codec", PARTS) == "codec"
-    assert part_of("swarm.flight.control.inner", PARTS) == "flight"
-    assert part_of("swarm.radio", PARTS) == "all"
-    assert part_of("swarms", PARTS) is None
+    assert part_of("swarm.flight.codec", PROFILE_GROUPS) == "codec"
+    assert part_of("swarm.flight.control.inner", PROFILE_GROUPS) == "flight"
+    assert part_of("swarm.radio", PROFILE_GROUPS) == "all"
+    assert part_of("swarms", PROFILE_GROUPS) is None
 
 
 def test_shares_sum_up_to_the_time_and_other_threads_are_taken_off_the_wait():
@@ -85,7 +87,7 @@ def test_time_is_charged_to_the_innermost_module_that_is_of_a_part():
     flight, codec = _module("swarm.flight", BUSY), _module("swarm.flight.codec", BUSY)
     helper = _module("helper", BUSY)
     now_us = 0
-    profiler = Profiler(PARTS, now_us=lambda: now_us, from_us=4_000)
+    profiler = Profiler(PROFILE_GROUPS, now_us=lambda: now_us, from_us=4_000)
     profiler.start()
     try:
         flight.work(0.1)  # before the time from which it counts
@@ -111,7 +113,7 @@ def test_time_is_charged_to_the_innermost_module_that_is_of_a_part():
 
 def test_a_run_that_is_not_profiled_is_not_interrupted():
     before = signal.getsignal(signal.SIGPROF)
-    with profiled(PARTS, now_us=lambda: 0, from_us=None) as told:
+    with profiled(PROFILE_GROUPS, now_us=lambda: 0, from_us=None) as told:
         assert signal.getsignal(signal.SIGPROF) is before
         assert signal.getitimer(signal.ITIMER_PROF) == (0.0, 0.0)
     assert told == {}
@@ -119,7 +121,7 @@ def test_a_run_that_is_not_profiled_is_not_interrupted():
 
 def test_a_profile_is_told_once_the_work_is_done_and_nothing_interrupts_afterwards():
     busy = _module("swarm.radio", BUSY)
-    with profiled(PARTS, now_us=lambda: 1, from_us=0) as told:
+    with profiled(PROFILE_GROUPS, now_us=lambda: 1, from_us=0) as told:
         busy.work(0.1)
         assert told == {}
     assert signal.getitimer(signal.ITIMER_PROF) == (0.0, 0.0)
@@ -127,7 +129,7 @@ def test_a_profile_is_told_once_the_work_is_done_and_nothing_interrupts_afterwar
 
 
 def test_what_never_flew_has_no_profile():
-    with profiled(PARTS, now_us=lambda: 0, from_us=4_000) as told:
+    with profiled(PROFILE_GROUPS, now_us=lambda: 0, from_us=4_000) as told:
         _module("swarm", BUSY).work(0.05)
     assert told == {}
 
@@ -170,7 +172,7 @@ def test_vehicles_are_added_up_and_each_counts_by_its_own_time():
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the operating system does not tell")
 def test_queueing_is_no_waiting():
     busy = _module("swarm", BUSY)
-    with profiled(PARTS, now_us=lambda: 1, from_us=0) as told:
+    with profiled(PROFILE_GROUPS, now_us=lambda: 1, from_us=0) as told:
         busy.work(0.05)
         time.sleep(0.2)
         busy.work(0.05)

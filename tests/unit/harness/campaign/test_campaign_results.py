@@ -21,7 +21,7 @@ from antenna.solvers.interface import BackendUnavailable
 from harness.campaign import Campaign, CampaignError, load, running, sources
 from harness.campaign import flights as flying
 from harness.campaign.definition import expand
-from harness.campaign.display import Pace, duration_text
+from harness.campaign.display import CampaignPace, duration_text
 from harness.campaign.flights import fly_task
 from harness.campaign.running import known
 from harness.campaign.store import FAILED, Flown, Store, write_whole
@@ -395,7 +395,7 @@ def test_every_module_that_a_flight_loads_is_of_the_state_but_what_draws():
 )  # fmt: skip
 def test_the_time_left_is_that_of_the_rest_at_the_pace_so_far(each_s, start_s, total, data):
     """One run every ``each_s``, the first later: after k of n, (n - k) of them are left, counting down."""
-    pace = Pace(5.0)
+    pace = CampaignPace(5.0)
     assert pace.left_s(5.0) is None
     done = data.draw(st.integers(4, total))
     for number in range(1, done + 1):

@@ -18,7 +18,7 @@ from antenna.model.config import AntennaConfig
 from antenna.model.geometry import grid, upright
 from antenna.solvers.ports import feed
 from antenna.solvers.selection import make_backend
-from antenna.solvers.warm_up import rehearse
+from antenna.solvers.warm_up import warm_up
 from foundation.kernels import cache_folder
 from harness.launch import kernel_cache
 from harness.launch.kernel_cache import KEPT_S, KEPT_STATES, VARIABLE, CompileError, digest, forget_old
@@ -211,7 +211,7 @@ def test_the_rehearsal_of_the_physics_calls_every_kernel():
 
 def test_after_the_rehearsal_of_the_antenna_nothing_is_left_to_be_compiled():
     """Other elements, grounds, feeds, grids and counts ask for no other types."""
-    rehearse()
+    warm_up()
     compiled = signatures("antenna")
     assert any(compiled.values())
     dipole = {"element_length_m": 5.0, "element_radius_m": 0.001, "segments": 11}
@@ -228,7 +228,7 @@ def test_after_the_rehearsal_of_the_antenna_nothing_is_left_to_be_compiled():
 
 def test_after_the_rehearsal_of_the_vehicles_nothing_is_left_to_be_loaded():
     """Or every vehicle that is forked would load it for itself, in flight."""
-    autopilot.process.warm_up.rehearse()
+    autopilot.process.warm_up.warm_up()
     loaded = signatures("autopilot")
     assert any(loaded.values())
     with OneProcessSwarm(ARTICLE, agents=3) as swarm:

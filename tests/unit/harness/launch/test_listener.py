@@ -9,14 +9,14 @@ from collections.abc import Iterator
 import psutil
 import pytest
 
-from harness.launch.descriptor_watcher import Listener
+from harness.launch.descriptor_watcher import DescriptorWatcher
 
 WALL_LIMIT_S = 20.0
 
 
 @pytest.fixture
-def listener() -> Iterator[Listener]:
-    listener = Listener("test listener")
+def listener() -> Iterator[DescriptorWatcher]:
+    listener = DescriptorWatcher("test listener")
     yield listener
     listener.close()
 
@@ -24,7 +24,7 @@ def listener() -> Iterator[Listener]:
 class Ear:
     """A pipe that is heard: every chunk with the thread that read it."""
 
-    def __init__(self, listener: Listener) -> None:
+    def __init__(self, listener: DescriptorWatcher) -> None:
         self.heard: queue.SimpleQueue[tuple[bytes, int]] = queue.SimpleQueue()
         self._listener = listener
         self._theirs, self.ours = os.pipe()
@@ -41,7 +41,7 @@ class Ear:
         return self.heard.get(timeout=WALL_LIMIT_S)
 
 
-def test_many_are_heard_by_one_thread_until_they_end(listener: Listener) -> None:
+def test_many_are_heard_by_one_thread_until_they_end(listener: DescriptorWatcher) -> None:
     before = psutil.Process().num_threads()
     ears = [Ear(listener) for _ in range(100)]
     assert psutil.Process().num_threads() == before + 1
@@ -55,7 +55,9 @@ def test_many_are_heard_by_one_thread_until_they_end(listener: Listener) -> None
         assert ear.next()[0] == b""
 
 
-def test_what_is_asked_is_done_in_order_on_its_thread_also_while_it_closes(listener: Listener) -> None:
+def test_what_is_asked_is_done_in_order_on_its_thread_also_while_it_closes(
+    listener: DescriptorWatcher,
+) -> None:
     done: list[tuple[int, int]] = []
     for i in range(1_000):
         listener.call(lambda i=i: done.append((i, threading.get_ident())))
@@ -69,7 +71,7 @@ def test_what_is_asked_is_done_in_order_on_its_thread_also_while_it_closes(liste
 
 
 def test_one_that_is_forgotten_in_the_round_in_which_it_speaks_is_not_called_any_more(
-    listener: Listener,
+    listener: DescriptorWatcher,
 ) -> None:
     pipes = [os.pipe() for _ in range(2)]
     for _, ours in pipes:
@@ -96,7 +98,7 @@ def test_one_that_is_forgotten_in_the_round_in_which_it_speaks_is_not_called_any
 
 def test_it_starts_no_thread_before_it_is_asked_and_leaves_no_descriptor() -> None:
     descriptors, threads = psutil.Process().num_fds(), psutil.Process().num_threads()
-    idle, busy = Listener("idle"), Listener("busy")
+    idle, busy = DescriptorWatcher("idle"), DescriptorWatcher("busy")
     assert psutil.Process().num_threads() == threads
     busy.call(lambda: None)
     assert psutil.Process().num_threads() == threads + 1

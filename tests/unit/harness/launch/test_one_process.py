@@ -34,10 +34,10 @@ from harness.records.tables import flight_of, read_flight
 from harness.report import antenna_report, report
 from harness.report.analysis import gain_series
 from harness.scenario.scenario import load
-from harness.simulator.emulator_client import Air
-from harness.simulator.in_process_links import LocalLine, LocalRadio
+from harness.simulator.emulator_client import EmulatorClient
+from harness.simulator.in_process_links import InProcessEmulatorLine, InProcessRadio
 from harness.simulator.messages import Progress, VehicleLost
-from netsim.emulator.service import HostedEmulator
+from netsim.emulator.service import EmulatorService
 from netsim.model.config import RadioConfig, ServerConfig
 from netsim.wire.lockstep import Advance, pack_rows
 from netsim.wire.messages import MAX_PAYLOAD_BYTES, Broadcast, Delivery
@@ -350,9 +350,9 @@ class Channel:
 
     def __init__(self):
         config = ServerConfig(run_id="test", stations=2, seed=1, radio=RadioConfig(rician_k_db=None))
-        self.emulator = HostedEmulator(config)
-        self.radios = [LocalRadio(self.emulator, i) for i in range(2)]
-        self.line = LocalLine(self.emulator, self.radios)
+        self.emulator = EmulatorService(config)
+        self.radios = [InProcessRadio(self.emulator, i) for i in range(2)]
+        self.line = InProcessEmulatorLine(self.emulator, self.radios)
 
     def heard(self, station, now_us):
         """Datagrams that a station may see by now."""
@@ -406,7 +406,7 @@ def test_what_is_handed_over_in_a_later_step_waits_for_that_steps_interval():
 def test_who_speaks_after_minutes_of_silence_is_heard():
     """Nobody speaks for two minutes, in intervals of a second, and the air has nothing to do."""
     channel, second_us = Channel(), 1_000_000
-    air = Air(channel.line, period_us=second_us)
+    air = EmulatorClient(channel.line, period_us=second_us)
     truth = SimpleNamespace(
         pos_ned_m=np.array([[0.0, 0.0, -10.0], [10.0, 0.0, -10.0]]),
         vel_ned_m_s=np.zeros((2, 3)),

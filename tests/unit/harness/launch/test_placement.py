@@ -12,7 +12,7 @@ import pytest
 
 from harness.launch.cpu_affinity import (
     OTHERS_MAX,
-    Placement,
+    CpuAffinity,
     Times,
     counted,
     homes,
@@ -98,11 +98,11 @@ def test_processes_keep_to_their_processors_while_nobody_else_works():
     processors = sorted(os.sched_getaffinity(0))
     # a word from the test starts a second thread, which has the affinity that the first has then
     wait = [sys.executable, "-c", "import threading; input(); threading.Thread(target=input).start()"]
-    children = {name: subprocess.Popen(wait, stdin=subprocess.PIPE) for name in ("uav 0", "uav 1", "hangar")}
+    children = {name: subprocess.Popen(wait, stdin=subprocess.PIPE) for name in ("uav 0", "uav 1", "prefork")}
     places = {"uav 0": processors[0], "uav 1": processors[1], "physics": processors[1]}
     machine = Machine()
     machine.others = 1.0
-    placement = Placement(
+    placement = CpuAffinity(
         lambda: {name: child.pid for name, child in children.items()},
         places,
         processors,
@@ -124,7 +124,7 @@ def test_processes_keep_to_their_processors_while_nobody_else_works():
         machine.others = 0.0
         wait_for(lambda: allowed("uav 1") == [processors[1]])
         assert allowed("uav 0") == [processors[0]]
-        assert allowed("hangar") == processors  # it is none of those that have a place
+        assert allowed("prefork") == processors  # it is none of those that have a place
         children["uav 0"].stdin.write(b"\n")
         children["uav 0"].stdin.flush()
         wait_for(lambda: len(threads("uav 0")) == 2)

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from harness.launch.processes import HANGAR, PHYSICS, RADIO
+from harness.launch.processes import PHYSICS, PREFORK, RADIO
 from harness.launch.resources import (
     DESCRIPTORS_BESIDE,
     DESCRIPTORS_OF_CHILD,
@@ -14,7 +14,7 @@ from harness.launch.resources import (
     open_descriptors,
 )
 
-CHILDREN = 64 + len((PHYSICS, RADIO, HANGAR))
+CHILDREN = 64 + len((PHYSICS, RADIO, PREFORK))
 NARROW = """
 import resource, subprocess, sys
 resource.setrlimit(resource.RLIMIT_NOFILE, ({soft}, {hard}))

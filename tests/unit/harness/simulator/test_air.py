@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from harness.simulator.emulator_client import LONGEST_REST_US, Air, RadioSilent
+from harness.simulator.emulator_client import LONGEST_REST_US, EmulatorClient, RadioSilent
 from netsim.wire.lockstep import LEAD_US, Advanced, unpack_rows
 
 STEP_US = 4_000
@@ -40,7 +40,7 @@ def emulator():
 
 @pytest.fixture
 def air(emulator):
-    return Air(emulator, period_us=PERIOD_US)
+    return EmulatorClient(emulator, period_us=PERIOD_US)
 
 
 def advanced(to_us, *, quiet_until_us=0, **changes):
@@ -81,7 +81,7 @@ def test_an_air_that_stays_quiet_is_never_left_so_far_behind_that_it_refuses_who
     rest of `LONGEST_REST_US`: 180 s / 30 s of them, of which the last ends after the three minutes.
     """
     period_us, end_us = 100_000, 180_000_000
-    air = Air(emulator, period_us=period_us)
+    air = EmulatorClient(emulator, period_us=period_us)
     for time_us in range(0, end_us, period_us):
         reached_us = emulator.asked[-1].to_us if emulator.asked else 0
         assert time_us + 1_000_000 <= reached_us + LEAD_US
@@ -108,7 +108,7 @@ def test_the_emulator_is_waited_for_when_its_interval_ends_and_not_before(air, e
 
 
 def test_with_free_radios_intervals_are_steps_and_none_is_left_out_for_who_may_speak_at_any_time(emulator):
-    air = Air(emulator, period_us=PERIOD_US, free=True)
+    air = EmulatorClient(emulator, period_us=PERIOD_US, free=True)
     for time_us in (0, 4_000, 8_000):
         assert air.begins_at(time_us)
         assert not air.is_awaited(time_us)

@@ -10,9 +10,9 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot.mavlink.codec import Encoder
 from autopilot.mavlink.hil import HilActuatorControls, pack
-from harness.simulator.actuator_inbox import ANSWER_BYTES, Answers
+from harness.simulator.actuator_inbox import ANSWER_BYTES, ActuatorInbox
 from harness.simulator.lockstep import Lockstep
-from harness.simulator.response_watchdog import Patience
+from harness.simulator.response_watchdog import ResponseWatchdog
 from netsim.wire.lockstep import BATCH_HANDED_OVER
 
 NOW_US = 4_000
@@ -29,7 +29,7 @@ def heartbeat(i):
 
 
 def test_an_answer_is_taken_as_it_was_packed():
-    answers, rng = Answers(3), np.random.default_rng(1)
+    answers, rng = ActuatorInbox(3), np.random.default_rng(1)
     for step in range(50):
         time_us = NOW_US * (step + 1)
         controls = rng.random((3, 4)).astype(np.float32)
@@ -49,7 +49,7 @@ def test_an_answer_is_taken_as_it_was_packed():
 def test_what_the_codec_makes_of_an_answer_is_taken_as_well():
     """By pymavlink, whose frame is the other witness."""
     message = mavlink.MAVLink_hil_actuator_controls_message(NOW_US, [0.5] * 16, 129, 1)
-    answers = Answers(1)
+    answers = ActuatorInbox(1)
     answers.hear(0, Encoder(system=1, component=1).encode(message))
     assert answers.take(NOW_US) == 1
     assert answers.controls.tolist() == [[0.5] * 4]
@@ -65,7 +65,7 @@ def resealed(frame, at, byte):
 
 def test_a_resealed_frame_is_right():
     """So what is refused of the frames below is not their sum."""
-    answers = Answers(1)
+    answers = ActuatorInbox(1)
     answers.hear(0, resealed(answer(0), 4, 200))  # another number in the sequence
     assert answers.take(NOW_US) == 1
 
@@ -93,7 +93,7 @@ def not_one_answer():
     "said", [said for _, said in not_one_answer()], ids=[what for what, _ in not_one_answer()]
 )
 def test_whatever_is_not_one_answer_is_left_as_it_was_said(said):
-    answers = Answers(2)
+    answers = ActuatorInbox(2)
     answers.hear(0, answer(0, controls=(0.5,) * 4))
     assert answers.take(NOW_US) == 1
     answers.hear(0, said)
@@ -111,7 +111,7 @@ def one_seat():
     said, lost = [], []
     lockstep = Lockstep(
         [listener],
-        patience=Patience(1.0),
+        patience=ResponseWatchdog(1.0),
         on_message=lambda i, message: said.append((i, message.get_type())),
         on_silent=lambda *_: None,
         on_lost=lambda i, reason: lost.append((i, reason)),

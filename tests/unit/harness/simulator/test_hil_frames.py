@@ -8,7 +8,7 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink import dialect
 from autopilot.mavlink.frame import checksum
 from harness.simulator import hil_frames
-from harness.simulator.hil_frames import InertialFrames, Kind
+from harness.simulator.hil_frames import FrameLayout, InertialFrames
 
 KINDS = {
     common.MAVLINK_MSG_ID_HIL_SENSOR: hil_frames.HIL_SENSOR,
@@ -89,7 +89,7 @@ def test_an_interpreted_kernel_makes_the_same_frames():
 
 
 def test_inertial_samples_are_framed_as_any_others_are():
-    """With the rows of `Kind` for a witness, whose frames are pymavlink's; numbers of every size, 0 too."""
+    """Equal to the frames of `FrameLayout`, which pymavlink checks, for numbers of every size and 0."""
     rng = np.random.default_rng(3)
     inertial = InertialFrames(5, 0x3F)
     for step in range(300):
@@ -103,4 +103,6 @@ def test_inertial_samples_are_framed_as_any_others_are():
 
 
 def test_nobody_gets_nothing():
-    assert Kind(common.MAVLINK_MSG_ID_HIL_GPS, [("time_usec", "<u8")]).frames(np.zeros(0, "<u8"), 0) == []
+    assert (
+        FrameLayout(common.MAVLINK_MSG_ID_HIL_GPS, [("time_usec", "<u8")]).frames(np.zeros(0, "<u8"), 0) == []
+    )

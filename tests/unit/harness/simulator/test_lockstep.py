@@ -25,7 +25,12 @@ from foundation.processes.child_protocol import Stop
 from harness.launch.resources import HAS_NAMED_SOCKETS, bind_local
 from harness.simulator.lockstep import CLOSED, OWN, PX4, ConnectTimeout, Lockstep
 from harness.simulator.messages import RunUntil, SetAttenuation
-from harness.simulator.response_watchdog import COMPUTING_LIMIT_S, LOOK_AFTER_S, REPORT_AFTER_S, Patience
+from harness.simulator.response_watchdog import (
+    COMPUTING_LIMIT_S,
+    LOOK_AFTER_S,
+    REPORT_AFTER_S,
+    ResponseWatchdog,
+)
 from harness.simulator.server import obey
 
 by_name = pytest.mark.skipif(not HAS_NAMED_SOCKETS, reason="Unix sockets' names are files' here")
@@ -36,7 +41,7 @@ class Vehicles:
 
     def __init__(self, count, limit_s=1.0):
         self.listeners = [socket.create_server(("127.0.0.1", 0)) for _ in range(count)]
-        self.patience = Patience(limit_s)
+        self.patience = ResponseWatchdog(limit_s)
         self.messages, self.silent, self.lost = [], [], []
         self.lockstep = Lockstep(
             self.listeners,
@@ -164,7 +169,7 @@ def test_a_stopped_process_is_given_up_within_a_second_whatever_the_limit(vehicl
 def test_who_does_not_connect_is_named():
     listeners = [socket.create_server(("127.0.0.1", 0)) for _ in range(3)]
     nothing = {"on_message": None, "on_silent": None, "on_lost": None}
-    lockstep = Lockstep(listeners, patience=Patience(1.0), **nothing)
+    lockstep = Lockstep(listeners, patience=ResponseWatchdog(1.0), **nothing)
     with (
         introduced(listeners[1], 1),
         pytest.raises(ConnectTimeout, match="uav 0, 2 within"),
@@ -176,7 +181,7 @@ def test_who_does_not_connect_is_named():
 def test_a_rendezvous_that_was_cut_short_goes_on_with_those_who_are_missing():
     listeners = [socket.create_server(("127.0.0.1", 0)) for _ in range(2)]
     nothing = {"on_message": None, "on_silent": None, "on_lost": None}
-    lockstep = Lockstep(listeners, patience=Patience(1.0), **nothing)
+    lockstep = Lockstep(listeners, patience=ResponseWatchdog(1.0), **nothing)
     with contextlib.closing(lockstep), introduced(listeners[1], 1):
         lockstep.connect(5.0, keep_waiting=lambda: lockstep.living < 1)
         assert [seat.alive for seat in lockstep.seats] == [False, True]
@@ -188,7 +193,7 @@ def test_a_rendezvous_that_was_cut_short_goes_on_with_those_who_are_missing():
 def test_who_has_connected_but_not_spoken_when_the_rendezvous_is_cut_short_is_heard_in_the_next():
     listener = socket.create_server(("127.0.0.1", 0))
     nothing = {"on_message": None, "on_silent": None, "on_lost": None}
-    lockstep = Lockstep([listener], patience=Patience(1.0), **nothing)
+    lockstep = Lockstep([listener], patience=ResponseWatchdog(1.0), **nothing)
     with contextlib.closing(lockstep), socket.create_connection(listener.getsockname()) as vehicle:
         looks = iter([True, True, False])
         lockstep.connect(5.0, keep_waiting=lambda: next(looks))
@@ -214,7 +219,7 @@ def test_strangers_before_and_after_the_vehicle_change_nothing():
     listener = socket.create_server(("127.0.0.1", 0))
     nothing = {"on_silent": None, "on_lost": None}
     lockstep = Lockstep(
-        [listener], patience=Patience(1.0), on_message=lambda *what: said.append(what), **nothing
+        [listener], patience=ResponseWatchdog(1.0), on_message=lambda *what: said.append(what), **nothing
     )
     with contextlib.ExitStack() as stack:
         stack.callback(lockstep.close)
@@ -310,15 +315,15 @@ def judge(patience, looks, *, every_s=0.1, starting=False):
 def test_a_starved_process_is_waited_for_and_a_sleeping_or_spinning_one_is_not():
     looks = 100
     starved = [(psutil.STATUS_RUNNING, 0.001 * k) for k in range(looks)]
-    assert judge(Patience(2.0), starved) is None
+    assert judge(ResponseWatchdog(2.0), starved) is None
     sleeping = [(psutil.STATUS_SLEEPING, 0.0)] * looks
-    assert judge(Patience(2.0), sleeping) == pytest.approx(2.4, abs=0.25)
+    assert judge(ResponseWatchdog(2.0), sleeping) == pytest.approx(2.4, abs=0.25)
     spinning = [(psutil.STATUS_RUNNING, 0.1 * k) for k in range(looks)]
-    assert judge(Patience(2.0), spinning) is None  # within these 10 s
+    assert judge(ResponseWatchdog(2.0), spinning) is None  # within these 10 s
     spinning = [(psutil.STATUS_RUNNING, 0.1 * k) for k in range(10 * looks)]
-    assert judge(Patience(2.0), spinning) == pytest.approx(COMPUTING_LIMIT_S + 0.3, abs=0.3)
-    assert judge(Patience(2.0), sleeping, starting=True) is None
-    assert judge(Patience(2.0), [(psutil.STATUS_ZOMBIE, 0.0)] * looks) == pytest.approx(
+    assert judge(ResponseWatchdog(2.0), spinning) == pytest.approx(COMPUTING_LIMIT_S + 0.3, abs=0.3)
+    assert judge(ResponseWatchdog(2.0), sleeping, starting=True) is None
+    assert judge(ResponseWatchdog(2.0), [(psutil.STATUS_ZOMBIE, 0.0)] * looks) == pytest.approx(
         LOOK_AFTER_S, abs=0.11
     )
 
@@ -362,7 +367,7 @@ def local():
             lockstep = Lockstep(
                 listeners,
                 own_listener=bind_local(name, backlog=16),
-                patience=Patience(1.0),
+                patience=ResponseWatchdog(1.0),
                 on_message=lambda *_: None,
                 on_silent=lambda *_: None,
                 on_lost=lambda *who_and_why: lost.append(who_and_why),

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from autopilot.mavlink.codec import Encoder
 from harness.simulator.lockstep import FREE_STEP_S, OWN, PX4, Lockstep
-from harness.simulator.response_watchdog import Patience
+from harness.simulator.response_watchdog import ResponseWatchdog
 
 STEP_US = 4_000
 LATE_AFTER_S = PX4.late_after_s
@@ -25,7 +25,7 @@ class Run:
         self.messages, self.silent, self.lost = [], [], []
         self.lockstep = Lockstep(
             self.listeners,
-            patience=Patience(limit_s),
+            patience=ResponseWatchdog(limit_s),
             on_message=lambda i, message: self.messages.append((i, message.get_type())),
             on_silent=lambda i, _: self.silent.append(i),
             on_lost=lambda i, reason: self.lost.append((i, reason)),

@@ -10,9 +10,9 @@ from pymavlink.dialects.v20 import common
 from autopilot.mavlink.codec import stamp
 from autopilot.mavlink.components import APPLICATION_COMPONENT, AUTOPILOT_COMPONENT
 from harness.records.run_folder import PhysicsConfig, RunFolder
-from harness.report.report import Outcome, finish
+from harness.report.report import RunOutcome, finish
 from harness.scenario.scenario import load
-from harness.simulator.actuator_inbox import Answers
+from harness.simulator.actuator_inbox import ActuatorInbox
 from harness.simulator.messages import FormationMoves
 from harness.simulator.motion_start import agreed, flown_start_us, since_start_s, start_us
 from harness.simulator.simulation import Simulation
@@ -73,7 +73,7 @@ class _Mute:
 
     def __init__(self, count):
         self.seats = [_Seat(i) for i in range(count)]
-        self._answers = Answers(count)
+        self._answers = ActuatorInbox(count)
 
     @property
     def living(self):
@@ -172,7 +172,7 @@ def test_the_report_holds_the_flown_against_the_plan(simulated, start_ms):
     while simulation.time_us <= 500_000:
         simulation.step()
     simulation.close()
-    outcome = Outcome(
+    outcome = RunOutcome(
         status="completed", command=(), speed=0.0, started_utc="", wall_s=1.0, formed_us=4_000,
         simulated_us=simulation.time_us, processes=(),
     )  # fmt: skip

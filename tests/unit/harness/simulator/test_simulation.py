@@ -12,7 +12,7 @@ from autopilot.mavlink.hil import HilActuatorControls
 from foundation.records.record_log import read
 from harness.records.run_folder import PhysicsConfig, RunFolder
 from harness.scenario.scenario import load
-from harness.simulator.actuator_inbox import Answers
+from harness.simulator.actuator_inbox import ActuatorInbox
 from harness.simulator.simulation import Simulation
 from harness.simulator.truth_record import TRUTH_RECORD
 
@@ -33,7 +33,7 @@ class _Armed:
     def __init__(self, error=None):
         self.seats = [_Seat(i) for i in range(2)]
         self.error = error
-        self._answers = Answers(2)
+        self._answers = ActuatorInbox(2)
 
     @property
     def living(self):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from harness.world.gauss_markov import STEPS_AHEAD
-from harness.world.sensors.config import PROFILES, ErrorModel, InertialErrorModel
+from harness.world.sensors.config import PROFILES, InertialErrorModel, SensorErrorModel
 from harness.world.sensors.errors import SensorError
 
 
@@ -25,7 +25,7 @@ def allan_deviation(values, averaged):
 
 def test_parts_add_up_to_the_stated_spread():
     """Over 4000 vehicles: white, turn-on and drift of 3, 4 and 12 make 13, at any time."""
-    model = ErrorModel(white_std=3.0, turn_on_std=4.0, drift_std=12.0, drift_time_constant_s=50.0)
+    model = SensorErrorModel(white_std=3.0, turn_on_std=4.0, drift_std=12.0, drift_time_constant_s=50.0)
     first, *_, last = series(model, samples=51, interval_s=1.0, vehicles=4000)
     assert first.std() == pytest.approx(13.0, rel=0.03)
     assert last.std() == pytest.approx(13.0, rel=0.03)
@@ -65,7 +65,7 @@ def test_data_sheet_densities_do_not_depend_on_the_rate():
 
 
 def test_axes_may_differ_and_are_independent():
-    model = ErrorModel(drift_std=(1.0, 1.0, 5.0), drift_time_constant_s=1.0)
+    model = SensorErrorModel(drift_std=(1.0, 1.0, 5.0), drift_time_constant_s=1.0)
     values = series(model, samples=2, interval_s=1.0, vehicles=5000)[1]
     np.testing.assert_allclose(values.std(axis=0), (1.0, 1.0, 5.0), rtol=0.05)
     assert np.all(np.abs(np.corrcoef(values.T) - np.eye(3)) < 4.0 / math.sqrt(5000.0))
@@ -73,7 +73,7 @@ def test_axes_may_differ_and_are_independent():
 
 def test_a_model_without_error_is_silent_but_draws_all_the_same():
     rng, reference = np.random.default_rng(1), np.random.default_rng(1)
-    error = SensorError(ErrorModel(), shape=(4,), interval_s=0.1, rng=rng)
+    error = SensorError(SensorErrorModel(), shape=(4,), interval_s=0.1, rng=rng)
     assert not any(error.next().any() for _ in range(STEPS_AHEAD))
     reference.standard_normal((2 + 2 * STEPS_AHEAD, 4))
     assert rng.bit_generator.state == reference.bit_generator.state
@@ -82,7 +82,7 @@ def test_a_model_without_error_is_silent_but_draws_all_the_same():
 @pytest.mark.parametrize("shape", [(4,), (4, 3)])
 def test_samples_are_those_of_the_recursion_one_by_one(shape):
     """To the last bit, over several draws ahead, whoever asks for them early."""
-    model = ErrorModel(white_std=0.3, turn_on_std=2.0, drift_std=0.7, drift_time_constant_s=3.0)
+    model = SensorErrorModel(white_std=0.3, turn_on_std=2.0, drift_std=0.7, drift_time_constant_s=3.0)
     rng = np.random.default_rng(6)
     error = SensorError(model, shape=shape, interval_s=0.1, rng=np.random.default_rng(6))
     turn_on, drift = rng.standard_normal((2, *shape))
@@ -92,5 +92,5 @@ def test_samples_are_those_of_the_recursion_one_by_one(shape):
         step, white = rng.standard_normal((2, *shape))
         drift = kept * drift + 0.7 * math.sqrt(1.0 - kept * kept) * step
         if sample % 7 == 0:
-            error.look_ahead()
+            error.begin_fast_steps()
         assert error.next().tobytes() == (turn_on + drift + 0.3 * white).tobytes()

@@ -7,7 +7,7 @@ from kernel_coverage import called_by_rehearsal, kernels, signatures
 from netsim_swarm import Swarm
 
 import netsim
-from netsim.emulator.warm_up import rehearse
+from netsim.emulator.warm_up import warm_up
 from netsim.model.config import InterfererConfig
 
 LAB = "lab"
@@ -22,7 +22,7 @@ def test_it_calls_every_kernel():
 
 def test_after_it_nothing_is_left_to_be_compiled():
     """Other channels, and as many stations as compute links one by one, ask for no other types."""
-    rehearse()
+    warm_up()
     compiled = signatures("netsim", without=LAB)
     assert any(compiled.values())
     everything = {

@@ -10,7 +10,7 @@ import pytest
 from paths import REFERENCE
 
 from netsim.__main__ import main as serve_run
-from netsim.lab.bench import HEIGHT_M, Bench
+from netsim.lab.bench import HEIGHT_M, RadioBench
 from netsim.lab.broadcast import broadcast
 from netsim.lab.cli import main
 from netsim.lab.ranging import range_mesh, range_pair
@@ -235,9 +235,9 @@ def test_the_emulator_of_a_run_refuses_contradictory_settings_in_one_line(tmp_pa
 def test_settings_made_in_python_are_held_to_the_ranges_of_a_file():
     places_ned_m = [(0.0, 0.0, -HEIGHT_M)] * 2
     with pytest.raises(ValueError, match="frequency_mhz"):
-        Bench(RadioConfig(frequency_mhz=-1.0), places_ned_m, 1)
+        RadioBench(RadioConfig(frequency_mhz=-1.0), places_ned_m, 1)
     with pytest.raises(ValueError, match="calibration_bias_m"):
-        Bench(RadioConfig(ftm=FtmConfig(calibration_bias_m=math.inf)), places_ned_m, 1)
+        RadioBench(RadioConfig(ftm=FtmConfig(calibration_bias_m=math.inf)), places_ned_m, 1)
 
 
 @pytest.mark.parametrize(
@@ -254,7 +254,7 @@ def test_the_shortest_bursts_that_are_taken_measure(width_mhz, ftm):
     The first frame comes SIFS, ACK and AIFS after the burst begins, but the last may end after it.
     """
     config = RadioConfig(bandwidth_mhz=width_mhz, rician_k_db=None, ftm=ftm)
-    bench = Bench(config, [(0.0, 0.0, -HEIGHT_M), (10.0, 0.0, -HEIGHT_M)], 1)
+    bench = RadioBench(config, [(0.0, 0.0, -HEIGHT_M), (10.0, 0.0, -HEIGHT_M)], 1)
     for session in range(20):
         bench.submit(0, FtmRequest(seq=session + 1, at_us=200_000 * session, peer=1))
     results = [item for _, item in bench.run(4_200_000) if isinstance(item, FtmResult)]

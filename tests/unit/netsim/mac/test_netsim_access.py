@@ -9,7 +9,7 @@ from itertools import pairwise
 import pytest
 from netsim_air import UNHEARD_DBM, A, Air, B, C, D
 
-from netsim.mac.jobs import Outcome
+from netsim.mac.jobs import JobOutcome
 
 SLOT_US, SIFS_US, DIFS_US, EIFS_US = 9, 16, 34, 94
 
@@ -20,7 +20,7 @@ def test_idle_medium_is_used_at_once():
     air = Air(2)
     air.send(1000, A, B)
     assert air.run() == [(1000, 1160, A, "data"), (1176, 1220, B, "ack")]
-    assert air.outcomes == [Outcome.ACKNOWLEDGED]
+    assert air.outcomes == [JobOutcome.ACKNOWLEDGED]
     assert air.arrivals == [(B, A, False)]
 
 
@@ -185,7 +185,7 @@ def test_exposed_terminal_waits_though_it_would_disturb_nobody():
     air.send(1000, B, A)
     air.send(1050, C, D)
     assert air.run()[2] == (1220 + DIFS_US, 1414, C, "data")
-    assert air.outcomes == [Outcome.ACKNOWLEDGED] * 2
+    assert air.outcomes == [JobOutcome.ACKNOWLEDGED] * 2
 
 
 @pytest.mark.parametrize(("later_us", "arrivals"), [(10, [(B, C, False)]), (30, [])])
@@ -211,7 +211,7 @@ def test_busy_medium_beyond_nav_is_waited_for():
     air.send(1035, C)
     air.send(1290, D)
     assert air.run()[-2:] == [(1290, 1450, D, "data"), (1450 + DIFS_US, 1644, C, "data")]
-    assert air.outcomes == [Outcome.ACKNOWLEDGED, Outcome.SENT, Outcome.SENT]
+    assert air.outcomes == [JobOutcome.ACKNOWLEDGED, JobOutcome.SENT, JobOutcome.SENT]
 
 
 @pytest.mark.parametrize("arrives_us", [1210, 1250, 1280, 1300, 1470, 1509])
@@ -242,7 +242,7 @@ def test_lost_frame_is_repeated_with_doubled_windows_and_given_up():
     starts_us = [start for start, *_ in air.run()]
     gaps_us = [later - earlier for earlier, later in pairwise(starts_us)]
     assert gaps_us == [160 + SIFS_US + SLOT_US + 20 + DIFS_US + w * SLOT_US for w in windows]
-    assert air.outcomes == [Outcome.RETRY_LIMIT]
+    assert air.outcomes == [JobOutcome.RETRY_LIMIT]
 
 
 def test_window_is_the_smallest_again_after_the_retry_limit():
@@ -254,7 +254,7 @@ def test_window_is_the_smallest_again_after_the_retry_limit():
     gaps_us = [later - earlier for earlier, later in pairwise(starts_us)]
     failed_us = 160 + SIFS_US + SLOT_US + 20
     assert gaps_us[:2] == [failed_us + DIFS_US + slots * SLOT_US for slots in (31, 15)]
-    assert air.outcomes == [Outcome.RETRY_LIMIT] * 2
+    assert air.outcomes == [JobOutcome.RETRY_LIMIT] * 2
 
 
 def test_repeated_frame_is_marked_as_a_duplicate():
@@ -271,7 +271,7 @@ def test_ack_that_has_begun_in_time_is_waited_for():
     air = Air(2)
     air.send(1000, A, B)
     air.run()
-    assert air.outcomes == [Outcome.ACKNOWLEDGED]
+    assert air.outcomes == [JobOutcome.ACKNOWLEDGED]
     assert len(air.transmissions) == 2
 
 
@@ -289,7 +289,7 @@ def test_exchange_fails_if_an_answer_to_somebody_else_cuts_off_what_it_waits_for
     air.send(begins_us, D)
     starts_us = [start for start, _, source, kind in air.run() if (source, kind) == (A, "data")]
     assert starts_us == [1000, begins_us + 160 + DIFS_US + 2 * SLOT_US]
-    assert air.outcomes.count(Outcome.RETRY_LIMIT) == 2
+    assert air.outcomes.count(JobOutcome.RETRY_LIMIT) == 2
 
 
 def test_group_frame_behind_rts_goes_to_the_loudest_neighbour():
@@ -316,7 +316,7 @@ def test_group_frame_is_dropped_when_cts_stays_away():
     air.send(1000, B)
     air.send(2000, A, rts=True, retry_limit=3)
     assert [kind for *_, kind in air.run()] == ["data", "rts", "rts", "rts", "rts"]
-    assert air.outcomes == [Outcome.SENT, Outcome.RETRY_LIMIT]
+    assert air.outcomes == [JobOutcome.SENT, JobOutcome.RETRY_LIMIT]
 
 
 def test_next_rts_goes_to_the_next_loudest_neighbour():
@@ -338,7 +338,7 @@ def test_expired_frames_make_room_in_a_full_queue():
     air.send(1500, B)
     air.send(1700, B)
     air.run()
-    assert air.outcomes == [Outcome.OVERFLOW, *[Outcome.EXPIRED] * 10, Outcome.SENT, Outcome.SENT]
+    assert air.outcomes == [JobOutcome.OVERFLOW, *[JobOutcome.EXPIRED] * 10, JobOutcome.SENT, JobOutcome.SENT]
 
 
 def test_queue_is_bounded_in_length_and_time():
@@ -347,8 +347,8 @@ def test_queue_is_bounded_in_length_and_time():
         air.send(1000, A, B, retry_limit=0, lifetime_us=600)
     air.run()
     # ten fit; after 600 us whatever was not yet sent has expired
-    assert air.outcomes.count(Outcome.OVERFLOW) == 2
+    assert air.outcomes.count(JobOutcome.OVERFLOW) == 2
     sent = len(air.transmissions)
     assert 1 <= sent <= 3
-    assert air.outcomes.count(Outcome.RETRY_LIMIT) == sent
-    assert air.outcomes.count(Outcome.EXPIRED) == 10 - sent
+    assert air.outcomes.count(JobOutcome.RETRY_LIMIT) == sent
+    assert air.outcomes.count(JobOutcome.EXPIRED) == 10 - sent

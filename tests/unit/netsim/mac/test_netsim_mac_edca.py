@@ -9,7 +9,7 @@ import pytest
 from netsim_air import UNHEARD_DBM, A, Air, B, C, D
 
 from netsim.mac.access import DCF, EDCA
-from netsim.mac.jobs import Outcome
+from netsim.mac.jobs import JobOutcome
 from netsim.phy.modes import phy_mode
 
 SLOT_US, SIFS_US, AIFS_VO_US, AIFS_BE_US = 9, 16, 34, 43
@@ -111,7 +111,7 @@ def test_txop_ends_before_the_exchange_that_does_not_fit(category, limit_us, win
     assert starts_us[:fit] == [1000 + k * (EXCHANGE_US + SIFS_US) for k in range(fit)]
     assert starts_us[fit] == last_us + EXCHANGE_US + AIFS_VO_US + SLOT_US
     assert last_us + EXCHANGE_US <= 1000 + limit_us < last_us + SIFS_US + 2 * EXCHANGE_US
-    assert air.outcomes == [Outcome.ACKNOWLEDGED] * 14
+    assert air.outcomes == [JobOutcome.ACKNOWLEDGED] * 14
 
 
 class Always:
@@ -140,7 +140,7 @@ def test_a_mode_that_is_chosen_too_late_for_a_txop_waits_for_one_of_its_own(mode
     air.send(1000, A, B, category="vi", frame_bytes=2200, rates=Always(mode))
     starts_us = [start for start, _, source, _ in air.run() if source == A]
     assert starts_us == [1000, start_us]
-    assert air.outcomes == 2 * [Outcome.ACKNOWLEDGED]
+    assert air.outcomes == 2 * [JobOutcome.ACKNOWLEDGED]
 
 
 def test_best_effort_sends_one_frame_and_backs_off():
@@ -158,7 +158,7 @@ def test_failure_ends_a_txop():
     air.send(1000, A, C, category="vi", retry_limit=0)
     air.send(1000, A, B, category="vi")
     assert [start for start, _, source, _ in air.run() if source == A] == [1000, 1236, 1493]
-    assert air.outcomes == [Outcome.ACKNOWLEDGED, Outcome.RETRY_LIMIT, Outcome.ACKNOWLEDGED]
+    assert air.outcomes == [JobOutcome.ACKNOWLEDGED, JobOutcome.RETRY_LIMIT, JobOutcome.ACKNOWLEDGED]
 
 
 def test_expired_frame_is_left_out_of_a_txop():
@@ -167,7 +167,7 @@ def test_expired_frame_is_left_out_of_a_txop():
     air.send(1000, A, category="vo", lifetime_us=100)
     air.send(1000, A, category="vo")
     assert [start for start, *_ in air.run()] == [1000, 1176]
-    assert air.outcomes == [Outcome.EXPIRED, Outcome.SENT, Outcome.SENT]
+    assert air.outcomes == [JobOutcome.EXPIRED, JobOutcome.SENT, JobOutcome.SENT]
 
 
 def test_hidden_station_keeps_quiet_for_the_rest_of_a_txop():

@@ -8,7 +8,7 @@ import pytest
 from netsim_air import UNHEARD_DBM, A, Air, B, C
 
 from netsim.mac.access import EDCA
-from netsim.mac.jobs import Outcome
+from netsim.mac.jobs import JobOutcome
 from netsim.model.event_queue import NEVER_NS
 
 TIMEOUT_US = 16 + 9 + 20
@@ -30,7 +30,7 @@ def test_lifetime_ends_on_a_busy_medium():
     air = Air(2)
     air.send(1000, A, frame_bytes=1000)
     air.send(1010, B, lifetime_us=600)
-    assert outcomes_at(air, 1610) == ([], [Outcome.EXPIRED])
+    assert outcomes_at(air, 1610) == ([], [JobOutcome.EXPIRED])
     assert [source for _, _, source, _ in air.run()] == [A]
 
 
@@ -43,7 +43,7 @@ def test_each_lifetime_ends_in_its_own_time_whatever_the_order_in_the_queue():
     ended = [tuple(map(len, outcomes_at(air, 1010 + us))) for us in (300, 610, 1000)]
     assert ended == [(0, 2), (2, 3), (3, 4)]
     assert air.run()[1] == (2360 + 34, 2554, B, "data")
-    assert air.outcomes == [Outcome.EXPIRED] * 4 + [Outcome.SENT] * 2
+    assert air.outcomes == [JobOutcome.EXPIRED] * 4 + [JobOutcome.SENT] * 2
 
 
 def test_lifetimes_end_in_every_queue_of_a_station():
@@ -51,7 +51,7 @@ def test_lifetimes_end_in_every_queue_of_a_station():
     air.send(1000, A, frame_bytes=1000, category="be")
     for category in EDCA:
         air.send(1010, B, lifetime_us=600, category=category)
-    assert outcomes_at(air, 1610) == ([], [Outcome.EXPIRED] * 4)
+    assert outcomes_at(air, 1610) == ([], [JobOutcome.EXPIRED] * 4)
 
 
 def test_frames_that_come_after_an_expiry_expire_too():
@@ -70,14 +70,14 @@ def test_exchange_that_has_begun_outlives_its_frame():
     air = Air(2)
     air.send(1000, A, B, lifetime_us=100)
     air.run()
-    assert air.outcomes == [Outcome.ACKNOWLEDGED]
+    assert air.outcomes == [JobOutcome.ACKNOWLEDGED]
 
 
 def test_frame_whose_lifetime_has_ended_is_not_repeated():
     # no answer to a frame that ends at 1160; its lifetime was over at 1100
     air = Air(2, powers_dbm={(A, B): UNHEARD_DBM})
     air.send(1000, A, B, lifetime_us=100)
-    assert outcomes_at(air, 1160 + TIMEOUT_US) == ([], [Outcome.EXPIRED])
+    assert outcomes_at(air, 1160 + TIMEOUT_US) == ([], [JobOutcome.EXPIRED])
     assert len(air.run()) == 1
 
 
@@ -86,7 +86,7 @@ def test_nothing_is_left_pending_when_everything_has_been_sent():
     air.send(1000, A, B)
     air.send(1000, A)
     air.run(3000)
-    assert air.outcomes == [Outcome.ACKNOWLEDGED, Outcome.SENT]
+    assert air.outcomes == [JobOutcome.ACKNOWLEDGED, JobOutcome.SENT]
     assert air.queue.next_ns() == NEVER_NS
 
 
@@ -97,7 +97,7 @@ def test_silence_completes_the_frame_on_the_air_and_ends_the_others():
     air.send(1000, A)
     air.send(1010, A)
     air.queue.at(1_100_000, lambda _: air.stations[A].silence(), None)
-    assert outcomes_at(air, 1100) == ([], [Outcome.SENT, Outcome.EXPIRED])
+    assert outcomes_at(air, 1100) == ([], [JobOutcome.SENT, JobOutcome.EXPIRED])
     assert air.run() == [(1000, 1160, A, "data")]
     assert air.transmissions[0].delivered == [B]
     assert len(air.outcomes) == 2
@@ -110,7 +110,7 @@ def test_what_a_frame_on_the_air_carries_outlives_its_stations_silence():
     air.queue.at(1_100_000, lambda _: air.stations[A].silence(), None)
     air.send(1110, C, B, body="of C")
     air.run()
-    assert air.outcomes[0] is Outcome.EXPIRED  # nobody is there to hear that it has come
+    assert air.outcomes[0] is JobOutcome.EXPIRED  # nobody is there to hear that it has come
     assert air.bodies == ["of A", "of C"]
 
 
@@ -121,7 +121,7 @@ def test_group_frame_of_which_the_rts_alone_is_on_the_air_expires_in_silence():
     air.queue.at(2_010_000, lambda _: air.stations[A].silence(), None)
     # the CTS comes all the same, and nobody hears it
     assert [kind for *_, kind in air.run()] == ["data", "rts", "cts"]
-    assert air.outcomes == [Outcome.SENT, Outcome.EXPIRED]
+    assert air.outcomes == [JobOutcome.SENT, JobOutcome.EXPIRED]
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from netsim_air import UNHEARD_DBM, A, Air, B
 
-from netsim.mac.jobs import Job, Outcome
+from netsim.mac.jobs import Job, JobOutcome
 from netsim.mac.rates import OVERHEAD_NS, AdaptiveRate, RateParameters, channel_modes
 from netsim.model.random_streams import Uniforms
 from netsim.phy.frames import ACK_BYTES, FrameKind
@@ -174,7 +174,7 @@ def delivered_over_the_air(snr_db, *, fixed=None, seconds=1.0):
 
     def done(_job, outcome):
         nonlocal delivered
-        delivered += outcome is Outcome.ACKNOWLEDGED
+        delivered += outcome is JobOutcome.ACKNOWLEDGED
         feed()
 
     feed()

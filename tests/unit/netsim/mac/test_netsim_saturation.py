@@ -9,7 +9,7 @@ as large as it has become.
 import pytest
 from netsim_air import Air
 
-from netsim.mac.jobs import Job, Outcome
+from netsim.mac.jobs import Job, JobOutcome
 from netsim.phy.frames import FrameKind
 from netsim.phy.modes import phy_mode
 
@@ -40,7 +40,7 @@ def throughput_mbps(
     def feed(station):
         def done(_job, outcome):
             nonlocal delivered
-            delivered += outcome is Outcome.ACKNOWLEDGED
+            delivered += outcome is JobOutcome.ACKNOWLEDGED
             feed(station)
 
         job = Job(

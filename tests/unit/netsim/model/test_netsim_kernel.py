@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from netsim.model.event_queue import NEVER_NS, EventQueue
-from netsim.model.random_streams import Model, Normals, Streams, Uniforms
+from netsim.model.random_streams import Model, Normals, RandomStreams, Uniforms
 
 
 def test_calls_run_in_order_of_time_and_then_of_scheduling():
@@ -55,12 +55,14 @@ def test_the_past_cannot_be_scheduled():
 
 
 def test_streams_differ_by_model_and_link_and_not_by_order_of_use():
-    streams = Streams(np.random.SeedSequence(7))
+    streams = RandomStreams(np.random.SeedSequence(7))
     first = {
         key: streams.generator(*key).random()
         for key in ((Model.FADING, 0, 1), (Model.FADING, 1, 0), (Model.HOST, 0))
     }
-    again = {key: Streams(np.random.SeedSequence(7)).generator(*key).random() for key in reversed(first)}
+    again = {
+        key: RandomStreams(np.random.SeedSequence(7)).generator(*key).random() for key in reversed(first)
+    }
     assert first == again
     assert len(set(first.values())) == 3
 

@@ -5,7 +5,7 @@ import pytest
 from netsim_air import Air
 
 from netsim.mac.access import EDCA
-from netsim.mac.jobs import Outcome
+from netsim.mac.jobs import JobOutcome
 from netsim.model import columns as c
 from netsim.model import tables as t
 from netsim.model.event_queue import EventQueue
@@ -86,14 +86,14 @@ def test_python_and_the_air_share_one_order_of_events():
     air.send(1000, 0)
     air.queue.at(1_050_000, lambda _: air.queue.at(1_160_000, note, None), None)
     air.run(2_000)
-    assert seen == [[], [Outcome.SENT]]
+    assert seen == [[], [JobOutcome.SENT]]
 
 
 def test_a_first_frame_has_room_however_many_stations_may_have_to_be_told():
     air = Air(40, access=EDCA)
     air.send(1000, 0, category="be")
     air.run(2_000)
-    assert air.outcomes == [Outcome.SENT]
+    assert air.outcomes == [JobOutcome.SENT]
 
 
 def test_a_queue_without_a_machine_is_a_queue():

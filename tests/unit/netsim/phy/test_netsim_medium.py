@@ -6,7 +6,7 @@ from netsim_air import Air
 from netsim_swarm import Swarm
 
 from netsim.mac.access import DCF, EDCA
-from netsim.mac.jobs import Job, Outcome
+from netsim.mac.jobs import Job, JobOutcome
 from netsim.mac.radios import Radios
 from netsim.model.columns import (
     BROKEN,
@@ -20,7 +20,7 @@ from netsim.model.columns import (
 )
 from netsim.model.config import InterfererConfig, RadioConfig
 from netsim.model.event_queue import NEVER_NS, EventQueue
-from netsim.model.random_streams import Model, Streams
+from netsim.model.random_streams import Model, RandomStreams
 from netsim.model.tables import stations, tables_of
 from netsim.phy.frames import GROUP, Frame, FrameKind
 from netsim.phy.interferers import Interferer
@@ -73,7 +73,7 @@ class Channel:
             queue=self.queue,
             links=links or Powers(stations, powers_dbm or {}, delay_ns),
             stations=stations,
-            streams=Streams(np.random.SeedSequence(seed)),
+            streams=RandomStreams(np.random.SeedSequence(seed)),
             on_group_frame=self._hear,
             on_ended=self.ended.append,
         )
@@ -220,7 +220,7 @@ def test_a_long_burst_is_one_busy_period_in_parts_that_follow_the_receivers():
     trajectories = Trajectories(1)
     trajectories.set(0, [(100.0, 0.0, 0.0)], [(-90.0, 0.0, 0.0)])
     config = RadioConfig(bandwidth_mhz=20, interferers=interferer(1.0, 1e7))
-    links = Links(config, trajectories, 1, Streams(np.random.SeedSequence(1)))
+    links = Links(config, trajectories, 1, RandomStreams(np.random.SeedSequence(1)))
     channel = Channel(stations=1, links=links, interferers=config.interferers)
     # 20 dBm less 46.78 dB over 1 m are -62 dBm at 57.6 m, after 471 ms: from the part at 480 ms on it is busy
     channel.queue.run_until(479 * MILLISECOND_NS)
@@ -282,7 +282,7 @@ def test_frames_have_the_power_that_fading_leaves_them_at_their_beginning():
     config = RadioConfig(bandwidth_mhz=20, rician_k_db=-10.0, fading_doppler_hz=20.0)
     trajectories = Trajectories(2)
     trajectories.set(0, [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)], [(0.0, 0.0, 0.0)] * 2)
-    links = Links(config, trajectories, 2, Streams(np.random.SeedSequence(4)))
+    links = Links(config, trajectories, 2, RandomStreams(np.random.SeedSequence(4)))
     channel = Channel(stations=2, links=links, rician_k_db=-10.0)
     for k in range(30):
         channel.send(10_000 * k, k % 2)
@@ -302,7 +302,9 @@ def test_frames_have_the_power_that_fading_leaves_them_at_their_beginning():
 
 def bursts_of(settings, seed, until_ns):
     """When the only interferer of a run sends."""
-    source = Interferer(0, settings, Streams(np.random.SeedSequence(seed)).generator(Model.INTERFERENCE, 0))
+    source = Interferer(
+        0, settings, RandomStreams(np.random.SeedSequence(seed)).generator(Model.INTERFERENCE, 0)
+    )
     bursts_ns, at_ns = [], source.first_ns()
     while at_ns < until_ns:
         bursts_ns.append((at_ns, at_ns + source.burst_ns()))
@@ -369,7 +371,7 @@ def saturated_mbps(power_dbm, *, spread_db=0.0, stations=5, seconds=3, seed=1, *
         feed(source)
         feed(source)
     air.queue.run_until(seconds * SECOND_NS)
-    return 500 * 8 * outcomes.count(Outcome.ACKNOWLEDGED) / seconds / 1e6
+    return 500 * 8 * outcomes.count(JobOutcome.ACKNOWLEDGED) / seconds / 1e6
 
 
 @pytest.mark.parametrize("settings", [{}, {"access": EDCA}])

@@ -6,7 +6,7 @@ import pytest
 from netsim_air import A, Air, B, C
 
 from netsim.model.config import RadioConfig
-from netsim.model.random_streams import Streams
+from netsim.model.random_streams import RandomStreams
 from netsim.phy.modes import phy_mode, response_mode
 from netsim.phy.propagation import Links, Trajectories, friis_loss_db, thermal_noise_mw
 
@@ -73,7 +73,7 @@ REST = [(0.0, 0.0, 0.0)] * 2
 def links(stations=2, **settings):
     config = RadioConfig(frequency_mhz=5180.0, rician_k_db=None, **settings)
     trajectories = Trajectories(stations)
-    return Links(config, trajectories, stations, Streams(np.random.SeedSequence(5))), trajectories
+    return Links(config, trajectories, stations, RandomStreams(np.random.SeedSequence(5))), trajectories
 
 
 def test_received_power_falls_with_the_exponent_and_follows_the_vehicles():

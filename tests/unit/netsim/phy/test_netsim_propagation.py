@@ -8,7 +8,7 @@ import pytest
 from msgspec import structs
 
 from netsim.model.config import InterfererConfig, RadioConfig, StationConfig
-from netsim.model.random_streams import Streams
+from netsim.model.random_streams import RandomStreams
 from netsim.phy.antenna import UNPOLARISED
 from netsim.phy.path_loss import (
     LEAST_HEIGHT_M,
@@ -43,7 +43,7 @@ def budget(places, attitudes=None, seed=5, **settings):
     """(Links, Trajectories) of stations at rest at these places."""
     config = RadioConfig(frequency_mhz=MHZ, rician_k_db=None, **settings)
     trajectories = Trajectories(len(places))
-    links = Links(config, trajectories, len(places), Streams(np.random.SeedSequence(seed)))
+    links = Links(config, trajectories, len(places), RandomStreams(np.random.SeedSequence(seed)))
     trajectories.set(0, list(places), [REST] * len(places), attitudes)
     return links, trajectories
 

@@ -8,7 +8,7 @@ from scipy.special import j0
 
 from netsim.model.config import RadioConfig
 from netsim.model.event_queue import NEVER_NS
-from netsim.model.random_streams import Streams
+from netsim.model.random_streams import RandomStreams
 from netsim.phy.fading import SECTORS, RicianFading, _turn
 from netsim.phy.obstruction import KEPT_NS, Obstruction
 from netsim.phy.path_loss import SPEED_OF_LIGHT_M_S
@@ -20,7 +20,7 @@ REST = (0.0, 0.0, 0.0)
 
 
 def streams(seed=5):
-    return Streams(np.random.SeedSequence(seed))
+    return RandomStreams(np.random.SeedSequence(seed))
 
 
 # --- shadowing

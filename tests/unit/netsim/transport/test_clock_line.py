@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from netsim.transport.interval_stream import ClockLine, emulators_end, time_masters_end
+from netsim.transport.interval_stream import IntervalStream, emulators_end, time_masters_end
 from netsim.wire.lockstep import Advance, Advanced, pack_rows
 
 STATIONS = 3_000
@@ -73,7 +73,7 @@ def test_half_a_message_before_the_end_is_none(ends):
 
 
 def test_an_answer_that_is_late_is_a_time_out_and_can_be_waited_for_again(ends):
-    master, emulator = ClockLine(ends[0], Advanced, limit_s=0.05), emulators_end(ends[1])
+    master, emulator = IntervalStream(ends[0], Advanced, limit_s=0.05), emulators_end(ends[1])
     with pytest.raises(TimeoutError):
         master.receive()
     done = Advanced(to_us=4_000, quiet_until_us=8_000)

@@ -20,7 +20,7 @@ from autopilot.onboard.formation.avoidance import (
     Avoidance,
     _nearest,
 )
-from autopilot.onboard.formation.formation_control import Reference
+from autopilot.onboard.formation.formation_control import FormationReference
 from autopilot.onboard.formation.formation_plan import FormationPlan
 from autopilot.onboard.localisation.uncertainty import SEEN
 from autopilot.parameters.config import RacetrackMotion
@@ -222,7 +222,7 @@ class Crowd:
         self.stds = (error_std_m, gust_std_m_s2)
         self.error = error_std_m * self.rng.standard_normal((self.n, 2))
         self.gust = gust_std_m_s2 * self.rng.standard_normal((self.n, 3))
-        self.references = [Reference(climb_speed_m_s=1.5) for _ in range(self.n)]
+        self.references = [FormationReference(climb_speed_m_s=1.5) for _ in range(self.n)]
         for reference, place in zip(self.references, start, strict=True):
             reference.reset(place, STILL)
         self.plan = plan or FormationPlan(places, 0.0, None)

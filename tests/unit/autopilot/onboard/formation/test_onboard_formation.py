@@ -14,7 +14,7 @@ from autopilot.onboard.formation.formation_control import (
     LAG_MAX_M,
     OFFSET_RATE_M_S,
     Correction,
-    Reference,
+    FormationReference,
     joining_time_s,
 )
 from autopilot.onboard.formation.formation_plan import FormationPlan
@@ -104,7 +104,7 @@ def test_after_fading_it_returns_without_a_jump():
 def test_the_reference_reaches_its_target_within_its_limits_and_does_not_pass_it(
     start, target, climb_speed_m_s
 ):
-    reference = Reference(climb_speed_m_s=climb_speed_m_s)
+    reference = FormationReference(climb_speed_m_s=climb_speed_m_s)
     start, target = np.array(start), np.array(target)
     reference.reset(start, np.zeros(3))
     way = target - start
@@ -143,7 +143,7 @@ def advance(reference, state, **kwargs):
 
 def test_once_joined_it_is_the_plan_itself():
     """Exactly and for ever, on two rounds with all their joints: no lag, and the plan's feed-forward."""
-    plan, reference = racetrack(), Reference(climb_speed_m_s=1.5)
+    plan, reference = racetrack(), FormationReference(climb_speed_m_s=1.5)
     reference.reset(plan.own(0, 0.0).pos_ned_m, np.zeros(3))
     for k in range(1, 3_000):
         state = plan.own(0, k * DT_S - 5.0)
@@ -157,7 +157,7 @@ def test_once_joined_it_is_the_plan_itself():
 @pytest.mark.parametrize("apart_ned_m", [(6.0, -4.0, 3.0), (0.0, 0.4, 0.0), (-0.03, 0.0, -9.0)])
 def test_a_plan_in_motion_is_joined_without_a_jump(since_s, apart_ned_m):
     """From rest: relative to the plan its acceleration stays in the limits, and its speed comes into them."""
-    plan, reference = racetrack(), Reference(climb_speed_m_s=1.5)
+    plan, reference = racetrack(), FormationReference(climb_speed_m_s=1.5)
     state = plan.own(3, since_s)
     reference.reset(np.add(state.pos_ned_m, apart_ned_m), np.zeros(3))
     fastest_m_s = max(np.linalg.norm(state.vel_ned_m_s), JOIN_SPEED_M_S)
@@ -180,7 +180,7 @@ def test_a_plan_in_motion_is_joined_without_a_jump(since_s, apart_ned_m):
 
 
 def test_when_the_target_jumps_it_is_joined_anew():
-    reference = Reference(climb_speed_m_s=1.5)
+    reference = FormationReference(climb_speed_m_s=1.5)
     place = np.array((1.0, 2.0, -10.0))
     reference.reset(place, np.zeros(3))
     reference.advance(place, DT_S)
@@ -191,7 +191,7 @@ def test_when_the_target_jumps_it_is_joined_anew():
 
 def test_it_waits_for_a_vehicle_that_stays_behind():
     """It leads by the limit and no more."""
-    reference, still = Reference(climb_speed_m_s=1.5), np.zeros(3)
+    reference, still = FormationReference(climb_speed_m_s=1.5), np.zeros(3)
     for _ in range(100):
         reference.advance(np.array((50.0, 0.0, 0.0)), DT_S, vehicle_ned_m=still)
     assert LAG_MAX_M <= reference.pos_ned_m[0] <= LAG_MAX_M + JOIN_SPEED_M_S * DT_S + 1e-9
@@ -199,7 +199,7 @@ def test_it_waits_for_a_vehicle_that_stays_behind():
 
 def test_it_goes_around_with_a_vehicle_that_goes_around():
     """Never farther than the limit, and ahead of the vehicle towards the target wherever that is led to."""
-    reference, target = Reference(climb_speed_m_s=1.5), np.array((50.0, 0.0, 0.0))
+    reference, target = FormationReference(climb_speed_m_s=1.5), np.array((50.0, 0.0, 0.0))
     vehicle = np.zeros(3)
     reference.reset(vehicle, np.zeros(3))
     for k in range(460):
@@ -216,7 +216,7 @@ def test_it_goes_around_with_a_vehicle_that_goes_around():
 
 
 def test_the_plan_waits_for_no_vehicle():
-    plan, reference = racetrack(), Reference(climb_speed_m_s=1.5)
+    plan, reference = racetrack(), FormationReference(climb_speed_m_s=1.5)
     reference.reset(plan.own(0, 0.0).pos_ned_m, np.zeros(3))
     advance(reference, plan.own(0, 0.0))
     for k in range(1, 200):
@@ -229,7 +229,7 @@ def test_the_plan_waits_for_no_vehicle():
 @pytest.mark.parametrize("climb_speed_m_s", [0.3, 1.5])
 def test_joining_takes_the_time_that_is_reckoned_with(distance_m, climb_speed_m_s):
     """Within the steps' coarseness: braking ends in a step instead of a parabola's foot."""
-    reference = Reference(climb_speed_m_s=climb_speed_m_s)
+    reference = FormationReference(climb_speed_m_s=climb_speed_m_s)
     target, steps = np.array((0.0, 0.0, -distance_m)), 0
     while not is_at(reference, target):
         reference.advance(target, DT_S)
@@ -336,7 +336,7 @@ def test_gps_errors_that_would_collide_pass_each_other_in_layers():
         corrections = [Correction(), Correction()]
         for correction in corrections:
             correction.update(ZERO, ZERO, DT_S, at_once=True)
-        references = [Reference(climb_speed_m_s=1.5) for _ in range(2)]
+        references = [FormationReference(climb_speed_m_s=1.5) for _ in range(2)]
         ways = [HeightLayers(own=k, places_ned_m=places, gps_std_m=1.5) for k in range(2)]
         for reference, place in zip(references, places, strict=True):
             reference.reset(place, np.zeros(3))

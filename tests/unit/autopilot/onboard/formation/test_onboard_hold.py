@@ -4,7 +4,7 @@ from onboard_world import MODE_LOITER, SwarmWorld
 from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import stamp
-from autopilot.onboard import Phase
+from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.parameters.config import OnboardConfig
 from netsim.wire.messages import Broadcast, FtmRequest
 
@@ -32,10 +32,10 @@ def result_of(answers):
 
 def test_held_uavs_say_where_they_are_and_ask_nothing_of_their_autopilots():
     world = SwarmWorld(places_ned_m=PAIR, seed=1, config=HOLD)
-    world.run_until(lambda w: all(app.phase is Phase.HELD for app in w.apps), limit_s=1.5)
+    world.run_until(lambda w: all(app.phase is FlightPhase.HELD for app in w.apps), limit_s=1.5)
     before = dict(world.sent)
     world.run(5.0)
-    assert all(app.phase is Phase.HELD for app in world.apps)
+    assert all(app.phase is FlightPhase.HELD for app in world.apps)
     # each sends its beacon ten times a second, and ranges to the other once
     assert world.sent[Broadcast] - before.get(Broadcast, 0) >= 2 * 5 * 9
     assert world.sent[FtmRequest] - before.get(FtmRequest, 0) >= 2 * 4
@@ -49,12 +49,12 @@ def test_who_is_released_flies_and_the_other_does_not():
     released, held = world.apps
     assert result_of(released.on_request(command(common.MAV_CMD_USER_1))) == common.MAV_RESULT_ACCEPTED
     assert result_of(released.on_request(command(common.MAV_CMD_USER_1))) == common.MAV_RESULT_ACCEPTED
-    world.run_until(lambda w: w.apps[0].phase is Phase.ON_STATION, limit_s=25.0)
-    assert held.phase is Phase.HELD
+    world.run_until(lambda w: w.apps[0].phase is FlightPhase.ON_STATION, limit_s=25.0)
+    assert held.phase is FlightPhase.HELD
     assert not world.autopilots[1].commands
     # the other goes from where it stands, as if it had never been held
     assert result_of(held.on_request(command(common.MAV_CMD_USER_1, integer=True))) == 0
-    world.run_until(lambda w: w.apps[1].phase is Phase.ON_STATION, limit_s=25.0)
+    world.run_until(lambda w: w.apps[1].phase is FlightPhase.ON_STATION, limit_s=25.0)
 
 
 def test_a_release_before_the_position_is_known_holds_nobody_up():
@@ -62,8 +62,10 @@ def test_a_release_before_the_position_is_known_holds_nobody_up():
     for app in world.apps:
         app.on_request(command(common.MAV_CMD_USER_1))
     seen = set()
-    world.run_until(lambda w: seen.add(w.apps[0].phase) or w.apps[0].phase is Phase.TAKE_OFF, limit_s=6.0)
-    assert Phase.HELD not in seen
+    world.run_until(
+        lambda w: seen.add(w.apps[0].phase) or w.apps[0].phase is FlightPhase.TAKE_OFF, limit_s=6.0
+    )
+    assert FlightPhase.HELD not in seen
 
 
 def test_other_commands_and_flights_that_are_not_held_are_unsupported():
@@ -73,7 +75,7 @@ def test_other_commands_and_flights_that_are_not_held_are_unsupported():
     assert result_of(app.on_request(command(common.MAV_CMD_USER_2))) == common.MAV_RESULT_UNSUPPORTED
     assert app.on_request(common.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)) == []
     world.run(1.0)
-    assert app.phase is Phase.HELD
+    assert app.phase is FlightPhase.HELD
     free = SwarmWorld(places_ned_m=PAIR, seed=1).apps[0]
     assert result_of(free.on_request(command(common.MAV_CMD_USER_1))) == common.MAV_RESULT_UNSUPPORTED
 
@@ -85,7 +87,7 @@ def test_a_vehicle_that_its_user_has_flown_is_taken_over_in_the_air():
     autopilot.armed, autopilot.mode = True, MODE_LOITER
     world.pos[0, 2] = -6.0
     world.run(2.0)
-    assert world.apps[0].phase is Phase.HELD
+    assert world.apps[0].phase is FlightPhase.HELD
     world.apps[0].on_request(command(common.MAV_CMD_USER_1))
-    world.run_until(lambda w: w.apps[0].phase is Phase.ON_STATION, limit_s=25.0)
+    world.run_until(lambda w: w.apps[0].phase is FlightPhase.ON_STATION, limit_s=25.0)
     assert world.pos[:1, 2].max() < -6.0

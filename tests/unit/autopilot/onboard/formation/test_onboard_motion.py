@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from autopilot.onboard.formation.motion import LEAD_US, MOST_LEADS, OLDEST_US, MotionStart
-from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation.localisation import SILENCE_US
 
 BEACON_US = 100_000
 STEP_US = 50_000
-ON = Phase.ON_STATION
+ON = FlightPhase.ON_STATION
 
 
 def first_of_four(now_us=0):
@@ -31,7 +31,9 @@ def fly(seed, *, loss, stations, dead=(), latecomer=None, until_us=9_000_000):
     dies_us = {station: int(rng.integers(0, 3_000_000)) for station in dead}
     offset_us = rng.integers(0, BEACON_US, stations)
     motions = [MotionStart(k, stations) for k in range(stations)]
-    heard = [dict.fromkeys(set(range(stations)) - {k}, (Phase.JOINING, None, 0)) for k in range(stations)]
+    heard = [
+        dict.fromkeys(set(range(stations)) - {k}, (FlightPhase.JOINING, None, 0)) for k in range(stations)
+    ]
     held = []
     for now_us in range(0, until_us, STEP_US):
         row = []
@@ -45,7 +47,7 @@ def fly(seed, *, loss, stations, dead=(), latecomer=None, until_us=9_000_000):
             due = (now_us - offset_us[k]) % BEACON_US < STEP_US
             if not due or now_us >= dies_us.get(k, until_us):
                 continue
-            phase = ON if now_us >= arrives_us[k] else Phase.JOINING
+            phase = ON if now_us >= arrives_us[k] else FlightPhase.JOINING
             for j in range(stations):
                 cut = latecomer in {j, k} and now_us < 6_000_000
                 if j != k and not cut and rng.random() >= loss:
@@ -92,19 +94,29 @@ def test_a_latecomer_takes_over_what_the_others_have_begun():
 
 def test_it_waits_for_everybody_on_the_way():
     motion = MotionStart(0, 4)
-    for phase in (Phase.WAITING, Phase.LOCALISING, Phase.ARMING, Phase.TAKE_OFF, Phase.JOINING):
+    for phase in (
+        FlightPhase.WAITING,
+        FlightPhase.LOCALISING,
+        FlightPhase.ARMING,
+        FlightPhase.TAKE_OFF,
+        FlightPhase.JOINING,
+    ):
         assert (
             motion.update(10_000, on_station=True, neighbours={1: (ON, None, 0), 2: (phase, None, 0)}) is None
         )
     assert motion.update(20_000, on_station=False, neighbours={1: (ON, None, 0)}) is None
     # Who has landed or is flown by somebody else is not on its way.
-    away = {1: (Phase.LANDED, None, 20_000), 2: (Phase.YIELDED, None, 20_000), 3: (ON, None, 20_000)}
+    away = {
+        1: (FlightPhase.LANDED, None, 20_000),
+        2: (FlightPhase.YIELDED, None, 20_000),
+        3: (ON, None, 20_000),
+    }
     assert motion.update(20_999, on_station=True, neighbours=away) == 20_000 + LEAD_US
 
 
 def test_silence_ends_a_wait():
     motion = MotionStart(0, 2)
-    neighbours = {1: (Phase.JOINING, None, 1_000_000)}
+    neighbours = {1: (FlightPhase.JOINING, None, 1_000_000)}
     assert motion.update(1_000_000 + SILENCE_US - 1, on_station=True, neighbours=neighbours) is None
     assert motion.update(1_000_000 + SILENCE_US, on_station=True, neighbours=neighbours) is not None
 
@@ -132,15 +144,19 @@ def test_those_who_have_set_off_are_followed_rather_than_a_proposal():
 @pytest.mark.parametrize("wrong_us", [-5, 2**62, 5_000_000 + LEAD_US + 20_000, None])
 def test_times_that_cannot_be_are_as_none(wrong_us):
     motion = MotionStart(0, 4)
-    neighbours = {1: (Phase.JOINING, wrong_us, 5_000_000)}
+    neighbours = {1: (FlightPhase.JOINING, wrong_us, 5_000_000)}
     assert motion.update(5_000_000, on_station=True, neighbours=neighbours) is None
-    old = {1: (Phase.JOINING, 7_000, OLDEST_US + 10_000)}
+    old = {1: (FlightPhase.JOINING, 7_000, OLDEST_US + 10_000)}
     assert motion.update(OLDEST_US + 10_000, on_station=True, neighbours=old) is None
 
 
 def test_strangers_and_the_own_echo_are_not_heard():
     motion = MotionStart(0, 2)
-    strange = {0: (Phase.JOINING, 2_000, 1_000), 4: (Phase.JOINING, 2_000, 1_000), 250: (ON, 2_100, 1_000)}
+    strange = {
+        0: (FlightPhase.JOINING, 2_000, 1_000),
+        4: (FlightPhase.JOINING, 2_000, 1_000),
+        250: (ON, 2_100, 1_000),
+    }
     assert motion.update(1_000, on_station=True, neighbours=strange) == 1_000 + LEAD_US
 
 
@@ -164,9 +180,13 @@ def test_who_hears_less_than_half_does_not_set_off():
 
 def test_one_voice_of_many_sends_nobody_off():
     """A time that has long come is believed of two, or of the only one there is, if it is on station."""
-    told = {1: (ON, 5_000_000, 9_000_000), 2: (ON, None, 9_000_000), 3: (Phase.JOINING, None, 9_000_000)}
+    told = {
+        1: (ON, 5_000_000, 9_000_000),
+        2: (ON, None, 9_000_000),
+        3: (FlightPhase.JOINING, None, 9_000_000),
+    }
     assert MotionStart(0, 4).update(9_000_000, on_station=True, neighbours=told) is None
-    told[2] = (Phase.JOINING, 5_000_000, 9_000_000)
+    told[2] = (FlightPhase.JOINING, 5_000_000, 9_000_000)
     assert MotionStart(0, 4).update(9_000_000, on_station=True, neighbours=told) is None
     told[2] = (ON, 5_000_000, 9_000_000)
     assert MotionStart(0, 4).update(9_000_000, on_station=True, neighbours=told) == 5_000_000

@@ -6,7 +6,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from autopilot.onboard.localisation.batch_initialisation import Problem, Range, badly_fitting
+from autopilot.onboard.localisation.batch_initialisation import InitialisationProblem, Range, badly_fitting
 from autopilot.onboard.localisation.kernels import STATES
 from autopilot.onboard.localisation.members import new_members
 from autopilot.onboard.localisation.model import LocalisationModel
@@ -29,7 +29,7 @@ def line(spacing_m):
 
 
 def drawn(places_ne_m, seed):
-    """UAVs in their places, nobody located: a `Problem` with drawn GPS, and distances of all pairs.
+    """An `InitialisationProblem` of UAVs in their places, with drawn GPS and the distances of all pairs.
 
     Odometry is right, so that the states are errors: offsets are 0 in truth.
     """
@@ -42,7 +42,7 @@ def drawn(places_ne_m, seed):
     for station in range(count):
         receivers.begin(station, state, cov)
     everybody = np.ones(count, bool)
-    problem = Problem(
+    problem = InitialisationProblem(
         state=state, cov=cov, time_us=1_000_000, active=everybody, located=~everybody,
         places_ned_m=places, odometry_ned_m=places, drift_m2_s=MODEL.odometry_drift_m_sqrt_s**2,
         bias_var_m2=receivers.stated_var_m2,

@@ -5,12 +5,12 @@ import pytest
 from onboard_world import article_places_ned_m, rms, shape_errors_m
 from scipy.optimize import least_squares
 
-from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation import kernels
 from autopilot.onboard.localisation.localisation import CooperativeLocalisation, LocalisationModel
 from autopilot.onboard.localisation.tracks import SAMPLES
 from autopilot.onboard.radio import beacon as wire
-from autopilot.onboard.radio.neighbour_table import Hearing
+from autopilot.onboard.radio.neighbour_table import NeighbourTable
 from autopilot.parameters.config import REMEMBERED_S
 
 PLACES = article_places_ned_m()
@@ -288,7 +288,7 @@ def drawn_beacon(rng, case, row, now_us):
     fix_us = now_us - rng.integers(-20, 300) * 1_000
     jump_m = 3.0 * (rng.random() < 0.02)
     return wire.Beacon(
-        station=row + 10, seq=0, time_us=int(now_us - rng.integers(0, 150_000)), phase=Phase.JOINING,
+        station=row + 10, seq=0, time_us=int(now_us - rng.integers(0, 150_000)), phase=FlightPhase.JOINING,
         odometry_ned_m=(row + jump_m, 0.0, PLACES[row, 2]), vel_ned_m_s=(0.0, 0.0, 0.0),
         fix=None if rng.random() < 0.1 else wire.Fix(
             int(fix_us) // 1_000, (*(case.truth[row, :2] + case.bias[row]), 0.0),
@@ -303,7 +303,7 @@ def test_what_a_beacon_tells_at_once_is_what_it_tells_one_by_one():
     """Eight UAVs are localised of thirteen who are heard of, from 5 s on and over half a minute's silence."""
     rng, case = np.random.default_rng(18), StaticCase(18)
     one_by_one, at_once = case.run(), case.run()
-    hearing = Hearing(station=10, stations=N + 13, period_us=3_600_000_000, gps_std_m=1.0)
+    hearing = NeighbourTable(station=10, stations=N + 13, period_us=3_600_000_000, gps_std_m=1.0)
     hearing.rows = np.array([*(10 * [-1]), *range(N), *(3 * [-1])])
     for now_us in (*range(5_100_000, 9_000_000, 30_000), *range(40_000_000, 44_000_000, 30_000)):
         row = int(rng.integers(1, N))

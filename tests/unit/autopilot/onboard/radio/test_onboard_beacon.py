@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from msgspec import ValidationError, convert
 from msgspec.structs import replace
 
-from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.radio import beacon as wire
 from autopilot.parameters.config import OnboardConfig
 from netsim.wire.messages import MAX_PAYLOAD_BYTES
@@ -35,7 +35,7 @@ def beacons_(draw):
         station=station,
         seq=draw(st.integers(0, wire.SEQ_MODULUS - 1)),
         time_us=draw(st.integers(0, 2**63 - 1)),
-        phase=draw(st.sampled_from(Phase)),
+        phase=draw(st.sampled_from(FlightPhase)),
         odometry_ned_m=draw(vectors),
         vel_ned_m_s=draw(st.tuples(speed, speed, speed)),
         motion_start_ms=draw(st.none() | milliseconds),
@@ -51,7 +51,7 @@ beacons = beacons_()
 def full_beacon(peers=(1,)):
     """Give a beacon that leaves nothing out."""
     return wire.Beacon(
-        station=STATION, seq=3, time_us=5_000_000, phase=Phase.ON_STATION,
+        station=STATION, seq=3, time_us=5_000_000, phase=FlightPhase.ON_STATION,
         odometry_ned_m=(1.0, 2.0, 3.0), vel_ned_m_s=(4.0, 5.0, 6.0), motion_start_ms=9_000,
         fix=wire.Fix(4_900, (7.0, 8.0, 9.0), 1.5, 2.5), gps_error=wire.GpsError((0.5, -0.5, 1.0), 0.25),
         distances=tuple(wire.Distance(peer, 4_800, 8.5, 0.125) for peer in peers),
@@ -136,7 +136,7 @@ def test_a_beacon_comes_once_a_second_at_least():
     [
         (0, wire.VERSION - 1),
         (0, wire.VERSION + 1),
-        (2, max(Phase) + 1),
+        (2, max(FlightPhase) + 1),
         (2, 255),
         (3, 8),
         (3, 128),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from autopilot.onboard.formation.own_state import OwnState
-from autopilot.onboard.formation.phases import Phase
+from autopilot.onboard.formation.phases import FlightPhase
 from autopilot.onboard.localisation.localisation import SILENCE_US
 from autopilot.onboard.radio import beacon as wire
 from autopilot.onboard.radio.neighbour_table import BEGUN_ANEW, HEARD, REFUSED, SHIFTS, WAIT_US, hear
@@ -48,14 +48,14 @@ def result(peer, at_us, *, status="ok", std_m=0.1, retry_after_s=0):
 
 def beacon_of(station, *, seq=0, time_us=0):
     return wire.Beacon(
-        station=station, seq=seq, time_us=time_us, phase=Phase.JOINING,
+        station=station, seq=seq, time_us=time_us, phase=FlightPhase.JOINING,
         odometry_ned_m=(0.0, 0.0, 0.0), vel_ned_m_s=(0.0, 0.0, 0.0),
     )  # fmt: skip
 
 
 def take(hearing, beacon, now_us, *, source=None):
     """Hear a beacon, sent in its own name or in that of another; gives as what it was heard."""
-    pages = wire.Pages(1)
+    pages = wire.BeaconBuffer(1)
     pages.put(beacon.station if source is None else source, wire.encode(beacon))
     return hear(pages.rows[0], now_us, hearing.listener, hearing.stations, hearing.rows)
 
@@ -185,13 +185,13 @@ def test_beacons_are_numbered_and_say_what_they_are_given():
     errors = iter([None, wire.GpsError((0.5, -0.25, 0.0), 0.5)])
     broadcasts = traffic.due(
         own, 5_000_000, 5_200_000, ranging=False,
-        phase=Phase.ON_STATION, motion_start_ms=9_000, gps_error=lambda: next(errors),
+        phase=FlightPhase.ON_STATION, motion_start_ms=9_000, gps_error=lambda: next(errors),
     )  # fmt: skip
     first, second = (wire.decode(item.payload) for item in broadcasts)
     assert (first.seq, second.seq) == (0, 1)
     assert (first.gps_error, second.gps_error) == (None, wire.GpsError((0.5, -0.25, 0.0), 0.5))
     for beacon in (first, second):
-        assert (beacon.station, beacon.phase, beacon.motion_start_ms) == (3, Phase.ON_STATION, 9_000)
+        assert (beacon.station, beacon.phase, beacon.motion_start_ms) == (3, FlightPhase.ON_STATION, 9_000)
         assert beacon.fix == own.fix
 
 

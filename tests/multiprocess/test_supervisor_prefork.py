@@ -1,4 +1,4 @@
-"""The real hangar: warm before it says so, without a thread, and its vehicles fail under their own names."""
+"""The prefork server: ready only when warm, without threads; its vehicles fail under their own names."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,7 +9,7 @@ from supervising import hear, python
 
 from foundation.processes.child_protocol import Ready
 from harness.launch import kernel_cache
-from harness.launch.processes import HANGAR, python_module
+from harness.launch.processes import PREFORK, python_module
 from harness.launch.supervisor import Exited, Supervisor
 
 pytestmark = pytest.mark.multiprocess
@@ -17,12 +17,12 @@ pytestmark = pytest.mark.multiprocess
 FAILING = """
     import sys
     from autopilot.process import prefork_server
-    from autopilot.process.warm_up import RehearsalError
+    from foundation.kernels.warm_up import WarmUpError
 
-    def rehearse():
-        raise RehearsalError("the vehicles of the rehearsal did not get on their way")
+    def warm_up():
+        raise WarmUpError("the vehicles of the rehearsal did not get on their way")
 
-    prefork_server.rehearse = rehearse
+    prefork_server.warm_up = warm_up
     sys.exit(prefork_server.main())
 """
 
@@ -36,23 +36,23 @@ def supervisor(tmp_path: Path) -> Iterator[Supervisor]:
 
 
 def test_it_runs_no_thread_which_a_fork_would_leave_behind(supervisor: Supervisor) -> None:
-    pid = supervisor.start_forker(HANGAR, python_module("autopilot.process.prefork_server", "--supervised"))
-    hear(supervisor, Ready, HANGAR)
-    hangar = psutil.Process(pid)
-    assert hangar.num_threads() == 1
-    assert hangar.name() == HANGAR
+    pid = supervisor.start_forker(PREFORK, python_module("autopilot.process.prefork_server", "--supervised"))
+    hear(supervisor, Ready, PREFORK)
+    server = psutil.Process(pid)
+    assert server.num_threads() == 1
+    assert server.name() == PREFORK
 
 
 def test_a_vehicle_without_settings_says_so_and_the_next_one_too(supervisor: Supervisor) -> None:
-    supervisor.start_forker(HANGAR, python_module("autopilot.process.prefork_server", "--supervised"))
-    hear(supervisor, Ready, HANGAR)
+    supervisor.start_forker(PREFORK, python_module("autopilot.process.prefork_server", "--supervised"))
+    hear(supervisor, Ready, PREFORK)
     for name in ("uav 0", "uav 1"):
-        supervisor.fork(name, ["--config", f"no {name}.json", "--supervised"], forker=HANGAR)
+        supervisor.fork(name, ["--config", f"no {name}.json", "--supervised"], forker=PREFORK)
         exited = hear(supervisor, Exited, name)
         assert isinstance(exited, Exited)
         assert exited.returncode == 2
         assert exited.log_tail == f"uav: [Errno 2] No such file or directory: 'no {name}.json'"
-    supervisor.fork("uav 2", ["--instance", "what"], forker=HANGAR)
+    supervisor.fork("uav 2", ["--instance", "what"], forker=PREFORK)
     exited = hear(supervisor, Exited, "uav 2")
     assert isinstance(exited, Exited)
     assert exited.returncode == 2
@@ -60,8 +60,8 @@ def test_a_vehicle_without_settings_says_so_and_the_next_one_too(supervisor: Sup
 
 
 def test_a_rehearsal_that_fails_is_one_line(supervisor: Supervisor) -> None:
-    supervisor.start_forker(HANGAR, python(FAILING))
-    exited = hear(supervisor, Exited, HANGAR)
+    supervisor.start_forker(PREFORK, python(FAILING))
+    exited = hear(supervisor, Exited, PREFORK)
     assert isinstance(exited, Exited)
     assert exited.returncode == 2
-    assert exited.log_tail == "hangar: the vehicles of the rehearsal did not get on their way"
+    assert exited.log_tail == "prefork: the vehicles of the rehearsal did not get on their way"

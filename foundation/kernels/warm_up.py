@@ -1,0 +1,5 @@
+"""The error of warm-ups, which run every kernel of a package once so that all are compiled and cached."""
+
+
+class WarmUpError(RuntimeError):
+    """A warm-up did not run what it has to; the text is one line."""
