@@ -12,8 +12,9 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 SUFFIXES = {".py", ".md", ".toml"}
 WORDS = re.compile(
-    r"\b(who|whom|whoever|(?:no|some|every|any)body|no one|someone|anyone|everyone|anew|in one go|lets? go|as they do|hear(?:s|d|ing)?|tells?|telling|told|know|knows|knew"
-    r"|wants?|wanted|go(?:es)? home|gives? way)\b",
+    r"\b(who|whom|whoever|(?:no|some|every|any)body|no one|someone|anyone|everyone|anew"
+    r"|in one go|lets? go|as they do|hear(?:s|d|ing)?"
+    r"|tells?|telling|told|know|knows|knew|wants?|wanted|go(?:es)? home|gives? way)\b",
     re.IGNORECASE,
 )
 EXCEPTIONS: dict[str, str] = {

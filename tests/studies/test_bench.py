@@ -256,7 +256,7 @@ def test_a_measurement_that_fails_is_told_with_its_last_words(tmp_path):
 def test_a_measurement_that_is_not_done_in_time_is_broken_off(monkeypatch):
     monkeypatch.setattr(bench, "WALL_LIMIT_S", 1.0)
     others = psutil.Process().children()  # of tests before this one
-    with pytest.raises(bench.BenchError, match=r"^harness\.bench\.floor: not done within 1 s$"):
+    with pytest.raises(bench.BenchError, match=r"^studies\.bench\.floor: not done within 1 s$"):
         bench._floor(1, 60.0)
     assert set(psutil.Process().children()) <= set(others)
 
