@@ -3,10 +3,11 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.set-up
+DEV := $(VENV)/.set-up-dev
 CLIENTS := $(VENV)/.set-up-clients
 ARGS ?=
 
-.PHONY: help setup swarm test test-clients validate validate-radio validate-antenna codesign campaign article antenna bench bench-radio lint format clean
+.PHONY: help setup swarm wheel test test-clients validate validate-radio validate-antenna codesign campaign article antenna bench bench-radio lint format clean
 help:
 	@echo "make swarm [ARGS='--duration 20 --seed 3']   fly scenarios/article.toml"
 	@echo "make test  [ARGS='-k radio']                 run the tests"
@@ -20,9 +21,10 @@ help:
 	@echo "make antenna ARGS='pattern --wavelength 10'   the antenna alone: pattern, statistics, benchmark (docs/antenna.md)"
 	@echo "make bench [ARGS='--quick | --agents 8 --json']   measure what flying costs (docs/performance.md)"
 	@echo "make bench-radio [ARGS='--peer COMMAND']      measure what the radio costs"
+	@echo "make wheel                                   build the wheel, install it elsewhere and fly with it"
 	@echo "make lint | format | setup | clean"
 
-setup: $(STAMP)
+setup: $(DEV)
 
 $(STAMP): pyproject.toml requirements.lock
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -30,13 +32,21 @@ $(STAMP): pyproject.toml requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable '.[nec2]'
 	@touch $@
 
-swarm: $(STAMP)
-	$(BIN)/python scripts/launch_swarm.py scenarios/article.toml $(ARGS)
+$(DEV): requirements-dev.lock $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --requirement requirements-dev.lock
+	@touch $@
 
-test: $(STAMP)
+swarm: $(STAMP)
+	$(BIN)/coflight fly article $(ARGS)
+
+# builds the wheel, installs it into a new environment and flies from a folder outside the checkout
+wheel: $(DEV)
+	$(BIN)/python scripts/try_wheel.py
+
+test: $(DEV)
 	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder $(ARGS)
 
-$(CLIENTS): requirements-clients.lock $(STAMP)
+$(CLIENTS): requirements-clients.lock $(DEV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --requirement requirements-clients.lock
 	@touch $@
 
@@ -72,13 +82,16 @@ bench: $(STAMP)
 bench-radio: $(STAMP)
 	$(BIN)/python scripts/bench_radio.py $(ARGS)
 
-lint: $(STAMP)
+# what is checked for words that are kept for people
+PLAIN := coflight
+lint: $(DEV)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python scripts/lint_prose.py $(PLAIN)
 
-format: $(STAMP)
+format: $(DEV)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 

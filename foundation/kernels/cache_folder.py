@@ -19,7 +19,7 @@ import sys
 from functools import cache
 from pathlib import Path
 
-PACKAGES = ("foundation", "antenna", "netsim", "autopilot", "harness", "studies")
+PACKAGES = ("foundation", "antenna", "netsim", "autopilot", "harness", "coflight", "studies")
 VARIABLE = "NUMBA_CACHE_DIR"
 _IMPORT = re.compile(rf"^\s*from ((?:{'|'.join(PACKAGES)})(?:\.\w+)*) import\b", re.MULTILINE)
 

@@ -35,7 +35,7 @@ from autopilot.parameters.config import (
     VehiclePorts,
 )
 from autopilot.parameters.parameter_file import ParameterFileError
-from harness.scenario import autopilot_settings, element_file, formation_shape
+from harness.scenario import autopilot_settings, element_file, formation_shape, packaged
 from harness.scenario.element_file import ElementFileError
 from harness.scenario.formation_shape import FormationConfig, FormationFileError
 from harness.scenario.validation_errors import explain
@@ -289,11 +289,11 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
 
     Raises ScenarioError with one line that names the file or override, the field's path and what is wrong.
     """
-    path = Path(path)
+    path = packaged.find(path)
     try:
         table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise ScenarioError(f"{path}: no such scenario file") from None
+        raise ScenarioError(f"{path}: no such scenario file; {_packaged()}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError(f"{path}: cannot be read: {error}") from None
     except tomllib.TOMLDecodeError as error:
@@ -327,6 +327,11 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
         return msgspec.structs.replace(scenario, autopilot=autopilot, links=links)
     except ValueError as error:  # what the files brought does not go with the rest
         raise ScenarioError(f"{path}: {error}") from None
+
+
+def _packaged() -> str:
+    """Name the scenarios that come with coflight, for an error's line."""
+    return f"scenarios by name: {', '.join(name for name in packaged.names() if '/' not in name)}"
 
 
 def _override(table: dict[str, Any], override: str) -> None:

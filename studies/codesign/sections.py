@@ -169,8 +169,9 @@ def judge_wavelength(book: Book, images: Path | None) -> Section:
             "deviation within a flight. σ is what independent errors would have on each axis to leave the "
             "rms that was flown (an alignment takes 3 of 16 horizontal degrees of freedom), and beside it "
             "stands the gain that independent Gaussian errors of that σ on every axis give, interpolated in "
-            "σ/λ between the measured points of `tests/reference/antenna_sensitivity.csv`. Errors that were "
-            "flown are neither independent nor Gaussian, heights err otherwise than the horizontal, and the "
+            "σ/λ between the measured points of `studies/reference/antenna_sensitivity.csv`. "
+            "Errors that were flown are neither independent nor Gaussian, heights err otherwise than the "
+            "horizontal, and the "
             "dipoles lean with their UAVs against the wind, which costs gain without any position error.\n"
         ),
         checks=(

@@ -4,5 +4,5 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 SCENARIOS = ROOT / "scenarios"
-REFERENCE = ROOT / "tests" / "reference"
+REFERENCE = ROOT / "studies" / "reference"
 SUPPORT = ROOT / "tests" / "support"
