@@ -262,7 +262,7 @@ def serve(
     ] = None,
     seed: Seed = 1,
 ) -> None:
-    """An emulator that other programs join as stations s0, s1, ...: see docs/radio-api.md."""
+    """An emulator that other programs join as stations s0, s1, ...: see docs/reference/radio-api.md."""
     from netsim.lab.serve import serve_in_real_time, with_guests  # noqa: PLC0415  nothing else needs Zenoh
 
     radio = RadioConfig()

@@ -83,9 +83,9 @@ class StationConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class GuestConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A station that is no vehicle: it stands still, and another program is its host (docs/radio-api.md).
+    """A station that is no vehicle: it stands still, and another program is its host.
 
-    Guests are numbered after the vehicles, in the order of their tables.
+    Guests are numbered after the vehicles, in the order of their tables. See docs/reference/radio-api.md.
     """
 
     name: Annotated[str, Meta(min_length=1, max_length=40)]

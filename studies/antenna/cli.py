@@ -31,9 +31,9 @@ closed forms and reference numbers. Every number comes from
 
     python scripts/validate_antenna.py
 
-which computes everything again and takes some minutes on two cores; with `--out docs` it writes this page,
-its figures and `antenna-validation.csv`, the checks in full. All formations follow from their seeds: the same
-sources give the same numbers, but for the speed.
+which computes everything again and takes some minutes on two cores; with `--out docs/results` it writes this
+page, its figures and `antenna-validation.csv`, the checks in full. All formations follow from their seeds:
+the same sources give the same numbers, but for the speed.
 """
 PAGE = Page(file_name="antenna-validation.md", title="Validation of the antenna", introduction=INTRODUCTION)
 TABLE = "antenna-validation.csv"

@@ -44,7 +44,7 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section: 
             f"validation beside it, on {cores} core{'s' if cores > 1 else ''}: both solvers make the "
             "patterns of the same random formations of eight dipoles on a grid of 5 degrees with a refined "
             "maximum, in turns, one core each; the batch solver then with two threads by the clock on the "
-            "wall. docs/antenna.md says what is counted.\n"
+            "wall. docs/concepts/antenna.md says what is counted.\n"
             + said_missing([] if fields is not None else ["nec2 (PyNEC), without which nothing is compared"])
         ),
         checks=() if fields is None else requirements(fields),

@@ -25,7 +25,10 @@ SNAPSHOT_RATE_HZ = 10.0
 FIGURE_WAVELENGTH_M, FIGURE_WIND_N = 10.0, 5.0
 """Of the pattern that the article shows."""
 CROWDED_FTM_PERIOD_S = 0.1
-"""Every UAV to every other: 560 ranging sessions a second of 1.5 ms and their contention (docs/radio.md)."""
+"""Every UAV to every other: 560 ranging sessions a second of 1.5 ms and their contention.
+
+See docs/concepts/radio.md.
+"""
 
 _CASCADE: dict[str, Any] = {"autopilot.params.CF_DOB_EN": 0}
 _OWN_GUSTS: dict[str, Any] = _CASCADE | {"wind.correlation": 0.0}

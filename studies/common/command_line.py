@@ -11,7 +11,7 @@ from msgspec import Struct
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from studies.common.report import Section, markdown, show, write
+from studies.common.report import Section, figures_folder, figures_link, markdown, show, write
 from studies.common.runner import Subject, run_subjects
 
 FINE, MISSED, BAD_INPUT = 0, 1, 2
@@ -63,9 +63,9 @@ def progress_lines(
 def run_with_progress(
     plan: P, subjects: Mapping[str, Subject[P]], *, out: Path | None, messages: Console
 ) -> list[Section]:
-    """Do it all, with a line of progress for every subject; figures go to ``images`` in ``out``."""
+    """Do it all, with a line of progress for every subject; figures go to `figures_folder` of ``out``."""
     with progress_lines(messages) as (note, _):
-        images = None if out is None else out / "images"
+        images = None if out is None else figures_folder(out)
         return run_subjects(plan, subjects, images=images, progress=note)
 
 
@@ -77,7 +77,8 @@ def tell(
     ``px4``: numbers of a real PX4 stand beside ours.
     """
     if out is not None:
-        write(out / page.file_name, markdown(sections, title=page.title, introduction=page.introduction))
+        text = markdown(sections, title=page.title, introduction=page.introduction, figures=figures_link(out))
+        write(out / page.file_name, text)
     if json:
         print(msgspec.json.encode(_numbers(sections, px4=px4)).decode(), file=stdout)
     else:

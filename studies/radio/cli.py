@@ -29,9 +29,9 @@ of the standard. Every number comes from
 
     python scripts/validate_radio.py
 
-which simulates everything again and takes some minutes on two cores; with `--out docs` it writes this page
-and its figures. What ns-3 and Bianchi's model gave stands in `studies/reference`. All runs follow from their
-seeds: the same sources give the same numbers.
+which simulates everything again and takes some minutes on two cores; with `--out docs/results` it writes this
+page and its figures. What ns-3 and Bianchi's model gave stands in `studies/reference`. All runs follow from
+their seeds: the same sources give the same numbers.
 """
 PAGE = Page(file_name="radio-validation.md", title="Validation of the radio", introduction=INTRODUCTION)
 

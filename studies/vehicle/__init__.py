@@ -1,1 +1,1 @@
-"""How well one vehicle flies, measured (docs/validation.md is made of it), and what a step of it costs."""
+"""How well one vehicle flies, measured (docs/results/validation.md), and what a step of it costs."""

@@ -20,8 +20,8 @@ and sensors, in one process (`studies.vehicle.solo`). Every number comes from
 
     python scripts/validate_vehicle.py
 
-which flies everything again and takes some minutes on two cores; with `--out docs` it writes this page and
-its figures. All flights follow from their seeds: the same sources give the same numbers.
+which flies everything again and takes some minutes on two cores; with `--out docs/results` it writes this
+page and its figures. All flights follow from their seeds: the same sources give the same numbers.
 """
 PAGE = Page(file_name="validation.md", title="Validation of one vehicle", introduction=INTRODUCTION)
 

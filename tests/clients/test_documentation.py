@@ -1,4 +1,4 @@
-"""The code blocks of docs/ground-control.md run as they stand there, but for the ports."""
+"""The code blocks of docs/how-to/ground-control.md run as they stand there, but for the ports."""
 
 import re
 import subprocess
@@ -11,7 +11,9 @@ pytestmark = [pytest.mark.clients, pytest.mark.timeout(200)]
 
 
 def test_the_blocks_of_the_ground_stations_page(hold, tmp_path) -> None:
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "ground-control.md").read_text(), re.DOTALL)
+    blocks = re.findall(
+        r"```python\n(.*?)```", (ROOT / "docs" / "how-to" / "ground-control.md").read_text(), re.DOTALL
+    )
     assert len(blocks) == 2
     swarm = hold()
     # the last first: it flies a vehicle that waits, and the formation is released afterwards

@@ -19,7 +19,9 @@ from netsim.wire.messages import Delivery, FtmResult, Sent
 pytestmark = pytest.mark.multiprocess
 
 PROGRAMS = re.findall(
-    r"<!-- the tests run it -->\n```python\n(.*?)```", (ROOT / "docs/radio-api.md").read_text(), re.DOTALL
+    r"<!-- the tests run it -->\n```python\n(.*?)```",
+    (ROOT / "docs/reference/radio-api.md").read_text(),
+    re.DOTALL,
 )
 DEADLINE_S = 120.0
 """Of a whole process: the longest test has 17 MB cross the air, which is 30 s of it on an idle machine."""

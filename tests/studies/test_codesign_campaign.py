@@ -229,7 +229,7 @@ def test_a_second_run_flies_nothing_and_writes_the_same_page(tmp_path, no_flying
     assert first.exit_code == MISSED, first.output
     assert len(no_flying) == 4 * 10
     page = (tmp_path / "docs" / "codesign-results.md").read_text()
-    assert "    python scripts/experiment_codesign.py --only baselines --out docs\n" in page
+    assert "    python scripts/experiment_codesign.py --only baselines --out docs/results\n" in page
     assert "| FTM over the emulated channel | 0.200 (0.200 to 0.200) |" in page
     assert "- ftm-8-5n, seed 2: SwarmError: lost" in page
     assert "from 39 flights" in page

@@ -6,11 +6,11 @@ from paths import ROOT
 from autopilot.parameters.parameter_docs import markdown, meaning
 from autopilot.parameters.table import TABLE
 
-PAGE = ROOT / "docs" / "parameters.md"
+PAGE = ROOT / "docs" / "reference" / "parameters.md"
 
 
 def test_the_page_is_the_one_that_the_script_makes():
-    assert PAGE.read_text() == markdown(), "run scripts/list_parameters.py > docs/parameters.md"
+    assert PAGE.read_text() == markdown(), "run scripts/list_parameters.py > docs/reference/parameters.md"
 
 
 @pytest.mark.parametrize("parameter", TABLE, ids=[parameter.name for parameter in TABLE])

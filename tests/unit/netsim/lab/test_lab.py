@@ -1,4 +1,4 @@
-"""The emulator alone against ns-3's runs and theory; docs/radio.md has the whole of it."""
+"""The emulator alone against ns-3's runs and theory; docs/concepts/radio.md has the whole of it."""
 
 import csv
 import json
