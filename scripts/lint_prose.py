@@ -5,6 +5,7 @@ words. All tracked text files are checked without arguments; a justified excepti
 """
 
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -25,7 +26,8 @@ EXCEPTIONS: dict[str, str] = {
 
 def tracked() -> list[Path]:
     """Return the paths of all tracked files of the checkout."""
-    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True)  # noqa: S607
+    git = shutil.which("git") or "git"
+    listed = subprocess.run([git, "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True)
     return [ROOT / name for name in listed.stdout.split("\0") if name]
 
 
