@@ -49,7 +49,8 @@ def main(arguments: list[str]) -> int:
     named = [Path(argument) for argument in arguments]
     paths = [file for path in named for file in (sorted(path.rglob("*")) if path.is_dir() else [path])]
     found = [line for path in paths or tracked() if path.is_file() for line in findings(path)]
-    print(*found, sep="\n" if found else "")
+    for line in found:
+        print(line)
     return 1 if found else 0
 
 
