@@ -134,9 +134,7 @@ class InitialisationProblem:
                 return kept
             joining = kept
 
-    def _faulty_initiator(
-        self, usable: list[Range], joining: Flags, badly: Array, enough: int
-    ) -> int | None:
+    def _faulty_initiator(self, usable: list[Range], joining: Flags, badly: Array, enough: int) -> int | None:
         """Return the UAV that measures wrongly; None if there is none.
 
         Without its own distances all others of it fit, and nearly none of its own fits that solution.
@@ -151,7 +149,11 @@ class InitialisationProblem:
             left = badly_fitting(batch, solution.weights, len(joining))[:, 0]
             own = [item for item in usable if item.initiator == suspect and members[item.responder]]
             misfits = [not self._weight(item, solution) >= AGREE_WEIGHT for item in own]
-            if left[suspect] <= AGREE_LIMIT and sum(misfits) >= FAULTY_SHARE * len(misfits) and left.sum() < least:
+            if (
+                left[suspect] <= AGREE_LIMIT
+                and sum(misfits) >= FAULTY_SHARE * len(misfits)
+                and left.sum() < least
+            ):
                 found, least = suspect, float(left.sum())
         return found
 
@@ -203,7 +205,9 @@ class InitialisationProblem:
             for item, weight in zip(batch, solution.weights, strict=True)
         ]
         # The UAVs need not be exactly at their places, so the weights of the solution are kept.
-        at_places = self._pass(in_place, self._prior_cov(solution.state, joining), weighed, WEIGHT_WIDTHS_M[0])
+        at_places = self._pass(
+            in_place, self._prior_cov(solution.state, joining), weighed, WEIGHT_WIDTHS_M[0]
+        )
         if shape_variance(laid_m, at_places.cov, np.flatnonzero(members)) < SHAPE_KNOWN_M**2:
             return solution
         return Solution(solution.state, at_places.cov, solution.weights)

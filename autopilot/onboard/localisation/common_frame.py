@@ -57,7 +57,9 @@ class CommonFrame:
         self._table = table
         self._due_us = 0
 
-    def report_error(self, station: int, fix: Fix, localisation: CooperativeLocalisation, now_us: int) -> GpsError:
+    def report_error(
+        self, station: int, fix: Fix, localisation: CooperativeLocalisation, now_us: int
+    ) -> GpsError:
         """Return the error of the newest fix for the beacon, and store it as the receiving UAVs do."""
         error = self.error(fix, localisation)
         self._table.note_fix(station, fix, error, now_us)

@@ -61,7 +61,7 @@ CHECK_US = 3_000_000
 CHECK_LATEST_US = 5_000_000
 """Time after which a distance is measured again at the highest price; at the lowest it is `CHECK_US`."""
 CHECK_SPREAD = 0.25
-"""Each pair is checked earlier by an own share of `CHECK_US` up to this one; otherwise pairs that were
+"""Each pair is checked earlier by its own share of `CHECK_US` up to this one; otherwise pairs that were
 measured together at the beginning would stay synchronised."""
 UNKNOWN_PERIOD_US = 500_000
 _CHECK_NATS_US = MOST_PRICE_NATS / (CHECK_LATEST_US - CHECK_US)

@@ -129,9 +129,7 @@ class Traffic:
         if self._slot_us is None:
             self._slot_us = now_us + next(self._draws) * self._period_us
             self._beacon_us = int(self._slot_us)
-        if (
-            now_us - self._slot_us > WAIT_US
-        ):  # the clock has jumped: the beacons in between count as lost
+        if now_us - self._slot_us > WAIT_US:  # the clock has jumped: the beacons in between count as lost
             missed = (now_us - self._slot_us) // self._period_us
             self._beacon_seq = (self._beacon_seq + int(missed)) % wire.SEQ_MODULUS
             self._slot_us += missed * self._period_us

@@ -275,18 +275,18 @@ ABREAST_NED_M = np.array([[0.0, -13.0, -10.0], [0.0, 13.0, -10.0]])
     [
         # outside of a right turn: (v / R)^2 (R + d) = 3.0 m/s^2 at v = sqrt(3 * 625 / 38) = 7.02 m/s
         (RacetrackMotion(speed_m_s=7.0), 13.0, None),
-        (RacetrackMotion(speed_m_s=7.1), 13.0, "UAV 0, 13.0 m off the centre, would come to 3.1 m/s^2"),
+        (RacetrackMotion(speed_m_s=7.1), 13.0, "UAV 0, 13.0 m off the centre, would reach 3.1 m/s^2"),
         (RacetrackMotion(speed_m_s=7.1, side="left"), 13.0, "radius_m: UAV 1, 13.0 m off"),
         # with its heading fixed each UAV flies the centre's turn: sqrt(3 * 25) = 8.66 m/s
         (RacetrackMotion(speed_m_s=8.6, heading="fixed"), 13.0, None),
         (
             RacetrackMotion(speed_m_s=8.7, heading="fixed"),
             13.0,
-            "radius_m: 8.7 m/s in a turn of 25 m is more",
+            "radius_m: 8.7 m/s in a turn of 25 m needs more",
         ),
         # v (1 + d / R): 19.5 and 20.1 m/s
         (RacetrackMotion(speed_m_s=9.0, radius_m=100.0), 30.0, None),
-        (RacetrackMotion(speed_m_s=9.0, radius_m=100.0), 34.0, "would come to 12.1 m/s in a turn of 100 m"),
+        (RacetrackMotion(speed_m_s=9.0, radius_m=100.0), 34.0, "would reach 12.1 m/s in a turn of 100 m"),
         # the inner one goes backwards: it may
         (RacetrackMotion(speed_m_s=2.0, radius_m=10.0), 13.0, None),
         (RacetrackMotion(speed_m_s=1.0, radius_m=1e-300), 13.0, "radius_m: 1 m/s in a turn of 1e-300 m"),
