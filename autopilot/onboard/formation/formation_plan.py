@@ -25,8 +25,8 @@ SPEED_MAX_M_S = 12.0
 """Limit for every UAV: MPC_XY_VEL_MAX."""
 EASE_RADII = math.pi / 2
 """Length over which a turn's curvature rises, and over which it falls, in radii of its tightest part. The
-tangential acceleration of a UAV beside the centre is then at most its centripetal one in the tightest
-part."""
+tangential acceleration of a UAV beside the centre is then at most the centripetal acceleration of its
+rotation about the centre in the tightest part."""
 SPEED_UP_MAX_S = 3600.0
 TURN_INTERVALS = 256
 """Intervals in the table of a half turn; the error of cubic interpolation is about 1e-9 radii."""
