@@ -166,7 +166,7 @@ def test_overrides_take_numbers_strings_words_and_new_tables():
         ),
         (
             'formation.motion={kind="racetrack", speed_m_s=7.5}',
-            "formation.motion.radius_m: UAV 0, 12.8 m off the centre, would come to 3.4 m/s^2 in a turn of",
+            "formation.motion.radius_m: UAV 0, 12.8 m off the centre, would reach 3.4 m/s^2 in a turn of",
         ),
         (
             'formation.motion={kind="track", length_m=inf}',
