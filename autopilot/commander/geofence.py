@@ -269,7 +269,7 @@ def _breach(worst: _Margin | None) -> Breach | None:
 
 def _require_place(lat_deg: float, lon_deg: float, what: str) -> None:
     if not (isfinite(lat_deg) and isfinite(lon_deg) and abs(lat_deg) <= 90.0 and abs(lon_deg) <= 180.0):
-        raise ValueError(f"a fence's {what}: {lat_deg:g}, {lon_deg:g} is no latitude and longitude")
+        raise ValueError(f"a fence's {what}: {lat_deg:g}, {lon_deg:g} is not a valid latitude and longitude")
 
 
 # ---- shapes in the plane

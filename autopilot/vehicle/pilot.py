@@ -11,7 +11,7 @@ from autopilot.commander.geofence import Geofence, Origin
 from autopilot.commander.land_detector import LandDetector, LandStage
 from autopilot.control import FlightController
 from autopilot.mavlink.modes import FlightMode
-from autopilot.navigation.feasibility import distance_warning, fence_trouble
+from autopilot.navigation.feasibility import distance_warning, fence_violation
 from autopilot.navigation.orbit import Circle, YawBehaviour
 from autopilot.navigation.plan_store import PlanStore, PlanType
 from autopilot.navigation.setpoints import IDLE, ON_GROUND_M, Navigator, down_demand_m_s
@@ -51,7 +51,7 @@ class Pilot:
         flight.attitude_setpoint = lambda: self.controller.attitude_setpoint
         self.mission_valid = False
         """There is a mission that may be flown."""
-        self.mission_trouble: str | None = None
+        self.mission_fault: str | None = None
         """Why the mission that there is may not be flown."""
         self.warnings: list[str] = []
         """What is to be said of the mission, for whoever says it and takes it away."""
@@ -208,7 +208,7 @@ class Pilot:
             plan = plans[PlanType.MISSION]
             start = plan.start if plan.start < len(plan.items) else 0
             self.navigator.mission.load(plan.made.mission, start=start)
-            self.mission_trouble = self._mission_warning = None
+            self.mission_fault = self._mission_warning = None
         if kinds != {PlanType.RALLY}:
             self._check_mission(flown=True)
 
@@ -218,7 +218,7 @@ class Pilot:
         mode = self._flight.commander.mode
         if mode is FlightMode.OFFBOARD:
             return None  # it ends when somebody says so
-        if mode is FlightMode.MISSION and self.mission_trouble is not None:
+        if mode is FlightMode.MISSION and self.mission_fault is not None:
             return FlightMode.HOLD
         return self.navigator.next_mode(self._flight.state)
 
@@ -384,21 +384,21 @@ class Pilot:
         )
         if commander.mode is FlightMode.MISSION and commander.armed and not self.landed and not flown:
             return
-        trouble = warning = None
+        violation = warning = None
         if mission is not None and home is not None:
-            trouble = fence_trouble(mission, self._geofence, home_ned_m=home.pos_ned_m, origin=self._origin())
+            violation = fence_violation(mission, self._geofence, home_ned_m=home.pos_ned_m, origin=self._origin())
             warning = distance_warning(
                 mission,
                 home_lat_deg=home.lat_deg,
                 home_lon_deg=home.lon_deg,
                 max_m=self._settings.navigation.first_place_max_m,
             )
-        if trouble is not None and trouble != self.mission_trouble:
-            self.warnings.append(f"Mission rejected: {trouble}")
+        if violation is not None and violation != self.mission_fault:
+            self.warnings.append(f"Mission rejected: {violation}")
         if warning is not None and warning != self._mission_warning:
             self.warnings.append(warning)
-        self.mission_trouble, self._mission_warning = trouble, warning
-        self.mission_valid = mission is not None and trouble is None
+        self.mission_fault, self._mission_warning = violation, warning
+        self.mission_valid = mission is not None and violation is None
 
     def _here(self) -> Home:
         state = self._flight.state

@@ -123,7 +123,7 @@ def test_a_rally_point_keeps_what_its_height_counts_from():
         (MISSION, (WAYPOINT, item(178, 2.0, 3.0)), common.MAV_MISSION_INVALID_PARAM1, 1, "param1 2"),
         (MISSION, (WAYPOINT, item(177, 1.0, -1.0)), common.MAV_MISSION_INVALID, 0, "1 (JUMP): goes round"),
         (MISSION, (item(2000),), common.MAV_MISSION_INVALID, 0, "nothing to fly"),
-        (FENCE, (WAYPOINT,), common.MAV_MISSION_UNSUPPORTED, 0, "NAV_WAYPOINT is nothing of a fence"),
+        (FENCE, (WAYPOINT,), common.MAV_MISSION_UNSUPPORTED, 0, "NAV_WAYPOINT is not a fence item"),
         (FENCE, (item(CIRCLE, 0.0),), common.MAV_MISSION_INVALID_PARAM1, 0, "radius"),
         (FENCE, (item(CIRCLE, 5.0, frame=1),), common.MAV_MISSION_UNSUPPORTED_FRAME, 0, "frame 1"),
         (FENCE, SQUARE[:3], common.MAV_MISSION_INVALID_PARAM1, 0, "polygon of 4 vertices, 3 items"),
