@@ -177,7 +177,7 @@ def test_a_long_list_of_jumps_is_checked_in_time_that_grows_with_its_length():
     runner.load(mission)
     runner.settle()
     assert runner.current == 5001
-    with pytest.raises(MissionError, match=r"item 0 \(JUMP\): goes round"):
+    with pytest.raises(MissionError, match=r"item 0 \(JUMP\): loops without"):
         make_mission([*[jump(0, 1)] * 5000, WAYPOINT])
 
 

@@ -158,7 +158,7 @@ def changed(**fields):
     ("file", "words"),
     [
         ("{", "not JSON"),
-        ('{"fileType": NaN}', "NaN is no number"),
+        ('{"fileType": NaN}', "NaN is not a number"),
         ([], "plan: expected an object"),
         (changed(fileType="Mission"), '"fileType" must be "Plan"'),
         (changed(version=2), '"version" 1'),
