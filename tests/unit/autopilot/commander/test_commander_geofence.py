@@ -390,8 +390,8 @@ def test_borders_that_touch_are_told_from_borders_in_one_line(vertices_m, simple
 @pytest.mark.parametrize(
     ("fields", "reason"),
     [
-        ({"lat_deg": 91.0}, "a fence's centre: 91, 8 is no latitude and longitude"),
-        ({"lon_deg": float("nan")}, "a fence's centre: 47, nan is no latitude and longitude"),
+        ({"lat_deg": 91.0}, "a fence's centre: 91, 8 is not a valid latitude and longitude"),
+        ({"lon_deg": float("nan")}, "a fence's centre: 47, nan is not a valid latitude and longitude"),
         ({"radius_m": 0.0}, "a fence's radius of 0 m is outside 0 .. 100000 m"),
         ({"radius_m": float("nan")}, "a fence's radius of nan m is outside 0 .. 100000 m"),
         ({"radius_m": 1e9}, "a fence's radius of 1e+09 m is outside 0 .. 100000 m"),

@@ -12,7 +12,7 @@ from autopilot.control.disturbance import THRUST, DisturbanceObserver
 from autopilot.control.hover_thrust import GRAVITY_M_S2, HoverThrustEstimator
 from autopilot.control.params import DisturbanceParams, HoverThrustParams, PositionParams
 from autopilot.control.position import PositionController
-from autopilot.control.takeoff import TakeoffPhase, TakeoffRamp, wants_climb
+from autopilot.control.takeoff import TakeoffPhase, TakeoffRamp, demands_climb
 from foundation.geometry.rotations import quat_from_euler, quat_rotate, quat_to_euler
 from foundation.types import TrajectorySetpoint
 
@@ -231,33 +231,33 @@ def test_observer_knows_the_motors_lag_and_bounds_a_bump():
 def test_take_off_timeline():
     ramp = TakeoffRamp(P)
     step = {"landed": True, "dt_s": 0.1}
-    assert ramp.update(wants_climb=False, **step) is TakeoffPhase.GROUND
-    assert ramp.update(wants_climb=True, **step) is TakeoffPhase.RAMP
+    assert ramp.update(demands_climb=False, **step) is TakeoffPhase.GROUND
+    assert ramp.update(demands_climb=True, **step) is TakeoffPhase.RAMP
     limits = []
     for _ in range(30):  # 3 s
-        assert ramp.update(wants_climb=True, **step) is TakeoffPhase.RAMP
+        assert ramp.update(demands_climb=True, **step) is TakeoffPhase.RAMP
         limits.append(ramp.climb_max_m_s)
     assert limits[0] < -2.0  # no thrust yet
     assert np.all(np.diff(limits) > 0.0)
     assert limits[-1] == pytest.approx(P.tko_speed_m_s)
-    assert ramp.update(landed=False, wants_climb=False, dt_s=0.1) is TakeoffPhase.FLYING
+    assert ramp.update(landed=False, demands_climb=False, dt_s=0.1) is TakeoffPhase.FLYING
     assert ramp.climb_max_m_s == math.inf
-    assert ramp.update(wants_climb=False, **step) is TakeoffPhase.GROUND
+    assert ramp.update(demands_climb=False, **step) is TakeoffPhase.GROUND
 
 
 def test_take_off_given_up_and_start_in_the_air():
     ramp = TakeoffRamp(P)
-    ramp.update(landed=True, wants_climb=True, dt_s=0.1)
-    assert ramp.update(landed=True, wants_climb=False, dt_s=0.1) is TakeoffPhase.GROUND
-    assert ramp.update(landed=False, wants_climb=False, dt_s=0.1) is TakeoffPhase.FLYING
+    ramp.update(landed=True, demands_climb=True, dt_s=0.1)
+    assert ramp.update(landed=True, demands_climb=False, dt_s=0.1) is TakeoffPhase.GROUND
+    assert ramp.update(landed=False, demands_climb=False, dt_s=0.1) is TakeoffPhase.FLYING
 
 
 def test_what_counts_as_a_wish_to_climb():
     up = np.array((0.0, 0.0, -5.0))
     state = estimate()
-    assert wants_climb(state, TrajectorySetpoint(pos_ned_m=up))
-    assert wants_climb(state, TrajectorySetpoint(vel_ned_m_s=up))
-    assert wants_climb(state, TrajectorySetpoint(acc_ned_m_s2=up))
-    assert not wants_climb(state, TrajectorySetpoint(pos_ned_m=-up))
-    assert not wants_climb(state, TrajectorySetpoint(pos_ned_m=up, pos_axes=(True, True, False)))
-    assert not wants_climb(state, TrajectorySetpoint())
+    assert demands_climb(state, TrajectorySetpoint(pos_ned_m=up))
+    assert demands_climb(state, TrajectorySetpoint(vel_ned_m_s=up))
+    assert demands_climb(state, TrajectorySetpoint(acc_ned_m_s2=up))
+    assert not demands_climb(state, TrajectorySetpoint(pos_ned_m=-up))
+    assert not demands_climb(state, TrajectorySetpoint(pos_ned_m=up, pos_axes=(True, True, False)))
+    assert not demands_climb(state, TrajectorySetpoint())

@@ -168,7 +168,7 @@ def test_hover_thrust_follows_a_new_start_until_it_has_learned():
 def test_the_take_off_ramp_goes_on_where_it_was():
     """Half-way through 3 s the new limit lies half-way between the new start and the new end."""
     ramp = TakeoffRamp(PARAMS.position)
-    step = {"landed": True, "wants_climb": True, "dt_s": 0.1}
+    step = {"landed": True, "demands_climb": True, "dt_s": 0.1}
     ramp.update(**step)
     for _ in range(14):
         ramp.update(**step)

@@ -89,7 +89,7 @@ def test_force_far_from_gravity_tells_nothing_of_the_tilt():
     # 15.5 m/s^2 is 58 % over gravity; until the low pass (0.5 s) is there it believed a little of it
     assert 2.0 * np.degrees(np.arccos(tilt[0])) < 5.0
     # and the velocity felt is all of it: 2 s x 12 m/s^2
-    assert tilt[yaw_gsf.FELT] == pytest.approx(24.0, rel=0.05)
+    assert tilt[yaw_gsf.DELTA_VEL] == pytest.approx(24.0, rel=0.05)
 
 
 def test_azimuth_is_the_turn_between_two_attitudes_of_the_same_tilt():

@@ -13,7 +13,7 @@ from autopilot.commander.geofence import (
     GeofenceParams,
     Origin,
 )
-from autopilot.navigation.feasibility import distance_warning, fence_trouble
+from autopilot.navigation.feasibility import distance_warning, fence_violation
 from autopilot.navigation.mission import HeightFrame, MissionCommand, MissionItem, make_mission
 
 LOCAL = Origin(*ORIGIN.values())
@@ -33,7 +33,7 @@ def polygon(*corners, inclusion=True):
 
 def trouble(items, *shapes, home_ned_m=HOME, **params):
     fence = Geofence(GeofenceParams(**params), shapes)
-    return fence_trouble(make_mission(items), fence, home_ned_m=home_ned_m, origin=LOCAL)
+    return fence_violation(make_mission(items), fence, home_ned_m=home_ned_m, origin=LOCAL)
 
 
 SPEED = MissionItem(command=MissionCommand.CHANGE_SPEED, speed_m_s=3.0)
@@ -81,7 +81,7 @@ def test_places_are_judged_as_the_vehicle_is_there():
     fence = Geofence(GeofenceParams(max_vertical_m=40.0, max_horizontal_m=70.0), shapes)
     for north_m, east_m, height_m in rng.uniform((-90.0, -90.0, 0.0), (90.0, 90.0, 50.0), (300, 3)).tolist():
         beyond = fence.check((north_m, east_m, HOME[2] - height_m), HOME, LOCAL) is not None
-        said = fence_trouble(
+        said = fence_violation(
             make_mission([at(north_m, east_m, height_m)]), fence, home_ned_m=HOME, origin=LOCAL
         )
         assert (said is not None) is beyond

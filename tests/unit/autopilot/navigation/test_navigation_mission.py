@@ -75,8 +75,8 @@ def test_a_place_in_metres_of_the_site_comes_back_from_the_globe(north_m, east_m
     [
         ((), "the mission is empty"),
         ((speed(3.0),), "nothing to fly"),
-        ((MissionItem(command=MissionCommand.WAYPOINT),), r"item 0 \(WAYPOINT\): it has no place"),
-        ((WAYPOINT, MissionItem(command=MissionCommand.LAND, lat_deg=1.0)), "item 1 .*come together"),
+        ((MissionItem(command=MissionCommand.WAYPOINT),), r"item 0 \(WAYPOINT\): it has no position"),
+        ((WAYPOINT, MissionItem(command=MissionCommand.LAND, lat_deg=1.0)), "item 1 .*must be given together"),
         ((at(0.0, 0.0, math.nan),), "height nan is outside"),
         ((at(0.0, 0.0, 5.0, hold_s=math.nan),), "hold time nan is outside"),
         ((at(0.0, 0.0, 5.0, acceptance_m=-1.0),), "acceptance radius -1 is outside"),
@@ -94,9 +94,9 @@ def test_a_place_in_metres_of_the_site_comes_back_from_the_globe(north_m, east_m
         ((WAYPOINT, jump(2)), r"item 1 \(JUMP\): it jumps to 2, but the items are 0 .. 1"),
         ((WAYPOINT, jump(-1)), "it jumps to -1"),
         ((WAYPOINT, jump(0, -2)), "jump count -2 is below -1"),
-        ((WAYPOINT, jump(1, -1)), r"item 1 \(JUMP\): goes round in a circle"),
-        ((WAYPOINT, speed(3.0), jump(1, 5)), r"item 2 \(JUMP\): goes round in a circle"),
-        ((WAYPOINT, jump(3, -1), WAYPOINT, jump(1, -1)), "goes round in a circle"),
+        ((WAYPOINT, jump(1, -1)), r"item 1 \(JUMP\): loops without anything"),
+        ((WAYPOINT, speed(3.0), jump(1, 5)), r"item 2 \(JUMP\): loops without anything"),
+        ((WAYPOINT, jump(3, -1), WAYPOINT, jump(1, -1)), "loops without anything"),
     ],
 )
 def test_a_wrong_mission_is_refused_with_its_first_reason(items, reason):
@@ -177,7 +177,7 @@ def test_a_long_list_of_jumps_is_checked_in_time_that_grows_with_its_length():
     runner.load(mission)
     runner.settle()
     assert runner.current == 5001
-    with pytest.raises(MissionError, match=r"item 0 \(JUMP\): goes round"):
+    with pytest.raises(MissionError, match=r"item 0 \(JUMP\): loops without"):
         make_mission([*[jump(0, 1)] * 5000, WAYPOINT])
 
 

@@ -161,7 +161,7 @@ def test_in_a_pause_parameters_are_saved_and_it_is_told_at_once(tmp_path):
     with saving_host(path) as host:
         assert results(host.serve_while_paused([Addressed(ME, save())])) == [IN_PROGRESS, ACCEPTED]
         assert path.exists()
-        assert not host.vehicle.messaging.take_save_wanted()
+        assert not host.vehicle.messaging.take_save_request()
 
 
 def test_what_is_asked_before_the_first_step_is_answered_in_it_and_does_not_pile_up(host):

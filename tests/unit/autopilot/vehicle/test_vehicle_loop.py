@@ -80,7 +80,7 @@ def test_before_its_time_there_is_nothing_to_look_at_but_the_sample():
 
             return watching
 
-        parts = (vehicle, "_look_around"), (vehicle, "_run_app"), (vehicle.messaging, "on_timer")
+        parts = (vehicle, "_update_inputs"), (vehicle, "_run_app"), (vehicle.messaging, "on_timer")
         for owner, name in parts:
             setattr(owner, name, watched(getattr(owner, name)))
         due_us = []
