@@ -20,7 +20,7 @@ FAILING = """
     from foundation.kernels.warm_up import WarmUpError
 
     def warm_up():
-        raise WarmUpError("the vehicles of the rehearsal did not get on their way")
+        raise WarmUpError("the vehicles of the warm-up did not reach phase JOINING")
 
     prefork_server.warm_up = warm_up
     sys.exit(prefork_server.main())
@@ -64,4 +64,4 @@ def test_a_rehearsal_that_fails_is_one_line(supervisor: Supervisor) -> None:
     exited = hear(supervisor, Exited, PREFORK)
     assert isinstance(exited, Exited)
     assert exited.returncode == 2
-    assert exited.log_tail == "prefork: the vehicles of the rehearsal did not get on their way"
+    assert exited.log_tail == "prefork: the vehicles of the warm-up did not reach phase JOINING"

@@ -127,7 +127,7 @@ def test_a_calibration_fails_in_motion_and_can_be_cancelled():
 def test_there_is_no_calibration_armed_nor_of_what_needs_hands():
     vehicle = Commanded()
     result, (text,) = vehicle.long(common.MAV_CMD_PREFLIGHT_CALIBRATION, 0.0, 1.0)
-    assert (result, text.text) == (DENIED, "Calibration denied: nobody here can turn the vehicle")
+    assert (result, text.text) == (DENIED, "Calibration denied: the vehicle cannot be turned by hand")
     vehicle.long(common.MAV_CMD_PREFLIGHT_CALIBRATION, 1.0)
     vehicle.long(ARM, 1.0)
     ((_, message),) = vehicle.calibration.on_timer(vehicle.calibration.next_deadline_us())

@@ -6,7 +6,7 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import frame_bytes
 from autopilot.parameters.config import LinksConfig, OnboardConfig, VehicleConfig
-from autopilot.services.service import COMPANION, EVERYBODY, GROUND_STATION, Addressed, Partner
+from autopilot.services.service import BROADCAST, COMPANION, GROUND_STATION, Addressed, Partner
 from autopilot.services.shaper import BURST_US, MAX_WAITING, TRANSFER_SHARE, Shaper, Shapers
 from studies.vehicle.solo import STEP_US, Solo
 
@@ -135,7 +135,7 @@ def test_each_link_has_its_own_budget():
         assert sizes(of_link) == pytest.approx(BUDGET, rel=0.05)
     assert not shapers.has_room(ASKER)
     assert shapers.has_room(Partner(COMPANION, 0))
-    assert shapers.has_room(Partner(EVERYBODY))
+    assert shapers.has_room(Partner(BROADCAST))
 
 
 def vehicle(bandwidth_bytes_s):

@@ -15,7 +15,7 @@ from autopilot.mavlink import signing
 from autopilot.mavlink.codec import Encoder, Parser, Sequences
 from autopilot.mavlink.codec import signed as sign_frame
 from autopilot.mavlink.counters import Counters
-from autopilot.mavlink.links import EVERYBODY, UdpLink
+from autopilot.mavlink.links import BROADCAST, UdpLink
 from autopilot.mavlink.signing import (
     KEY_BYTES,
     MAX_STREAMS,
@@ -150,7 +150,7 @@ def test_streams_are_bounded_and_those_a_minute_old_make_room():
 
 def test_what_one_port_of_a_vehicle_has_heard_no_other_takes():
     heard = SigningStreams()
-    ports = [Signer(KEY, link_id=i, heard=heard) for i in range(2)]
+    ports = [Signer(KEY, link_id=i, received=heard) for i in range(2)]
     frames = [signed(now=NOW + i) for i in range(4)]
     assert ports[0].judge(frames[1], NOW) is SignatureVerdict.GOOD
     assert [ports[1].judge(frame, NOW) for frame in frames[:2]] == [SignatureVerdict.REPLAYED] * 2
@@ -220,7 +220,7 @@ def test_a_link_with_a_key_hears_and_answers_only_signed_partners():
             heard = link.receive()
         assert [message.command for _, message in heard] == [400]
         assert link.counters == Counters(unsigned=1, signature_bad=1)
-        link.send([(EVERYBODY, command())])
+        link.send([(BROADCAST, command())])
         answer = oracle(now=clock).decode(bytearray(ground.recv(2048)))
         assert answer.get_signed()
         assert not select.select([stranger], [], [], 0.0)[0]

@@ -122,11 +122,11 @@ def test_a_change_goes_out_with_the_next_step_and_then_at_the_rate():
 def test_a_builder_that_comes_later_is_found():
     builders = {}
     streams = MessageStreams(builders, {ATTITUDE: 50.0})
-    assert not streams.knows(ATTITUDE)
+    assert not streams.is_supported(ATTITUDE)
     assert streams.interval_us(ATTITUDE) == 0
     assert count_streams(streams, 1_000_000) == {}
     builders |= dummy_builders({ATTITUDE: 50.0})
-    assert streams.knows(ATTITUDE)
+    assert streams.is_supported(ATTITUDE)
     assert [message.get_msgId() for message in streams.on_timer(1_000_000)] == [ATTITUDE]
 
 

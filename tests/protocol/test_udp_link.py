@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common
 
 from autopilot.mavlink.codec import Encoder, Parser
 from autopilot.mavlink.links import (
-    EVERYBODY,
+    BROADCAST,
     MAX_BYTES_PER_CALL,
     MAX_DATAGRAM_BYTES,
     MAX_DATAGRAMS_PER_CALL,
@@ -59,7 +59,7 @@ def test_the_default_partner_is_spoken_to_first_and_counts_as_listening(sockets)
     ground = partner(sockets)
     link = link_to(sockets, ground.getsockname()[1])
     assert not link.active
-    link.send([(EVERYBODY, heartbeat())])
+    link.send([(BROADCAST, heartbeat())])
     assert link.active
     data, address = ground.recvfrom(2048)
     assert address == ("127.0.0.1", link.local_port)
@@ -72,41 +72,41 @@ def test_nobody_at_the_default_port_is_no_error_and_is_noticed(sockets):
     ground.close()
     link = link_to(sockets, port)
     for _ in range(5):
-        link.send([(EVERYBODY, heartbeat())])
+        link.send([(BROADCAST, heartbeat())])
         assert link.receive() == []
         assert not link.active
     late = sockets.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
     late.settimeout(DEADLINE_S)
     late.bind(("127.0.0.1", port))
-    link.send([(EVERYBODY, heartbeat())])
+    link.send([(BROADCAST, heartbeat())])
     assert link.active
     assert late.recvfrom(2048)
 
 
 def test_whoever_speaks_is_answered_until_it_closes(sockets):
     link = link_to(sockets, 0)
-    link.send([(EVERYBODY, heartbeat())])
+    link.send([(BROADCAST, heartbeat())])
     assert not link.active
     first, second = partner(sockets), partner(sockets)
     ((number, message),) = greet(first, link)
     assert number == 0
     assert message.get_srcSystem() == 255
     greet(second, link)
-    link.send([(EVERYBODY, heartbeat())])
+    link.send([(BROADCAST, heartbeat())])
     assert first.recvfrom(2048)[0] == second.recvfrom(2048)[0]
     first.close()
-    link.send([(EVERYBODY, heartbeat())])  # refused by the one, and not lost for the other
+    link.send([(BROADCAST, heartbeat())])  # refused by the one, and not lost for the other
     assert second.recvfrom(2048)
     second.close()
-    link.send([(EVERYBODY, heartbeat())])
-    link.send([(EVERYBODY, heartbeat())])
+    link.send([(BROADCAST, heartbeat())])
+    link.send([(BROADCAST, heartbeat())])
     assert not link.active
 
 
 def test_a_step_goes_out_in_few_datagrams(sockets):
     ground = partner(sockets)
     link = link_to(sockets, ground.getsockname()[1])
-    link.send([(EVERYBODY, heartbeat()) for _ in range(200)])
+    link.send([(BROADCAST, heartbeat()) for _ in range(200)])
     sizes, heard = [], 0
     while heard < 200:
         data = ground.recvfrom(4096)[0]
@@ -127,7 +127,7 @@ def test_partners_are_bounded_and_garbage_makes_none(sockets):
     partners = [partner(sockets) for _ in range(MAX_PARTNERS + 1)]
     for sock in partners:
         greet(sock, link)
-    link.send([(EVERYBODY, heartbeat())])
+    link.send([(BROADCAST, heartbeat())])
     for sock in partners[1:]:
         assert sock.recvfrom(2048)
     assert not select.select([partners[0]], [], [], 0.0)[0]
@@ -152,12 +152,12 @@ def test_every_partner_counts_what_it_is_sent(sockets):
     numbers = [greet(sock, link)[0][0] for sock in socks]
     expected = [0] * len(socks)
     for step in range(300):
-        to = numbers[step % 3] if step % 2 else EVERYBODY
-        link.send([(to, heartbeat()), (EVERYBODY, heartbeat())])
+        to = numbers[step % 3] if step % 2 else BROADCAST
+        link.send([(to, heartbeat()), (BROADCAST, heartbeat())])
         for i, sock in enumerate(socks):
             heard = [message.get_seq() for message in Parser().push_datagram(sock.recv(2048))]
             assert heard == [
-                (expected[i] + k) % 256 for k in range(1 if to not in {EVERYBODY, numbers[i]} else 2)
+                (expected[i] + k) % 256 for k in range(1 if to not in {BROADCAST, numbers[i]} else 2)
             ]
             expected[i] += len(heard)
 
@@ -200,7 +200,7 @@ def test_what_is_for_one_partner_reaches_it_alone(sockets):
     numbers = [number for sock in (first, second) for number, _ in greet(sock, link)]
     assert numbers == [0, 1]
     for_second = common.MAVLink_command_ack_message(400, 0)
-    link.send([(1, for_second), (EVERYBODY, heartbeat()), (7, for_second)])
+    link.send([(1, for_second), (BROADCAST, heartbeat()), (7, for_second)])
     kinds = [[m.get_type() for m in Parser().push_datagram(sock.recv(2048))] for sock in (first, second)]
     assert kinds == [["HEARTBEAT"], ["COMMAND_ACK", "HEARTBEAT"]]
     assert [number for number, _ in greet(first, link)] == [0]

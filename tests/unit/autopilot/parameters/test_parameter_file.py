@@ -120,16 +120,16 @@ class Wrong:
 
 WRONG = (
     Wrong("1\t1\tMPC_XY_P\t0.5\n", "4 fields, not 5: vehicle, component, name, value, type"),
-    Wrong(line("MPC_XY_P", "0,5"), "MPC_XY_P: '0,5' is no number"),
-    Wrong(line("MPC_XY_P", "nan"), "MPC_XY_P: 'nan' is no number"),
+    Wrong(line("MPC_XY_P", "0,5"), "MPC_XY_P: '0,5' is not a number"),
+    Wrong(line("MPC_XY_P", "nan"), "MPC_XY_P: 'nan' is not a number"),
     Wrong(line("MPC_XY_P", "1e999"), "parameter MPC_XY_P = inf is outside 0 .. 2 1/s"),
     Wrong(line("MPC_XY_P", "3"), "parameter MPC_XY_P = 3 is outside 0 .. 2 1/s"),
-    Wrong(line("MPC_XY_P", "1_0"), "MPC_XY_P: '1_0' is no number"),
+    Wrong(line("MPC_XY_P", "1_0"), "MPC_XY_P: '1_0' is not a number"),
     Wrong(line("MPC_XY_P", "1", "11"), "MPC_XY_P: type '11' is neither 6 (INT32) nor 9 (REAL32)"),
-    Wrong(line("EKF2_REQ_NSATS", "6.0", "6"), "EKF2_REQ_NSATS: '6.0' is no whole number"),
+    Wrong(line("EKF2_REQ_NSATS", "6.0", "6"), "EKF2_REQ_NSATS: '6.0' is not an integer"),
     Wrong(line("EKF2_REQ_NSATS", "6.5"), "parameter EKF2_REQ_NSATS = 6.5 is not a whole number"),
-    Wrong("-1\t1\tMPC_XY_P\t1\t9\n", "'-1' is no vehicle id"),
-    Wrong("1\tx\tMPC_XY_P\t1\t9\n", "'x' is no component id"),
+    Wrong("-1\t1\tMPC_XY_P\t1\t9\n", "'-1' is not a vehicle id"),
+    Wrong("1\tx\tMPC_XY_P\t1\t9\n", "'x' is not a component id"),
     Wrong(line("MPC_Z_P", "1") + line("MPC_Z_P", "1"), "MPC_Z_P was set already in line 2"),
 )
 
@@ -181,7 +181,7 @@ def test_files_that_cannot_be_read_are_one_line(tmp_path):
     with pytest.raises(ParameterFileError, match="cannot be read: No such file"):
         load(tmp_path / "absent.params")
     (tmp_path / "binary.params").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ParameterFileError, match="cannot be read: it is no text"):
+    with pytest.raises(ParameterFileError, match="cannot be read: not UTF-8 text"):
         load(tmp_path / "binary.params")
 
 
