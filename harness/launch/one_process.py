@@ -88,7 +88,7 @@ class _Flight:
         radios = [InProcessRadio(self._emulator, config.instance) for config in vehicles]
         line = InProcessEmulatorLine(self._emulator, radios)
         period_us = physics.scenario.onboard.loop_period_us
-        air = EmulatorClient(line, period_us=period_us, free=bool(radio.radio.guests))
+        emulator = EmulatorClient(line, period_us=period_us, asynchronous=bool(radio.radio.guests))
 
         def meet(simulation: Simulation) -> InProcessVehicles:
             self.vehicles = InProcessVehicles(
@@ -97,7 +97,7 @@ class _Flight:
             return self.vehicles
 
         self._simulation = stack.enter_context(
-            contextlib.closing(Simulation(physics, meet=meet, air=air, emit=self._say))
+            contextlib.closing(Simulation(physics, meet=meet, emulator=emulator, emit=self._say))
         )
 
     def fly(self, inbox: "queue.SimpleQueue[AnyCommand]") -> None:
@@ -108,7 +108,7 @@ class _Flight:
             "time_us": simulation.time_us,
             "formed": simulation.formed,
             RADIO: {"counters": self._emulator.counters},
-            **{seat.host.name: seat.host.vehicle.troubles() for seat in self.vehicles.seats},
+            **{slot.host.name: slot.host.vehicle.troubles() for slot in self.vehicles.slots},
         }
         self._say(Finished(name=PHYSICS, details=details))
 
