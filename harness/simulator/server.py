@@ -331,9 +331,7 @@ def main() -> int:
     parser.add_argument(
         "--radio-endpoint", help="the emulator's Zenoh locator, for reports of applications beside PX4s"
     )
-    parser.add_argument(
-        "--supervised", action="store_true", help="accepted for uniformity: this server is always supervised"
-    )
+    parser.add_argument("--supervised", action="store_true", help="accepted for uniformity, no effect")
     arguments = parser.parse_args()
     try:
         config = msgspec.json.decode(arguments.config.read_bytes(), type=PhysicsConfig)
