@@ -179,7 +179,7 @@ def test_they_outlive_a_forker_that_is_killed_and_only_their_status_is_lost(supe
     hear(supervisor, Finished, "uav 0")
     exited = hear(supervisor, Exited, "uav 0")
     assert isinstance(exited, Exited)
-    assert exited.describe() == f"uav 0 (pid {pid}) ended, nobody knows how"
+    assert exited.describe() == f"uav 0 (pid {pid}) ended with unknown status"
     assert supervisor.stop() == []
 
 
