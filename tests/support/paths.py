@@ -1,4 +1,4 @@
-"""Places of the checkout that tests read and start."""
+"""Folders of the checkout that tests use."""
 
 from pathlib import Path
 
