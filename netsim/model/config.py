@@ -33,6 +33,7 @@ class FtmConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     mode: Mode = "vht_mcs0"
     """Transmission mode of the measurement frames; their time stamps have the bandwidth of the channel."""
     access_category: AccessCategory = "vo"
+    """EDCA access category of the frames of a session."""
     bursts_exponent: Annotated[int, Meta(ge=0, le=6)] = 0
     """The initiator asks for 2^this bursts in a session."""
     burst_period_ms: Annotated[int, Meta(ge=100, le=6_553_500, multiple_of=100)] = 100
@@ -41,6 +42,7 @@ class FtmConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Ask for the first burst as soon as possible. A responder that is not capable of it measures from the
     time on that it names in its first frame."""
     responder_asap_capable: bool = True
+    """Whether a responder can send the first burst as soon as it is requested."""
     responder_ftms_per_burst: Annotated[int, Meta(ge=2, le=31)] = 31
     """Most measurement frames in a burst that a responder grants."""
     responder_min_delta_us: Annotated[int, Meta(ge=100, le=25_500)] = 100
@@ -65,6 +67,7 @@ class InterfererConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Somebody else's transmitter on the channel: energy that comes and goes and listens to nobody."""
 
     pos_ned_m: tuple[Metres, Metres, Metres]
+    """Position in the site's NED frame, metres."""
     eirp_dbm: PowerDbm = 20.0
     """Power of its bursts in the channel, antenna gain included."""
     duty_cycle: Annotated[float, Meta(ge=0.0, le=1.0)]
@@ -77,9 +80,13 @@ class StationConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """What is different at one station; None is as everywhere."""
 
     station: Annotated[int, Meta(ge=0, le=65_535)]
+    """Number of the station: vehicles from 0, then guests."""
     tx_power_dbm: PowerDbm | None = None
+    """Transmit power, dBm."""
     data_mode: Mode | Literal["adaptive"] | None = None
+    """Mode of datagrams to one station."""
     broadcast_mode: Mode | None = None
+    """Mode of group-addressed frames."""
 
 
 class GuestConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -89,7 +96,9 @@ class GuestConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """
 
     name: Annotated[str, Meta(min_length=1, max_length=40)]
+    """Name of the station; each guest has its own."""
     pos_ned_m: tuple[Metres, Metres, Metres]
+    """Position in the site's NED frame, metres."""
 
 
 class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -101,13 +110,17 @@ class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     drop_fraction: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     """Share of received datagrams and of ranging results that the hosts lose, on top of the channel."""
     frequency_mhz: Annotated[float, Meta(ge=100.0, le=100_000.0)] = 5210.0
+    """Centre frequency of the channel, MHz."""
     bandwidth_mhz: BandwidthMhz = 80
+    """Bandwidth of the channel, MHz."""
     tx_power_dbm: PowerDbm = 16.0
+    """Transmit power of each radio at its antenna port, dBm."""
     antenna: Literal["isotropic", "dipole"] = "isotropic"
     """``dipole`` is a half-wave dipole along the body's vertical axis, which tilts with the vehicle."""
     antenna_gain_dbi: Annotated[float, Meta(ge=-50.0, le=50.0)] = 0.0
     """Gain in the strongest direction."""
     noise_figure_db: Annotated[float, Meta(ge=0.0, le=50.0)] = 7.0
+    """Noise figure of each receiver, dB."""
     path_loss: Literal["friis", "log_distance", "two_ray"] = "log_distance"
     """``log_distance`` takes ``path_loss_exponent``; ``two_ray`` adds the ray that the ground reflects."""
     path_loss_exponent: Annotated[float, Meta(ge=1.0, le=8.0)] = 2.0
@@ -139,7 +152,9 @@ class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     control_mode: Mode = "ofdm24"
     """Mode of RTS. A CTS or ACK has the highest of 6, 12, 24 Mbit/s not above the frame it answers."""
     broadcast_mode: Mode = "ofdm24"
+    """Mode of group-addressed frames."""
     broadcast_access_category: AccessCategory = "be"
+    """EDCA access category of group-addressed frames."""
     broadcast_rts: bool = True
     """Send RTS to a neighbour and wait for its CTS before a group-addressed frame, as the article does.
     The standard does not; False sends the frame after contention alone."""
@@ -148,6 +163,7 @@ class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     data_mode: Mode | Literal["adaptive"] = "ofdm24"
     """Mode of datagrams to one station; ``adaptive`` learns it from what is acknowledged."""
     data_access_category: AccessCategory = "be"
+    """EDCA access category of datagrams to one station."""
     rts_threshold_bytes: Annotated[int, Meta(ge=0, le=65_535)] = 65_535
     """Datagrams to one station whose frames are longer are sent after RTS and CTS."""
     retry_limit: Annotated[int, Meta(ge=0, le=2**31)] = 6
@@ -155,14 +171,19 @@ class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     queue_frames: Annotated[int, Meta(ge=1, le=10_000)] = 64
     """Frames that a radio holds for transmission; a further one is dropped and counted."""
     queue_lifetime_us: Annotated[int, Meta(ge=1_000, le=60_000_000)] = 500_000
+    """Age in microseconds at which a frame that is still queued is dropped and counted."""
     host_latency_us: Annotated[int, Meta(ge=0, le=100_000)] = 50
     """Least time from the application's call to the radio's queue."""
     host_jitter_us: Annotated[int, Meta(ge=0, le=100_000)] = 100
     """Uniform extra of the same, drawn per frame."""
     ftm: FtmConfig = FtmConfig()
+    """Fine Time Measurement: the table ``[radio.ftm]``."""
     interferers: tuple[InterfererConfig, ...] = ()
+    """Other transmitters on the channel: tables ``[[radio.interferers]]``."""
     stations: tuple[StationConfig, ...] = ()
+    """Settings of single stations: tables ``[[radio.stations]]``."""
     guests: tuple[GuestConfig, ...] = ()
+    """Stations of other programs: tables ``[[radio.guests]]``."""
     capture: bool = False
     """Write every frame to radio.pcapng, with radiotap headers, for Wireshark."""
 
