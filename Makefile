@@ -5,9 +5,10 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.set-up
 DEV := $(VENV)/.set-up-dev
 CLIENTS := $(VENV)/.set-up-clients
+DOCS := $(VENV)/.set-up-docs
 ARGS ?=
 
-.PHONY: help setup swarm wheel test test-clients validate validate-radio validate-antenna codesign campaign article antenna bench bench-radio lint format clean
+.PHONY: help setup swarm test test-clients validate validate-radio validate-antenna codesign campaign article antenna bench bench-radio docs lint format clean
 help:
 	@echo "make swarm [ARGS='--duration 20 --seed 3']   fly scenarios/article.toml"
 	@echo "make test  [ARGS='-k radio']                 run the tests"
@@ -21,7 +22,7 @@ help:
 	@echo "make antenna ARGS='pattern --wavelength 10'   the antenna alone: pattern, statistics, benchmark (docs/concepts/antenna.md)"
 	@echo "make bench [ARGS='--quick | --agents 8 --json']   measure what flying costs (docs/results/performance.md)"
 	@echo "make bench-radio [ARGS='--peer COMMAND']      measure what the radio costs"
-	@echo "make wheel                                   build the wheel, install it elsewhere and fly with it"
+	@echo "make docs                                    build the documentation site into build/site"
 	@echo "make lint | format | setup | clean"
 
 setup: $(DEV)
@@ -82,9 +83,15 @@ bench: $(STAMP)
 bench-radio: $(STAMP)
 	$(BIN)/python scripts/bench_radio.py $(ARGS)
 
-# what is checked for words that are kept for people
-PLAIN := coflight
-lint: $(DEV)
+$(DOCS): requirements-docs.lock $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --requirement requirements-docs.lock
+	@touch $@
+
+docs: $(DOCS)
+	$(BIN)/python scripts/write_reference.py --check
+	$(BIN)/mkdocs build --strict
+
+lint: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy

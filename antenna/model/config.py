@@ -14,6 +14,7 @@ class AntennaConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Elements, their feeds and how patterns are computed."""
 
     wavelength_m: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 10.0
+    """Wavelength at which the array works, metres."""
     element_kind: Literal["dipole", "loop", "deck"] = "dipole"
     """A dipole along the vehicle's vertical axis, a level loop about it, or the wires of a NEC deck."""
     element_length_m: Annotated[float, Meta(ge=WIRE_LENGTH_M[0], le=WIRE_LENGTH_M[1])] = 0.05
@@ -27,15 +28,19 @@ class AntennaConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     element_file: str = ""
     """NEC deck beside the scenario, for the kind deck."""
     excitation: Literal["end_fire", "hansen_woodyard", "optimum"] = "end_fire"
+    """Feeds of the elements: progressive phases of ordinary end fire or of Hansen and Woodyard, or the
+    feeds of greatest gain along +y."""
     feeds_for: Literal["places", "estimates", "truth"] = "places"
     """Positions that the feeds are made for: the formation's places, where the vehicles believe themselves to
     be, or where they are."""
     ground: Literal["none", "perfect", "real"] = "none"
     """Level, at height 0 of the site."""
     ground_permittivity: Annotated[float, Meta(ge=1.0, le=100.0)] = 13.0
+    """Relative permittivity of a real ground."""
     ground_conductivity_s_m: Annotated[float, Meta(ge=0.0, le=1e8)] = 0.005
     """Of a real ground; average land (ITU-R P.527)."""
     backend: Literal["batch", "nec2", "nec2c"] = "batch"
+    """Solver of the currents: the batch solver of this project, NEC2 (PyNEC) or the program nec2c."""
     snapshot_rate_hz: Annotated[float, Meta(gt=0.0, le=1_000.0)] = 2.0
     """Instants of the flight, per simulated second, for which a pattern is computed."""
     grid_deg: Annotated[float, Meta(ge=0.1, le=30.0)] = 5.0

@@ -31,10 +31,13 @@ class Site(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Location of the flight: origin of the formation's NED frame, and the magnetic field there."""
 
     latitude_deg: Annotated[float, Meta(ge=-90.0, le=90.0)] = 47.397742
+    """Geodetic latitude (WGS 84), degrees."""
     longitude_deg: Annotated[float, Meta(ge=-180.0, le=180.0)] = 8.545594
+    """Geodetic longitude (WGS 84), degrees."""
     altitude_m: Annotated[float, Meta(ge=-500.0, le=9_000.0)] = 488.0
     """Altitude of the ground above mean sea level."""
     magnetic_field_ned_gauss: tuple[Gauss, Gauss, Gauss] = (0.21523, 0.00771, 0.42741)
+    """The Earth's magnetic field, gauss, NED."""
 
 
 class CircleConfig(
@@ -43,8 +46,11 @@ class CircleConfig(
     """A circular zone of the geofence, in metres from the site's origin."""
 
     north_m: Position = 0.0
+    """Centre, metres north of the origin."""
     east_m: Position = 0.0
+    """Centre, metres east of the origin."""
     radius_m: Annotated[float, Meta(gt=0.0, le=1e5)]
+    """Radius, metres."""
     inclusion: bool = True
     """Whether the vehicle must stay inside; false: outside."""
 
@@ -57,6 +63,7 @@ class PolygonConfig(
     vertices_m: Annotated[tuple[tuple[Position, Position], ...], Meta(min_length=3)]
     """North and east from the site's origin."""
     inclusion: bool = True
+    """To stay inside of; false: outside."""
 
 
 class MissionItemConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -66,17 +73,25 @@ class MissionItemConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields
         "takeoff", "waypoint", "loiter_time", "loiter_unlimited", "delay", "change_speed", "jump", "return",
         "land",
     ]  # fmt: skip
+    """What the vehicle does."""
     north_m: Position | None = None
     """From the site's origin, together with ``east_m``; if neither is given, the vehicle's position."""
     east_m: Position | None = None
+    """From the site's origin, with ``north_m``."""
     height_m: Annotated[float, Meta(ge=-10_000.0, le=10_000.0)] = 0.0
     """Above home, in metres."""
     acceptance_m: Annotated[float, Meta(ge=0.0, le=1e5)] = 0.0
+    """Distance at which a waypoint counts as reached, metres; 0: NAV_ACC_RAD."""
     hold_s: Seconds = 0.0
+    """Time to hold at a waypoint, to loiter or to delay, seconds."""
     yaw_deg: Angle | None = None
+    """Heading at the item, degrees clockwise from north; without it as MPC_YAW_MODE says."""
     speed_m_s: Annotated[float, Meta(ge=-100.0, le=100.0)] | None = None
+    """Of change_speed: speed over ground from here on, m/s; without it that of MPC_XY_CRUISE."""
     jump_to: Annotated[int, Meta(ge=0)] = 0
+    """Of jump: index of the item that follows, from 0."""
     jump_count: Annotated[int, Meta(ge=-1)] = 1
+    """Of jump: number of jumps; -1: no limit."""
 
 
 class RallyPointConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -85,6 +100,7 @@ class RallyPointConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     north_m: Position
     """From the site's origin."""
     east_m: Position
+    """From the site's origin."""
     height_m: Annotated[float, Meta(ge=-10_000.0, le=10_000.0)] = 0.0
     """Above home: base of the return's heights; the vehicle lands on the ground."""
 
@@ -99,8 +115,11 @@ class AutopilotConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     per_uav: dict[str, dict[str, float]] = {}
     """Parameters of single vehicles by their number; they take precedence over all others."""
     fence: tuple[CircleConfig | PolygonConfig, ...] = ()
+    """Geofence: tables ``[[autopilot.fence]]``."""
     mission: tuple[MissionItemConfig, ...] = ()
+    """Mission: tables ``[[autopilot.mission]]``."""
     rally: Annotated[tuple[RallyPointConfig, ...], Meta(max_length=80)] = ()
+    """Rally points: tables ``[[autopilot.rally]]``."""
     plan_file: str | None = None
     """Mission, geofence and rally points as QGroundControl saves them (.plan), relative to the scenario."""
     plan: str | None = None
@@ -180,6 +199,7 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Period of the application's loop, which exchanges data with autopilot and radio at multiples of it: a
     whole number of steps. The channel advances in equal intervals. With a PX4, PX4's messages drive it."""
     beacon_period_ms: Annotated[int, Meta(ge=10, le=1_000)] = 100
+    """Period of a UAV's beacons, milliseconds."""
     neighbours: Annotated[int, Meta(ge=0, le=254)] = 0
     """Number of UAVs with the nearest places that are localised, ranged to and avoided, plus those that have
     this one among theirs; 0: all. With ``ftm``, neighbourhoods agree on a common frame by beacons."""
@@ -196,12 +216,15 @@ class OnboardConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     wind_feed_forward: bool = False
     """Compensate the estimated wind by tilt; for autopilots that do not do so themselves."""
     climb_speed_m_s: Annotated[float, Meta(gt=0.0, le=5.0)] = 1.5
+    """Speed of the climb to the height of the formation, m/s."""
     on_station_tolerance_m: Annotated[float, Meta(gt=0.0, le=1_000.0)] = 0.7
     """Largest estimated distance from the own place that counts as being on station."""
     on_station_hold_s: Seconds = 2.0
+    """Time within ``on_station_tolerance_m`` after which the UAV reports that it is on its place."""
     gps_bias_std_m: ErrorStd = 1.5
     """Standard deviation of GPS errors that the localisation filter assumes; horizontal, per axis."""
     gps_bias_time_constant_s: Annotated[float, Meta(ge=0.1, le=1e6)] = 60.0
+    """Correlation time of the GPS errors that the localisation filter assumes, seconds."""
     odometry_drift_m_sqrt_s: Annotated[float, Meta(ge=1e-4, le=10.0)] = 0.1
     """Error of the integrated velocity after one second; horizontal, per axis.
 
@@ -228,9 +251,11 @@ class TrackMotion(
     """Motion of the formation along a straight track that ends after ``length_m``."""
 
     speed_m_s: Annotated[float, Meta(ge=0.01, le=12.0)] = 3.0
+    """Speed of the formation, m/s."""
     acceleration_m_s2: Annotated[float, Meta(ge=0.001, le=3.0)] = 0.5
     """Along the track, at its start and end."""
     length_m: Annotated[float, Meta(ge=0.1, le=1e5)] = 100.0
+    """Length of the track, metres."""
     course_deg: Angle = 0.0
     """Direction of flight, clockwise from north; the formation keeps its heading."""
 
@@ -241,7 +266,9 @@ class RacetrackMotion(
     """Motion of the formation in laps of two straights joined by half turns."""
 
     speed_m_s: Annotated[float, Meta(ge=0.01, le=12.0)] = 3.0
+    """Speed of the formation, m/s."""
     acceleration_m_s2: Annotated[float, Meta(ge=0.001, le=3.0)] = 0.5
+    """Acceleration along the track, at its beginning."""
     length_m: Annotated[float, Meta(ge=0.0, le=1e5)] = 60.0
     """Length of a straight."""
     radius_m: Annotated[float, Meta(ge=0.1, le=1e5)] = 25.0
@@ -249,6 +276,7 @@ class RacetrackMotion(
     course_deg: Angle = 0.0
     """Direction of the first straight, which begins where the formation has formed."""
     side: Literal["left", "right"] = "right"
+    """Side to which the formation turns."""
     heading: Literal["fixed", "track"] = "track"
     """track: the formation turns with the track. fixed: it keeps its heading."""
 

@@ -4,17 +4,13 @@ A meaning is the docstring of the setting's field, which begins with PX4's name;
 the settings struct.
 """
 
-import ast
-import inspect
 import re
-import sys
 from itertools import groupby
 from operator import attrgetter
 
-from msgspec import Struct
-
 from autopilot.parameters.inert import STATED, Stated
 from autopilot.parameters.table import TABLE, ParameterSet, Row, Settings
+from foundation.docstrings import field_docstrings
 
 PREFIXES = {
     "BAT": "Battery", "BAT1": "Battery", "CBRK": "Circuit breakers", "CF": "Of this project alone",
@@ -48,7 +44,7 @@ def meaning(parameter: Row) -> str:
         return parameter.meaning
     *parents, field = parameter.path.split(".")
     owner = attrgetter(".".join(parents))(Settings())
-    text = _docstrings(type(owner)).get(field, "")
+    text = field_docstrings(type(owner)).get(field, "")
     text = " ".join(text.split())
     if (named := _NAMED.match(text)) is not None and named[1] == parameter.name:
         text = text[named.end() :]
@@ -56,33 +52,6 @@ def meaning(parameter: Row) -> str:
     if not text or _UNIT.fullmatch(text):
         text = _SUFFIX.sub("", field).replace("_", " ")
     return text[:1].upper() + text[1:]
-
-
-_DOCSTRINGS: dict[str, dict[str, dict[str, str]]] = {}
-"""Cache of docstrings by module, class and field."""
-
-
-def _docstrings(kind: type[Struct]) -> dict[str, str]:
-    """Docstrings of the fields of a settings struct; empty if the source is not available."""
-    module = kind.__module__
-    if module not in _DOCSTRINGS:
-        try:
-            source = inspect.getsource(sys.modules[module])
-        except OSError:
-            source = ""
-        classes = (node for node in ast.parse(source).body if isinstance(node, ast.ClassDef))
-        _DOCSTRINGS[module] = {node.name: _read_docstrings(node) for node in classes}
-    return _DOCSTRINGS[module].get(kind.__name__, {})
-
-
-def _read_docstrings(definition: ast.ClassDef) -> dict[str, str]:
-    texts = {}
-    for before, after in zip(definition.body, definition.body[1:], strict=False):
-        if isinstance(before, ast.AnnAssign) and isinstance(before.target, ast.Name):
-            match after:
-                case ast.Expr(value=ast.Constant(value=str(text))):
-                    texts[before.target.id] = text
-    return texts
 
 
 def markdown() -> str:

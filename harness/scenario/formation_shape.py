@@ -35,12 +35,15 @@ class FormationConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     """The ``[formation]`` table; settings of other shapes than ``shape`` are not looked at."""
 
     shape: Literal["grid", "line", "ring", "file"] = "grid"
+    """Shape of the formation; ``file`` takes the places from ``file`` or ``points_m``."""
     columns: Annotated[int, Meta(ge=1, le=254)] = 4
     """Of a grid: elements along the broadside axis."""
     rows: Annotated[int, Meta(ge=1, le=254)] = 2
     """Of a grid: elements along the end-fire axis."""
     broadside_spacing_lambda: Spacing = 0.85
+    """Of a grid: spacing of the columns, wavelengths."""
     endfire_spacing_lambda: Spacing = 0.25
+    """Of a grid: spacing of the rows, wavelengths."""
     spacing_m: Spacing = 5.0
     """Of a line along the broadside axis."""
     radius_m: Spacing = 10.0
@@ -50,6 +53,7 @@ class FormationConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     points_m: tuple[tuple[Coordinate, Coordinate, Coordinate], ...] = ()
     """What the file says: x, y, z of each place. It can be said here instead."""
     height_m: Annotated[float, Meta(ge=LOWEST_M, le=500.0)] = 10.0
+    """Height of the antenna frame's origin above the site, metres."""
     heading_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
     """Compass direction of the end-fire axis, which is where the main lobe points."""
     motion: AnyMotion | None = None

@@ -60,6 +60,7 @@ class RunConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The ``[run]`` table: how long, from which seed, and what a loss does."""
 
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 1
+    """Seed of all random streams of the run."""
     duration_s: Annotated[float, Meta(ge=0.0, le=MOST_TIME_S)] = 60.0
     """Simulated time in formation."""
     reach_timeout_s: Annotated[float, Meta(gt=0.0, le=MOST_TIME_S)] = 120.0
@@ -67,6 +68,7 @@ class RunConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     step_us: Annotated[int, Meta(ge=4_000, le=4_000)] = 4_000
     """Step of physics and lockstep: the 250 Hz at which PX4's simulator interface runs."""
     on_vehicle_loss: Literal["continue", "end"] = "continue"
+    """Whether the run continues with the other vehicles or ends when a vehicle is lost."""
     silence_limit_s: Annotated[float, Meta(gt=0.0, le=120.0)] = 5.0
     """Wall time after which a vehicle that lives but does not answer is given up."""
     record_rate_hz: Annotated[float, Meta(ge=0.001, le=250.0)] = 25.0
@@ -90,14 +92,17 @@ class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     host: str = "127.0.0.1"
     """Of simulator and radio; the addresses of the vehicles' links are in ``[links]``."""
     simulator_tcp: Port = 4560
+    """Simulator: TCP port that vehicle 0 connects to."""
     simulator_link: Literal["unix", "tcp"] = "unix"
     """How coflight's own vehicles reach the simulator. "unix": by a Unix socket of the run, where the system
     is Linux; a message costs a third of what it does by "tcp", which can be captured on the loopback. PX4s,
     and vehicles started by hand, come by TCP in any case."""
     gcs_local_udp: Port = 18570
+    """Local UDP port of the ground station link."""
     gcs_remote_udp: Port = 14550
     """The ground station's; all vehicles share it. 0: nobody is called, who calls is answered."""
     companion_local_udp: Port = 14580
+    """Local UDP port of the companion link."""
     companion_remote_udp: Port = 14540
     """Vehicle i calls this plus i, whatever i is, unless that is the ground station's port, or one that a
     vehicle of the swarm itself is bound to: with PX4's numbers 14550 of vehicle 10, and 14580 of vehicle 40
@@ -155,20 +160,35 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Everything that decides a run; two runs with equal scenarios give equal logs."""
 
     name: Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+    """Name of the scenario; without it the file's name."""
     agents: Annotated[int, Meta(ge=1, le=254)] = 8
+    """Number of UAVs."""
     run: RunConfig = RunConfig()
+    """Duration, seed and records."""
     formation: FormationConfig = FormationConfig()
+    """Places of the formation and its motion."""
     site: Site = Site()
+    """Geographic origin."""
     environment: EnvironmentConfig = EnvironmentConfig()
+    """Air density and ground effect."""
     wind: WindConfig = WindConfig()
+    """Wind, turbulence and gusts."""
     faults: tuple[AnyFault, ...] = ()
+    """Faults by time: tables ``[[faults]]``."""
     sensors: SensorsConfig = SensorsConfig()
+    """Error models of the sensors."""
     autopilot: AutopilotConfig = AutopilotConfig()
+    """Parameters, geofence, mission and PX4."""
     links: LinksConfig = LinksConfig()
+    """Addresses of the MAVLink links."""
     onboard: OnboardConfig = OnboardConfig()
+    """The on-board application."""
     radio: RadioConfig = RadioConfig()
+    """The 802.11 channel."""
     antenna: AntennaConfig = AntennaConfig()
+    """Elements, feeds and solver of the antenna."""
     ports: PortsConfig = PortsConfig()
+    """TCP and UDP ports."""
 
     def __post_init__(self) -> None:
         """Check what no single field can."""

@@ -48,6 +48,7 @@ class Fault(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_f
     """One of the scenario's ``[[faults]]``; its ``kind`` is that of a class below, such as ``gps_loss``."""
 
     uav: Annotated[int, Meta(ge=0)] | Literal["all"]
+    """Number of the vehicle, from 0; "all" for every vehicle."""
     start_s: Start = 0.0
     """Simulated time from the run's start; from now, if it is injected into a run."""
     duration_s: Duration | None = None
@@ -62,6 +63,7 @@ class GpsBias(Fault, frozen=True, kw_only=True):
     """Fixes lie elsewhere, as a spoofer wants them to."""
 
     offset_ned_m: tuple[PositionOffset, PositionOffset, PositionOffset]
+    """Position error, metres, NED."""
     rate_m_s: Annotated[float, Meta(gt=0.0, le=100.0)] | None = None
     """At which the offset creeps from nothing to its length, and the velocity is then wrong by as much;
     without it the position alone steps."""
@@ -71,7 +73,9 @@ class GpsNoise(Fault, frozen=True, kw_only=True):
     """White noise on top of the receiver's own, per axis and fix; its accuracy claims stay."""
 
     position_std_m: Annotated[float, Meta(ge=0.0, le=1000.0)] = 0.0
+    """Standard deviation of the position, metres."""
     velocity_std_m_s: Annotated[float, Meta(ge=0.0, le=50.0)] = 0.0
+    """Standard deviation of the velocity, m/s."""
 
     def __post_init__(self) -> None:
         """Check what no single field can."""
@@ -83,18 +87,21 @@ class AccelBias(Fault, frozen=True, kw_only=True):
     """The accelerometer's bias jumps."""
 
     offset_frd_m_s2: tuple[AccelOffset, AccelOffset, AccelOffset]
+    """Added to the measured acceleration, m/s^2, FRD."""
 
 
 class GyroBias(Fault, frozen=True, kw_only=True):
     """The gyroscope's bias jumps."""
 
     offset_frd_rad_s: tuple[GyroOffset, GyroOffset, GyroOffset]
+    """Added to the measured angular rate, rad/s, FRD."""
 
 
 class MagBias(Fault, frozen=True, kw_only=True):
     """A magnet or a current at the compass."""
 
     offset_frd_gauss: tuple[MagOffset, MagOffset, MagOffset]
+    """Added to the measured field, gauss, FRD."""
 
 
 class MagYaw(Fault, frozen=True, kw_only=True):
@@ -121,18 +128,21 @@ class MotorLoss(Fault, frozen=True, kw_only=True, tag="motor"):
     motor: Motor
     """In PX4's order: front right, back left, front left, back right."""
     effectiveness: Annotated[float, Meta(ge=0.0, le=1.0)]
+    """Thrust and torques over those of the whole rotor: 0 none, 1 all."""
 
 
 class MotorStop(Fault, frozen=True, kw_only=True):
     """A motor gets no current: its rotor runs down and stands."""
 
     motor: Motor
+    """In PX4's order: front right, back left, front left, back right."""
 
 
 class RadioAttenuation(Fault, frozen=True, kw_only=True):
     """Every link of the channel is weaker, guests' too; 200 dB cut it. Interferers keep their power."""
 
     uav: Annotated[int, Meta(ge=0)] | Literal["all"] = "all"
+    """Always "all": the channel is common to all stations."""
     attenuation_db: Annotated[float, Meta(ge=0.0, le=300.0)]
     """On top of what the run has on every link already."""
 

@@ -33,6 +33,7 @@ class FtmConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     mode: Mode = "vht_mcs0"
     """Mode of the measurement frames; the precision of time stamps depends on the channel bandwidth."""
     access_category: AccessCategory = "vo"
+    """EDCA access category of the frames of a session."""
     bursts_exponent: Annotated[int, Meta(ge=0, le=6)] = 0
     """The initiator requests 2^(this value) bursts in a session."""
     burst_period_ms: Annotated[int, Meta(ge=100, le=6_553_500, multiple_of=100)] = 100
@@ -41,6 +42,7 @@ class FtmConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Request the first burst as soon as possible (ASAP). A responder without ASAP capability starts at the
     time stated in its first frame."""
     responder_asap_capable: bool = True
+    """Whether a responder can send the first burst as soon as it is requested."""
     responder_ftms_per_burst: Annotated[int, Meta(ge=2, le=31)] = 31
     """Most measurement frames per burst that a responder grants."""
     responder_min_delta_us: Annotated[int, Meta(ge=100, le=25_500)] = 100
@@ -65,6 +67,7 @@ class InterfererConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """An external transmitter that sends bursts of energy on the channel without carrier sense."""
 
     pos_ned_m: tuple[Metres, Metres, Metres]
+    """Position in the site's NED frame, metres."""
     eirp_dbm: PowerDbm = 20.0
     """EIRP of its bursts in the channel."""
     duty_cycle: Annotated[float, Meta(ge=0.0, le=1.0)]
@@ -77,9 +80,13 @@ class StationConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Settings of one station that override the common ones; None: no override."""
 
     station: Annotated[int, Meta(ge=0, le=65_535)]
+    """Number of the station: vehicles from 0, then guests."""
     tx_power_dbm: PowerDbm | None = None
+    """Transmit power, dBm."""
     data_mode: Mode | Literal["adaptive"] | None = None
+    """Mode of datagrams to one station."""
     broadcast_mode: Mode | None = None
+    """Mode of group-addressed frames."""
 
 
 class GuestConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -89,7 +96,9 @@ class GuestConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """
 
     name: Annotated[str, Meta(min_length=1, max_length=40)]
+    """Name of the station; each guest has its own."""
     pos_ned_m: tuple[Metres, Metres, Metres]
+    """Position in the site's NED frame, metres."""
 
 
 class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -101,13 +110,17 @@ class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     drop_fraction: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     """Fraction of received datagrams and of ranging results that the hosts lose, besides the channel."""
     frequency_mhz: Annotated[float, Meta(ge=100.0, le=100_000.0)] = 5210.0
+    """Centre frequency of the channel, MHz."""
     bandwidth_mhz: BandwidthMhz = 80
+    """Bandwidth of the channel, MHz."""
     tx_power_dbm: PowerDbm = 16.0
+    """Transmit power of each radio at its antenna port, dBm."""
     antenna: Literal["isotropic", "dipole"] = "isotropic"
     """``dipole``: a half-wave dipole along the body's z axis, which tilts with the vehicle."""
     antenna_gain_dbi: Annotated[float, Meta(ge=-50.0, le=50.0)] = 0.0
     """Peak gain."""
     noise_figure_db: Annotated[float, Meta(ge=0.0, le=50.0)] = 7.0
+    """Noise figure of each receiver, dB."""
     path_loss: Literal["friis", "log_distance", "two_ray"] = "log_distance"
     """``log_distance`` uses ``path_loss_exponent``; ``two_ray`` adds the ground-reflected ray."""
     path_loss_exponent: Annotated[float, Meta(ge=1.0, le=8.0)] = 2.0
@@ -139,7 +152,9 @@ class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     control_mode: Mode = "ofdm24"
     """Mode of RTS. A CTS or ACK uses the highest of 6, 12, 24 Mbit/s not above the frame it responds to."""
     broadcast_mode: Mode = "ofdm24"
+    """Mode of group-addressed frames."""
     broadcast_access_category: AccessCategory = "be"
+    """EDCA access category of group-addressed frames."""
     broadcast_rts: bool = True
     """Exchange RTS and CTS with a neighbour before a group-addressed frame, as the article does.
     False: send after contention alone, as the standard."""
@@ -148,6 +163,7 @@ class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     data_mode: Mode | Literal["adaptive"] = "ofdm24"
     """Mode of unicast datagrams; ``adaptive`` selects it from acknowledgements (Minstrel)."""
     data_access_category: AccessCategory = "be"
+    """EDCA access category of datagrams to one station."""
     rts_threshold_bytes: Annotated[int, Meta(ge=0, le=65_535)] = 65_535
     """Unicast datagrams with longer frames are sent after RTS and CTS."""
     retry_limit: Annotated[int, Meta(ge=0, le=2**31)] = 6
@@ -155,14 +171,19 @@ class RadioConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     queue_frames: Annotated[int, Meta(ge=1, le=10_000)] = 64
     """Transmit queue length of a radio in frames; further frames are dropped and counted."""
     queue_lifetime_us: Annotated[int, Meta(ge=1_000, le=60_000_000)] = 500_000
+    """Age in microseconds at which a frame that is still queued is dropped and counted."""
     host_latency_us: Annotated[int, Meta(ge=0, le=100_000)] = 50
     """Minimum time from the application's call to the radio's queue."""
     host_jitter_us: Annotated[int, Meta(ge=0, le=100_000)] = 100
     """Additional uniform latency, drawn per frame."""
     ftm: FtmConfig = FtmConfig()
+    """Fine Time Measurement: the table ``[radio.ftm]``."""
     interferers: tuple[InterfererConfig, ...] = ()
+    """Other transmitters on the channel: tables ``[[radio.interferers]]``."""
     stations: tuple[StationConfig, ...] = ()
+    """Settings of single stations: tables ``[[radio.stations]]``."""
     guests: tuple[GuestConfig, ...] = ()
+    """Stations of other programs: tables ``[[radio.guests]]``."""
     capture: bool = False
     """Write every frame with a radiotap header to radio.pcapng, for Wireshark."""
 

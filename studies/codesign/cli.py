@@ -66,7 +66,9 @@ def codesign(
         float | None, typer.Option(help="Simulated seconds in formation.", min=6.0, max=600.0)
     ] = None,
     data: Annotated[Path, typer.Option(help="Folder in which finished flights are kept.")] = DATA,
-    workers: Annotated[int, typer.Option(help="Flights side by side.", min=1)] = min(2, os.cpu_count() or 1),
+    workers: Annotated[
+        int, typer.Option(help="Flights side by side.", min=1, show_default="2, or the number of processors")
+    ] = min(2, os.cpu_count() or 1),
     stale: Annotated[bool, typer.Option("--stale", help=STALE_HELP)] = False,  # noqa: FBT002
     retry: Annotated[bool, typer.Option("--retry", help="Fly those again that broke.")] = False,  # noqa: FBT002
     json: Annotated[bool, typer.Option("--json", help="The numbers alone on stdout.")] = False,  # noqa: FBT002
