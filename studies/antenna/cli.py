@@ -12,7 +12,7 @@ from rich.console import Console
 
 from studies.antenna import agreement, ideal, limits, sensitivity, speed
 from studies.antenna.plan import QUICK_ANTENNA, AntennaPlan
-from studies.common.command_line import Page, chosen, run_with_progress, tell
+from studies.common.command_line import Page, chosen, report_and_exit, run_with_progress
 from studies.common.report import Section
 from studies.common.runner import Subject
 
@@ -50,7 +50,7 @@ def validate_antenna(
     seconds: Annotated[
         float | None, typer.Option(help="Of the benchmark, about.", min=0.0, max=3_600.0)
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="The numbers alone on stdout.")] = False,  # noqa: FBT002
+    json: Annotated[bool, typer.Option("--json", help="Print only the numbers, as JSON.")] = False,  # noqa: FBT002
     out: Annotated[
         Path | None,
         typer.Option(help=f"Folder for {PAGE.file_name}, {TABLE} and images/; none writes nothing."),
@@ -71,7 +71,7 @@ def validate_antenna(
     sections = [judged[name] for name in SUBJECTS if name in judged]
     if out is not None:
         write_table(out / TABLE, sections)
-    tell(sections, page=PAGE, out=out, json=json, stdout=sys.stdout, px4=False)
+    report_and_exit(sections, page=PAGE, out=out, json=json, stdout=sys.stdout, px4=False)
 
 
 def write_table(path: Path, sections: Sequence[Section]) -> None:

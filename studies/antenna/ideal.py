@@ -96,7 +96,7 @@ def long_config(wavelength_m: float, radius_m: float, solver: str) -> AntennaCon
     )  # fmt: skip
 
 
-def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:  # noqa: ARG001  # one shape
+def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:  # noqa: ARG001  # common signature
     """All arrays; they are the same however much is computed."""
     return {
         "short": [(_solve_ideal, short_config(w, s)) for w, s in product(WAVELENGTHS_M, SOLVERS)],
@@ -148,7 +148,7 @@ def summary(pattern: Pattern, *, keep: bool) -> Solved:
     )  # fmt: skip
 
 
-def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:  # noqa: ARG001  # one shape
+def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:  # noqa: ARG001  # common signature
     """Compare all of it."""
     short = dict(zip(product(WAVELENGTHS_M, SOLVERS), results["short"], strict=True))
     long = dict(zip(product(LONG_DBI, LONG_RADII_M, SOLVERS), results["long"], strict=True))

@@ -33,7 +33,7 @@ def measure(seconds: float) -> dict[str, Any] | None:
     return fields
 
 
-def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:  # noqa: ARG001  # one shape
+def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:  # noqa: ARG001  # common signature
     """Bound three of its numbers, and list all."""
     (fields,) = results["benchmark"]
     cores = len(os.sched_getaffinity(0))

@@ -33,7 +33,7 @@ from studies.codesign.results import (
 from studies.codesign.sections import Judge, judge_wavelength, judge_wind_agents
 from studies.codesign.tables import write_csv
 from studies.codesign.trouble_section import judge_trouble
-from studies.common.command_line import BAD_INPUT, Page, chosen, progress_lines, tell
+from studies.common.command_line import BAD_INPUT, Page, chosen, progress_lines, report_and_exit
 from studies.common.report import Section
 from studies.common.standard_output import keep_stdout
 
@@ -69,7 +69,7 @@ def codesign(
     workers: Annotated[int, typer.Option(help="Flights side by side.", min=1)] = min(2, os.cpu_count() or 1),
     stale: Annotated[bool, typer.Option("--stale", help=STALE_HELP)] = False,  # noqa: FBT002
     retry: Annotated[bool, typer.Option("--retry", help="Fly those again that broke.")] = False,  # noqa: FBT002
-    json: Annotated[bool, typer.Option("--json", help="The numbers alone on stdout.")] = False,  # noqa: FBT002
+    json: Annotated[bool, typer.Option("--json", help="Print only the numbers, as JSON.")] = False,  # noqa: FBT002
     out: Annotated[
         Path | None,
         typer.Option(
@@ -125,7 +125,7 @@ def codesign(
         title="Co-design: results",
         introduction=introduction(book, tasks, made_by=made_by, changed=changed),
     )
-    tell(sections, page=page, out=out, json=json, stdout=stdout, px4=False)
+    report_and_exit(sections, page=page, out=out, json=json, stdout=stdout, px4=False)
 
 
 def _fly(

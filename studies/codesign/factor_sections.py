@@ -203,7 +203,7 @@ def _ranging_checks(book: Book) -> tuple[Check, ...]:
     )  # fmt: skip
 
 
-def judge_baselines(book: Book, images: Path | None) -> Section:  # noqa: ARG001  # one shape
+def judge_baselines(book: Book, images: Path | None) -> Section:  # noqa: ARG001  # common signature
     """One factor changed at a time."""
     cases = (
         ("told by the simulator", TRUTH), ("FTM over an ideal channel", IDEAL),

@@ -42,7 +42,7 @@ def bench_radio(
     ] = None,
     scenario: Annotated[Path, typer.Option(help="Whose swarm's traffic is played.")] = ARTICLE,
     repeats: Annotated[int, typer.Option(help="Of everything; the medians count.", min=1)] = 3,
-    json: Annotated[bool, typer.Option("--json", help="The numbers alone on stdout.")] = False,  # noqa: FBT002
+    json: Annotated[bool, typer.Option("--json", help="Print only the numbers, as JSON.")] = False,  # noqa: FBT002
 ) -> None:
     """Measure what the emulated radio costs, and how much faster it is than a peer."""
     messages = Console(stderr=True, highlight=False)

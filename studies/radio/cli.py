@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from harness.launch import kernel_cache
-from studies.common.command_line import Page, chosen, run_with_progress, tell
+from studies.common.command_line import Page, chosen, report_and_exit, run_with_progress
 from studies.common.runner import Subject
 from studies.radio import broadcast_section, error_section, mesh_section, ranging_section, saturation_section
 from studies.radio.plan import QUICK_RADIO, RadioPlan
@@ -45,7 +45,7 @@ def validate_radio(
         ORDER
     ),
     seeds: Annotated[int | None, typer.Option(help="Runs of each condition.", min=1)] = None,
-    json: Annotated[bool, typer.Option("--json", help="The numbers alone on stdout.")] = False,  # noqa: FBT002
+    json: Annotated[bool, typer.Option("--json", help="Print only the numbers, as JSON.")] = False,  # noqa: FBT002
     out: Annotated[
         Path | None, typer.Option(help="Folder for radio-validation.md and images/; none writes nothing.")
     ] = None,
@@ -60,4 +60,4 @@ def validate_radio(
     subjects = {name: subject for name, subject in SUBJECTS.items() if name in names}
     judged = dict(zip(subjects, run_with_progress(plan, subjects, out=out, messages=messages), strict=True))
     sections = [judged[name] for name in ORDER if name in judged]
-    tell(sections, page=PAGE, out=out, json=json, stdout=sys.stdout, px4=False)
+    report_and_exit(sections, page=PAGE, out=out, json=json, stdout=sys.stdout, px4=False)

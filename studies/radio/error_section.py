@@ -20,7 +20,7 @@ DRAWN_BYTES = 1458
 DRAWN_POINTS = 701
 
 
-def jobs(plan: RadioPlan) -> dict[str, list[Job]]:  # noqa: ARG001  # one shape
+def jobs(plan: RadioPlan) -> dict[str, list[Job]]:  # noqa: ARG001  # common signature
     """One job for each of ns-3's curves: ours at the same ratios."""
     return {"curves": [(_rates, curve) for curve in ns3_error_curves()]}
 
@@ -32,7 +32,7 @@ def _rates(curve: ErrorCurve) -> tuple[float, ...]:
     )
 
 
-def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:  # noqa: ARG001  # one shape
+def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:  # noqa: ARG001  # common signature
     """Compare where the curves come down to 10 %."""
     curves = ns3_error_curves()
     rates: list[tuple[float, ...]] = results["curves"]
