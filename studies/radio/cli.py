@@ -1,4 +1,4 @@
-"""The command line of the radio's validation: see `studies.common.command_line`."""
+"""Command line of the radio's validation: see `studies.common.command_line`."""
 
 import sys
 from pathlib import Path
@@ -21,17 +21,17 @@ SUBJECTS: dict[str, Subject[RadioPlan]] = {
     "ftm": Subject(ranging_section.jobs, ranging_section.judge),
     "per": Subject(error_section.jobs, error_section.judge),
 }
-"""The longest jobs come first."""
+"""In the order of execution: the longest jobs first."""
 ORDER = ("saturation", "broadcast", "per", "ftm", "ftm-mesh")
-"""Of the page."""
-INTRODUCTION = """The 802.11 emulator without a flight, against ns-3 3.37, Bianchi's model and the figures
-of the standard. Every number comes from
+"""Order of the sections on the page."""
+INTRODUCTION = """The 802.11 emulator without a flight, compared with ns-3 3.37, Bianchi's model and the
+figures of the standard. All numbers are produced by
 
     python scripts/validate_radio.py
 
-which simulates everything again and takes some minutes on two cores; with `--out docs` it writes this page
-and its figures. What ns-3 and Bianchi's model gave stands in `tests/reference`. All runs follow from their
-seeds: the same sources give the same numbers.
+which repeats all simulations in some minutes on two cores; with `--out docs` it writes this page and its
+figures. The reference results of ns-3 and Bianchi's model are in `tests/reference`. All runs are determined
+by their seeds: the same sources give the same numbers.
 """
 PAGE = Page(file_name="radio-validation.md", title="Validation of the radio", introduction=INTRODUCTION)
 
@@ -47,10 +47,11 @@ def validate_radio(
     seeds: Annotated[int | None, typer.Option(help="Runs of each condition.", min=1)] = None,
     json: Annotated[bool, typer.Option("--json", help="Print only the numbers, as JSON.")] = False,  # noqa: FBT002
     out: Annotated[
-        Path | None, typer.Option(help="Folder for radio-validation.md and images/; none writes nothing.")
+        Path | None,
+        typer.Option(help="Folder for radio-validation.md and images/; without it no file is written."),
     ] = None,
 ) -> None:
-    """Measure how right the emulated radio is, by what others measured on the same work."""
+    """Compare the emulated radio with reference results for the same traffic."""
     messages = Console(stderr=True, highlight=False)
     names = chosen("validate_radio", only, ORDER, messages)
     plan = QUICK_RADIO if quick else RadioPlan()

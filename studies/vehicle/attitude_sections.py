@@ -81,13 +81,13 @@ def judge_upsets(plan: VehiclePlan, results: Results, images: Path | None) -> Se
             f"Controller: {plan.recoveries} starts at 30 m in random attitudes, first those that are upside "
             f"down, with rates of up to {RATE_MAX_RAD_S:g} rad/s. The plant is a 6-DOF Iris with the "
             "inertial sensors' noise, and level flight is commanded. The vehicle is upright when its tilt "
-            f"stays below {UPRIGHT_DEG:g} degrees. Whole vehicle: {plan.throws} upsets with the estimator in the loop, "
-            "from position hold at 30 m: for 0.15 to 0.9 s a second controller flies its motors towards a "
-            "random attitude and then releases them. Position hold tilts the vehicle to brake the speed "
-            f"gained, so here the thrust axis must stay within {ALIGNED_DEG:g} degrees of the position "
-            f"controller's setpoint, and {CATCH_S:g} s later the vehicle must be back at its position. The "
-            f"{ALIGNED_DEG:g} degrees are a choice of this study: the setpoint moves during braking, and an "
-            "alignment within 10 degrees takes up to 2.3 s.\n"
+            f"stays below {UPRIGHT_DEG:g} degrees. Whole vehicle: {plan.throws} upsets with the estimator "
+            "in the loop, from position hold at 30 m: for 0.15 to 0.9 s a second controller flies its "
+            "motors towards a random attitude and then releases them. Position hold tilts the vehicle to "
+            f"brake the speed gained, so here the thrust axis must stay within {ALIGNED_DEG:g} degrees of "
+            f"the position controller's setpoint, and {CATCH_S:g} s later the vehicle must be back at its "
+            f"position. The {ALIGNED_DEG:g} degrees are a choice of this study: the setpoint moves during "
+            "braking, and an alignment within 10 degrees takes up to 2.3 s.\n"
         ),
         checks=checks,
         tables=(
