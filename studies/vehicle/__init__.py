@@ -1,1 +1,1 @@
-"""How well one vehicle flies, measured (docs/results/validation.md), and what a step of it costs."""
+"""Flight performance of one vehicle (generates docs/validation.md), and the benchmark of its step."""

@@ -24,7 +24,7 @@ from studies.vehicle.campaign import SUBJECTS
 from studies.vehicle.cli import BAD_INPUT, validate_app
 from studies.vehicle.estimation import EPOCH_S, MEASUREMENTS, STATES, Consistency, WrongCompass, pooled
 from studies.vehicle.hover import Hover, fly_hover
-from studies.vehicle.hover_section import untold_tilt_deg
+from studies.vehicle.hover_section import unobservable_tilt_deg
 from studies.vehicle.plan import QUICK
 
 SCRIPT = ROOT / "scripts" / "validate_vehicle.py"
@@ -163,8 +163,8 @@ def test_the_tilt_that_a_hover_cannot_know_is_that_of_the_simulated_biases():
     model = PROFILES["consumer"].accel_m_s2.at_interval(0.004)
     axes = rng.standard_normal((40_000, 2, 2)) * (model.turn_on_std, model.drift_std)
     tilts_deg = np.degrees(np.linalg.norm(axes.sum(axis=2), axis=1) / 9.80665)
-    assert untold_tilt_deg(10**12) == pytest.approx(tilts_deg.mean(), rel=0.01)
-    beyond = np.mean(tilts_deg.reshape(-1, 8).mean(axis=1) > untold_tilt_deg(8))
+    assert unobservable_tilt_deg(10**12) == pytest.approx(tilts_deg.mean(), rel=0.01)
+    beyond = np.mean(tilts_deg.reshape(-1, 8).mean(axis=1) > unobservable_tilt_deg(8))
     assert beyond == pytest.approx(0.025, abs=0.015)
 
 
@@ -173,7 +173,7 @@ def test_a_calm_hover_with_consumer_sensors_learns_no_tilt_that_it_cannot_know()
     hovers = [
         Hover(seed=seed, mean_n=0.0, gust_rms_n=0.0, sensors="consumer", measure_s=10.0) for seed in range(8)
     ]
-    assert np.mean([fly_hover(hover).tilt_deg for hover in hovers]) < untold_tilt_deg(8)
+    assert np.mean([fly_hover(hover).tilt_deg for hover in hovers]) < unobservable_tilt_deg(8)
 
 
 def test_an_unknown_subject_is_one_line():
