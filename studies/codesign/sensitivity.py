@@ -1,4 +1,4 @@
-"""Expected gain of the array for a position error, from a table in tests/reference; see its README."""
+"""Expected gain of the array for a position error, from a table in studies/reference; see its README."""
 
 import csv
 import math

@@ -1,4 +1,4 @@
-"""Reference results for the same traffic: tables in tests/reference; its README states their origin."""
+"""Reference results for the same traffic: tables in studies/reference; its README states their origin."""
 
 import csv
 from collections.abc import Iterator
