@@ -99,7 +99,7 @@ class Server:
         Raises ValueError for an invalid request.
         """
         while (request := clock.receive()) is not None:
-            # sched_yield lets vehicles on the same processor run between events
+            # Linux weighs sched_yield among the processes of one session, here the vehicles on this processor
             self._service.set_between_events(os.sched_yield if _shares_a_processor() else None)
             self.advance(request, clock.send)
         return {"counters": self._service.counters, "malformed": self._malformed}
