@@ -76,7 +76,10 @@ def test_a_place_in_metres_of_the_site_comes_back_from_the_globe(north_m, east_m
         ((), "the mission is empty"),
         ((speed(3.0),), "nothing to fly"),
         ((MissionItem(command=MissionCommand.WAYPOINT),), r"item 0 \(WAYPOINT\): it has no position"),
-        ((WAYPOINT, MissionItem(command=MissionCommand.LAND, lat_deg=1.0)), "item 1 .*must be given together"),
+        (
+            (WAYPOINT, MissionItem(command=MissionCommand.LAND, lat_deg=1.0)),
+            "item 1 .*must be given together",
+        ),
         ((at(0.0, 0.0, math.nan),), "height nan is outside"),
         ((at(0.0, 0.0, 5.0, hold_s=math.nan),), "hold time nan is outside"),
         ((at(0.0, 0.0, 5.0, acceptance_m=-1.0),), "acceptance radius -1 is outside"),

@@ -170,7 +170,7 @@ def changed(**fields):
          "mission.items[1]: 'StructureScan' without items"),
         (file_of(simple(16, 0, 0, 0, None, LAT, LON)), "items[0].params: expected 7 numbers"),
         (file_of(simple(16, 0, 0, 0, "x", LAT, LON, 3)), "items[0].params: expected a number"),
-        (file_of(simple(16, 0, 0, 0, 0, 300, LON, 3)), "items[0].params: 300, 8.54559 is not a valid latitude"),
+        (file_of(simple(16, 0, 0, 0, 0, 300, LON, 3)), "params: 300, 8.54559 is not a valid latitude"),
         (file_of({**TAKE_OFF, "frame": "3"}), "mission.items[0].frame: expected a whole number"),
         (file_of({**TAKE_OFF, "autoContinue": 1}), "autoContinue: expected true or false"),
         (file_of(TAKE_OFF, simple(177, 9, 1, 0, 0, 0, 0, 0, frame=2, number=[2])), "jumps to item 9"),
