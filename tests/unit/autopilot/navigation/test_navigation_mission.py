@@ -124,7 +124,7 @@ def test_items_are_flown_in_order_and_the_last_one_stays_current():
 @settings(deadline=None)
 @given(st.integers(0, 20))
 def test_a_jump_is_taken_exactly_as_often_as_given(count):
-    # resets the counts too
+    # 0, then (1, 2) once and again for every jump, then 4
     runner = runner_of(WAYPOINT, WAYPOINT, WAYPOINT, jump(1, count), WAYPOINT)
     assert flown(runner) == [0] + [1, 2] * (count + 1) + [4]
     runner.restart()  # resets the counts too
@@ -134,7 +134,7 @@ def test_a_jump_is_taken_exactly_as_often_as_given(count):
 def test_items_executed_on_the_way_are_reported_in_order():
     act = MissionItem(command=MissionCommand.ACT, act=2000)
     runner = runner_of(act, speed(3.0), WAYPOINT, act, jump(2, 1), WAYPOINT, act)
-    assert (runner.current, list(runner.done), runner.begun) == (0, [], False)  # earlier items are not executed
+    assert (runner.current, list(runner.done), runner.begun) == (0, [], False)  # nothing is executed yet
     runner.settle()
     runner.settle()
     assert (runner.current, list(runner.done), runner.begun) == (2, [0, 1], True)
