@@ -48,9 +48,7 @@ def test_the_curve_is_odd_within_one_and_flat_in_the_deadzone(stick, deadzone, e
     assert curve(-stick, deadzone=deadzone, expo=expo) == -demand
     assert abs(demand) <= 1.0 + 1e-12
     assert (demand == 0.0) == (abs(stick) <= deadzone) or abs(stick) - deadzone < 1e-12
-    assert (
-        abs(demand) <= max(abs(stick) - deadzone, 0.0) / (1.0 - deadzone) + 1e-12
-    )  # below linear
+    assert abs(demand) <= max(abs(stick) - deadzone, 0.0) / (1.0 - deadzone) + 1e-12  # below linear
     assert curve(1.0, deadzone=deadzone, expo=expo) == pytest.approx(1.0)
 
 

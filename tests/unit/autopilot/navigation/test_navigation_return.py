@@ -107,9 +107,7 @@ def test_from_below_it_climbs_vertically_then_flies_straight_home_nose_first():
 def test_the_nose_points_home_until_near_and_is_then_kept():
     loop = Ideal((30.0, 40.0, -25.0), params=LOW)
     loop.enter(FlightMode.RETURN)
-    assert (
-        loop.navigator.return_phase is ReturnPhase.FLY_HOME
-    )  # from above it keeps its height
+    assert loop.navigator.return_phase is ReturnPhase.FLY_HOME  # from above it keeps its height
     loop.run(8.0)
     assert loop.setpoint.yaw_rad == pytest.approx(math.atan2(-40.0, -30.0), abs=1e-3)
     assert loop.run(10.0, lambda: loop.navigator.return_phase is ReturnPhase.LAND)
