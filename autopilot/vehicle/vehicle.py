@@ -215,8 +215,8 @@ class Vehicle:
     def serve_while_paused(self, link_messages: Sequence[Addressed]) -> list[Addressed]:
         """Return replies to the links while simulated time is paused.
 
-        Commands are executed and the newest setpoints stored. No time passes, so nothing is due and nothing times
-        out.
+        Commands are executed and the newest setpoints stored. No time passes, so nothing is due and nothing
+        times out.
         """
         if self._last_us is None:
             return []
