@@ -30,7 +30,8 @@ class BatteryParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     cells: Annotated[int, Meta(ge=1, le=16)] = 3
     """BAT1_N_CELLS: number of cells in series (PX4: unknown)"""
     capacity_mah: Annotated[float, Meta(ge=-1.0, le=100_000.0)] = IRIS_CAPACITY_MAH
-    """BAT1_CAPACITY; 0 or less: unknown, the charge is estimated from the voltage only (PX4: unknown)"""
+    """BAT1_CAPACITY: capacity; 0 or less: unknown, the charge is estimated from the voltage only (PX4:
+    unknown)"""
     charged_v: Annotated[float, Meta(ge=2.0, le=5.0)] = 4.05
     """BAT1_V_CHARGED: voltage of a full cell without load"""
     empty_v: Annotated[float, Meta(ge=2.0, le=5.0)] = 3.6
@@ -56,7 +57,7 @@ class BatterySimParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """SIM_BAT_DRAIN: above 0 PX4's simple model, a charge that falls from full to empty in this time while
     armed, is full when disarmed, and has no current; 0 uses the model of the pack (PX4: 60 s)"""
     minimum: Fraction = 0.0
-    """SIM_BAT_MIN_PCT (in PX4 in percent): the charge never falls below it; raising it charges (PX4: 50 %)"""
+    """SIM_BAT_MIN_PCT (there in percent): the charge never falls below it; raising it charges (PX4: 50 %)"""
     initial: Fraction = 1.0
     """Initial charge"""
     resistance_ohm: Annotated[float, Meta(ge=0.0, le=0.2)] = 0.005

@@ -38,7 +38,7 @@ class FailureDetectorParams(Struct, frozen=True, kw_only=True, forbid_unknown_fi
     motor_current_per_thrust_a: Annotated[float, Meta(ge=0.0, le=50.0)] = 2.0
     """FD_ACT_MOT_C2T: least current at full thrust, proportionally less below"""
     motor_timeout_us: Annotated[int, Meta(ge=10_000, le=10_000_000)] = 100_000
-    """FD_ACT_MOT_TOUT (in PX4 in ms): how long the current must be too low"""
+    """FD_ACT_MOT_TOUT (there in ms): how long the current must be too low"""
 
 
 class AttitudeFailure(IntFlag):

@@ -39,11 +39,11 @@ class LandDetectorParams(Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Motion thresholds."""
 
     vertical_speed_max_m_s: Annotated[float, Meta(gt=0.0)] = 0.25
-    """LNDMC_Z_VEL_MAX"""
+    """LNDMC_Z_VEL_MAX: greatest vertical speed on the ground"""
     horizontal_speed_max_m_s: Annotated[float, Meta(gt=0.0)] = 1.5
-    """LNDMC_XY_VEL_MAX"""
+    """LNDMC_XY_VEL_MAX: greatest horizontal speed on the ground"""
     rotation_max_rad_s: Annotated[float, Meta(gt=0.0)] = radians(20.0)
-    """LNDMC_ROT_MAX"""
+    """LNDMC_ROT_MAX: greatest body rate on the ground"""
 
 
 class LandDetector:

@@ -21,31 +21,31 @@ class PositionParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Position P and velocity PID controllers; the output is an acceleration."""
 
     xy_p: NonNegative = 0.95
-    """MPC_XY_P, 1/s: horizontal position gain"""
+    """MPC_XY_P: horizontal position gain, 1/s"""
     z_p: NonNegative = 1.0
-    """MPC_Z_P, 1/s: vertical position gain"""
+    """MPC_Z_P: vertical position gain, 1/s"""
     xy_vel_p_acc: Positive = 1.8
-    """MPC_XY_VEL_P_ACC, 1/s: horizontal velocity P gain"""
+    """MPC_XY_VEL_P_ACC: horizontal velocity P gain, 1/s"""
     xy_vel_i_acc: NonNegative = 0.4
-    """MPC_XY_VEL_I_ACC, 1/s^2: horizontal velocity I gain"""
+    """MPC_XY_VEL_I_ACC: horizontal velocity I gain, 1/s^2"""
     xy_vel_d_acc: NonNegative = 0.2
     """MPC_XY_VEL_D_ACC: horizontal velocity D gain"""
     z_vel_p_acc: Positive = 4.0
-    """MPC_Z_VEL_P_ACC, 1/s: vertical velocity P gain"""
+    """MPC_Z_VEL_P_ACC: vertical velocity P gain, 1/s"""
     z_vel_i_acc: NonNegative = 2.0
-    """MPC_Z_VEL_I_ACC, 1/s^2: vertical velocity I gain"""
+    """MPC_Z_VEL_I_ACC: vertical velocity I gain, 1/s^2"""
     z_vel_d_acc: NonNegative = 0.0
     """MPC_Z_VEL_D_ACC: vertical velocity D gain"""
     acc_cutoff_hz: Positive = 5.0
     """MPC_VELD_LP: cutoff of the low-pass filter of the acceleration in the D terms"""
     xy_vel_max_m_s: Positive = 12.0
-    """MPC_XY_VEL_MAX: greatest horizontal speed"""
+    """MPC_XY_VEL_MAX: greatest horizontal speed setpoint"""
     z_vel_max_up_m_s: Positive = 3.0
-    """MPC_Z_VEL_MAX_UP: greatest climb rate"""
+    """MPC_Z_VEL_MAX_UP: greatest climb rate setpoint"""
     z_vel_max_dn_m_s: Positive = 1.5
-    """MPC_Z_VEL_MAX_DN: greatest descent rate"""
+    """MPC_Z_VEL_MAX_DN: greatest descent rate setpoint"""
     tilt_max_rad: Tilt = radians(45.0)
-    """MPC_TILTMAX_AIR: greatest tilt"""
+    """MPC_TILTMAX_AIR: greatest tilt of position control"""
     thr_hover: Annotated[float, Meta(ge=0.1, le=0.8)] = 0.5
     """MPC_THR_HOVER: initial value of the hover thrust estimate"""
     thr_min: Annotated[float, Meta(ge=0.01, le=1.0)] = 0.12
@@ -72,9 +72,9 @@ class DisturbanceParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields
     acc_max_m_s2: Positive = 8.0
     """CF_DOB_ACC_MAX: greatest magnitude of the estimate; 5 N on an Iris is 3.2 m/s^2"""
     integral_share: Fraction = 0.5
-    """CF_DOB_I_SHARE: scale of the velocity integral gains while the observer is enabled: the observer
-    replaces them, and it cancels the drag that damped them. Overshoot of a 2 m/s velocity step on the Iris: 6
-    % at 0.5, 11 % at 1"""
+    """CF_DOB_I_SHARE: scale of the velocity integral gains while the observer is enabled: the observer does
+    part of their work, and it cancels the drag that damps them. Overshoot of a 2 m/s velocity step on the
+    Iris: 6 % at 0.5, 11 % at 1"""
 
 
 class HoverThrustParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -85,7 +85,7 @@ class HoverThrustParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields
     initial_std: Positive = 0.1
     """HTE_HT_ERR_INIT: initial standard deviation"""
     gate_sigma: Positive = 3.0
-    """HTE_ACC_GATE: innovation gate"""
+    """HTE_ACC_GATE: innovation gate, standard deviations"""
     range: Annotated[float, Meta(ge=0.05, le=0.4)] = 0.2
     """HTE_THR_RANGE: greatest deviation of the estimate from thr_hover"""
 
@@ -94,11 +94,11 @@ class AttitudeParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Attitude P controller; the output is body rates."""
 
     roll_p: NonNegative = 6.5
-    """MC_ROLL_P, 1/s: roll gain"""
+    """MC_ROLL_P: roll gain, 1/s"""
     pitch_p: NonNegative = 6.5
-    """MC_PITCH_P, 1/s: pitch gain"""
+    """MC_PITCH_P: pitch gain, 1/s"""
     yaw_p: NonNegative = 2.8
-    """MC_YAW_P, 1/s: yaw gain"""
+    """MC_YAW_P: yaw gain, 1/s"""
     yaw_weight: Fraction = 0.4
     """MC_YAW_WEIGHT: priority of yaw relative to tilt"""
     roll_rate_max_rad_s: Positive = radians(220.0)
@@ -121,29 +121,29 @@ class RateParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     yaw_k: Positive = 1.34
     """MC_YAWRATE_K: yaw loop gain"""
     roll_p: NonNegative = 0.15
-    """MC_ROLLRATE_P, s/rad"""
+    """MC_ROLLRATE_P: roll rate P gain, s/rad"""
     pitch_p: NonNegative = 0.15
-    """MC_PITCHRATE_P, s/rad"""
+    """MC_PITCHRATE_P: pitch rate P gain, s/rad"""
     yaw_p: NonNegative = 0.2
-    """MC_YAWRATE_P, s/rad"""
+    """MC_YAWRATE_P: yaw rate P gain, s/rad"""
     roll_i: NonNegative = 0.2
-    """MC_ROLLRATE_I, 1/rad"""
+    """MC_ROLLRATE_I: roll rate I gain, 1/rad"""
     pitch_i: NonNegative = 0.2
-    """MC_PITCHRATE_I, 1/rad"""
+    """MC_PITCHRATE_I: pitch rate I gain, 1/rad"""
     yaw_i: NonNegative = 0.1
-    """MC_YAWRATE_I, 1/rad"""
+    """MC_YAWRATE_I: yaw rate I gain, 1/rad"""
     roll_d: NonNegative = 0.003
-    """MC_ROLLRATE_D, s^2/rad"""
+    """MC_ROLLRATE_D: roll rate D gain, s^2/rad"""
     pitch_d: NonNegative = 0.003
-    """MC_PITCHRATE_D, s^2/rad"""
+    """MC_PITCHRATE_D: pitch rate D gain, s^2/rad"""
     yaw_d: NonNegative = 0.0
-    """MC_YAWRATE_D, s^2/rad"""
+    """MC_YAWRATE_D: yaw rate D gain, s^2/rad"""
     roll_ff: NonNegative = 0.0
-    """MC_ROLLRATE_FF, s/rad"""
+    """MC_ROLLRATE_FF: roll rate feed-forward gain, s/rad"""
     pitch_ff: NonNegative = 0.0
-    """MC_PITCHRATE_FF, s/rad"""
+    """MC_PITCHRATE_FF: pitch rate feed-forward gain, s/rad"""
     yaw_ff: NonNegative = 0.0
-    """MC_YAWRATE_FF, s/rad"""
+    """MC_YAWRATE_FF: yaw rate feed-forward gain, s/rad"""
     integral_max: NonNegative = 0.3
     """MC_RR_INT_LIM, MC_PR_INT_LIM, MC_YR_INT_LIM: limit of the integral, in normalised torque"""
     derivative_cutoff_hz: Positive = 30.0
@@ -185,28 +185,28 @@ class TrajectoryParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """Limits of position trajectories."""
 
     xy_cruise_m_s: Positive = 5.0
-    """MPC_XY_CRUISE: horizontal speed"""
+    """MPC_XY_CRUISE: horizontal speed of automatic modes"""
     z_vel_up_m_s: Positive = 3.0
-    """MPC_Z_V_AUTO_UP: climb rate"""
+    """MPC_Z_V_AUTO_UP: climb rate of automatic modes"""
     z_vel_dn_m_s: Positive = 1.5
-    """MPC_Z_V_AUTO_DN: descent rate"""
+    """MPC_Z_V_AUTO_DN: descent rate of automatic modes"""
     acc_xy_m_s2: Positive = 3.0
-    """MPC_ACC_HOR: horizontal acceleration"""
+    """MPC_ACC_HOR: greatest horizontal acceleration"""
     acc_up_m_s2: Positive = 4.0
-    """MPC_ACC_UP_MAX: upward acceleration"""
+    """MPC_ACC_UP_MAX: greatest upward acceleration"""
     acc_dn_m_s2: Positive = 3.0
-    """MPC_ACC_DOWN_MAX: downward acceleration"""
+    """MPC_ACC_DOWN_MAX: greatest downward acceleration"""
     jerk_m_s3: Positive = 4.0
-    """MPC_JERK_AUTO: jerk"""
+    """MPC_JERK_AUTO: greatest jerk of automatic modes"""
     acc_lead_s: NonNegative = 0.1
     """Lead of the acceleration feed-forward, which compensates the lag of attitude loop and motors. Tuned on
     the Iris: overshoot of moves of 1 and 5 m is 2.0 and 1.7 %, without lead 7.7 and 4.2 %"""
     xy_error_max_m: Positive = 2.0
     """MPC_XY_ERR_MAX: horizontal distance to the vehicle at which the position setpoint stops"""
     yaw_rate_max_rad_s: Positive = radians(45.0)
-    """MPC_YAWRAUTO_MAX: yaw rate"""
+    """MPC_YAWRAUTO_MAX: greatest yaw rate of automatic modes"""
     yaw_acc_max_rad_s2: Positive = radians(60.0)
-    """MPC_YAWRAUTO_ACC: yaw acceleration (PX4: 20 deg/s^2)"""
+    """MPC_YAWRAUTO_ACC: greatest yaw acceleration of automatic modes (PX4: 20 deg/s^2)"""
 
 
 class ControlParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

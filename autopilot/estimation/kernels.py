@@ -10,8 +10,8 @@ Magnetic field and wind are not states. Without airspeed or a drag model the win
 multicopter, and states of the field would be separable from heading only in long flights with many turns. The
 site's field is a setting; a compass error is visible in the heading's innovations and in ``yaw_gsf``.
 
-Arrays are written in place where a docstring says so. Without numba's compiler (NUMBA_DISABLE_JIT=1) the same
-code runs as plain Python.
+Arrays are written in place where a docstring states it. Without numba's compiler (NUMBA_DISABLE_JIT=1) the
+same code runs as plain Python.
 """
 
 import math

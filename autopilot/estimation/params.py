@@ -40,12 +40,13 @@ class EstimatorParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     """EKF2_ABL_LIM: limit of the accelerometer bias, per axis"""
 
     gps_delay_us: Annotated[int, Meta(ge=0, le=300_000)] = 120_000
-    """EKF2_GPS_DELAY (in PX4 in ms): age of a fix when it arrives, equal to the delay of the filter's
+    """EKF2_GPS_DELAY (there in ms): age of a fix when it arrives, equal to the delay of the filter's
     horizon"""
     gps_pos_noise_m: PositiveSmall = 0.5
-    """EKF2_GPS_P_NOISE: least horizontal noise, also if ``eph_m`` is smaller"""
+    """EKF2_GPS_P_NOISE: least horizontal noise of a position, also if ``eph_m`` is smaller"""
     gps_vel_noise_m_s: PositiveSmall = 0.2
-    """EKF2_GPS_V_NOISE: noise per horizontal axis; 1.5 times as large on the vertical axis, as in PX4"""
+    """EKF2_GPS_V_NOISE: velocity noise per horizontal axis; 1.5 times as large on the vertical axis, as in
+    PX4"""
     gps_pos_gate: Gate = 5.0
     """EKF2_GPS_P_GATE: innovation gate of the position, standard deviations"""
     gps_vel_gate: Gate = 5.0
@@ -55,13 +56,13 @@ class EstimatorParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     gps_required_satellites: Annotated[int, Meta(ge=4, le=12)] = 6
     """EKF2_REQ_NSATS: a fix with fewer satellites is not used"""
     baro_noise_m: PositiveSmall = 0.35
-    """EKF2_BARO_NOISE: noise of readings at SENS_BARO_RATE"""
+    """EKF2_BARO_NOISE: noise of barometer readings at SENS_BARO_RATE"""
     baro_gate: Gate = 5.0
-    """EKF2_BARO_GATE: innovation gate, standard deviations"""
+    """EKF2_BARO_GATE: innovation gate of the barometer, standard deviations"""
     mag_noise_gauss: PositiveSmall = 0.014
-    """EKF2_MAG_NOISE: noise per axis, of readings at SENS_MAG_RATE"""
+    """EKF2_MAG_NOISE: noise per axis of magnetometer readings at SENS_MAG_RATE"""
     heading_gate: Gate = 2.6
-    """EKF2_HDG_GATE: innovation gate, standard deviations"""
+    """EKF2_HDG_GATE: innovation gate of the heading, standard deviations"""
     magnetic_field_ned_gauss: Vector = Site().magnetic_field_ned_gauss
     """Magnetic field of the site: declination (EKF2_MAG_DECL) and inclination; its horizontal part must not
     be zero."""
@@ -72,7 +73,7 @@ class EstimatorParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     mag_check_strength_gauss: PositiveSmall = 0.2
     """EKF2_MAG_CHK_STR: a field whose strength differs by more is disturbed and not used"""
     mag_check_inclination_rad: Annotated[float, Meta(gt=0.0, le=math.pi)] = math.radians(20.0)
-    """EKF2_MAG_CHK_INC (in PX4 in degrees): a field whose inclination differs by more is not used"""
+    """EKF2_MAG_CHK_INC (there in degrees): a field whose inclination differs by more is not used"""
 
     no_aid_timeout_us: Annotated[int, Meta(ge=500_000, le=10_000_000)] = 5_000_000
     """EKF2_NOAID_TOUT: duration of dead reckoning after which velocity and position are invalid"""

@@ -34,11 +34,11 @@ class ManualParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Manual modes."""
 
     tilt_max_rad: Annotated[float, Meta(gt=0.0, le=radians(70.0))] = radians(35.0)
-    """MPC_MAN_TILT_MAX: greatest tilt"""
+    """MPC_MAN_TILT_MAX: greatest tilt of manual modes"""
     yaw_rate_max_rad_s: NonNegative = radians(150.0)
-    """MPC_MAN_Y_MAX: greatest yaw rate"""
+    """MPC_MAN_Y_MAX: greatest yaw rate of manual modes"""
     yaw_rate_filter_s: NonNegative = 0.08
-    """MPC_MAN_Y_TAU: time constant of the yaw rate filter"""
+    """MPC_MAN_Y_TAU: time constant of the yaw rate filter of manual modes"""
     thrust_min: Fraction = 0.08
     """MPC_MANTHR_MIN: least thrust in the air, as a fraction of full thrust"""
     deadzone: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.1
@@ -50,13 +50,14 @@ class ManualParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     yaw_expo: Fraction = 0.6
     """MPC_YAW_EXPO: cubic fraction of the yaw stick curve"""
     xy_speed_m_s: Positive = 10.0
-    """MPC_VEL_MANUAL: greatest horizontal speed"""
+    """MPC_VEL_MANUAL: greatest horizontal speed of position mode"""
     jerk_m_s3: Positive = 8.0
-    """MPC_JERK_MAX: greatest jerk"""
+    """MPC_JERK_MAX: greatest jerk of manual modes"""
     hold_max_xy_m_s: NonNegative = 0.8
     """MPC_HOLD_MAX_XY: speed below which the position is held once the sticks are centred; 0: at any speed"""
     hold_max_z_m_s: NonNegative = 0.6
-    """MPC_HOLD_MAX_Z: likewise for the height"""
+    """MPC_HOLD_MAX_Z: vertical speed below which the height is held once the throttle is centred; 0: at any
+    speed"""
 
 
 class NavigationParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -67,9 +68,9 @@ class NavigationParams(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     acceptance_m: Positive = 2.0
     """NAV_ACC_RAD: horizontal distance at which a position is reached (PX4: 10, and 2 on multicopters)"""
     altitude_acceptance_m: Positive = 0.8
-    """NAV_MC_ALT_RAD: likewise for the height"""
+    """NAV_MC_ALT_RAD: vertical distance at which a position is reached"""
     yaw_acceptance_rad: Positive = radians(12.0)
-    """MIS_YAW_ERR: likewise for the heading, if the position has one"""
+    """MIS_YAW_ERR: heading error at which an item with a heading is reached"""
     first_place_max_m: float = 10_000.0
     """MIS_DIST_1WP: distance from home to a mission's first position above which a warning is sent; 0 or
     less: never"""
