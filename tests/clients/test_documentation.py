@@ -25,4 +25,4 @@ def test_the_blocks_of_the_ground_stations_page(hold, tmp_path) -> None:
         )
         assert done.returncode == 0, done.stdout + done.stderr
     swarm.end()
-    assert any("released" in line for line in swarm.said)
+    assert any("released" in line for line in swarm.log_lines)

@@ -19,7 +19,7 @@ def test_a_px4_users_session_on_one_vehicle_while_the_others_hold(hold, client) 
     assert [line for line in manifest["nondeterminism"] if "spoken to" in line] == [
         "uav 0 was spoken to by a ground station or companion"
     ]
-    assert not any("touched" in line or "lost" in line for line in swarm.said)
+    assert not any("touched" in line or "lost" in line for line in swarm.log_lines)
 
 
 LEAST_IDLE = 0.1

@@ -339,7 +339,7 @@ def test_a_requester_is_selected_over_newer_sources():
 
 
 def test_one_sources_stream_does_not_keep_another_alive():
-    #  0 s the station is flown by; it stops ... 1 s lost, though the application goes on all the time
+    # the station's stream stops at 0 s and is lost at 1 s, although the application still sends
     sources = Sources()
     sources.send(0, STATION, 1.0)
     sources.service.ask(STATION, 0)

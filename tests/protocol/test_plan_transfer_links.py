@@ -1,6 +1,6 @@
 """Plans written and read by MAVSDK, QGroundControl and MAVProxy over links of all kinds.
 
-What a client does not mend itself and no vehicle can is counted, with bounds.
+Failures that neither the client nor any vehicle can prevent are counted, with bounds.
 """
 
 import pytest
@@ -53,9 +53,9 @@ def test_mavsdk_writes_200_items_over_200_links_that_lose_and_reorder():
 
 
 def test_mavsdk_over_200_links_that_duplicate_too():
-    """A late copy of a request or of MISSION_COUNT makes it go back, which it does not always survive.
+    """A late copy of a request or of MISSION_COUNT sets MAVSDK back, and may make it fail.
 
-    Then it says that it failed though all is there, or keeps items that it has read before the copy twice.
+    It then reports a failure of a complete upload, or stores items that it read before the copy twice.
     """
     failed = doubled = 0
     for seed in range(200):
@@ -65,7 +65,7 @@ def test_mavsdk_over_200_links_that_duplicate_too():
         doubled += len(got) > len(PLAN)
         assert got == bits(PLAN) or len(got) > len(PLAN), seed
     assert failed <= 6  # 1 of 200 measured
-    assert doubled <= 14  # 6 of 200; measured; copies of MISSION_COUNT: 5 %
+    assert doubled <= 14  # 6 of 200 measured; copies of MISSION_COUNT: 5 %
 
 
 def test_mavsdk_recovers_from_late_copies_of_requests():
@@ -76,9 +76,9 @@ def test_mavsdk_recovers_from_late_copies_of_requests():
 
 
 def test_mavproxy_over_200_bad_links():
-    """It says MISSION_COUNT and MISSION_REQUEST_LIST once, and the last item once: no vehicle can mend that.
+    """MAVProxy sends MISSION_COUNT, MISSION_REQUEST_LIST and the last item once; their loss ends a transfer.
 
-    What it has read is what there is, and what is kept is all of what it has written, or nothing.
+    A plan that it has read is complete, and a plan that it has written is stored completely or not at all.
     """
     written = 0
     for seed in range(200):

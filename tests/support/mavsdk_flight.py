@@ -101,7 +101,7 @@ class Flight:
     async def files(self) -> None:
         check, metadata = self.checks.check, ComponentMetadataAsync(self.system)
         await check("a folder by FTP", FtpAsync(self.system).list_directory("/"))
-        await check("ask for the metadata", metadata.request_autopilot_component())
+        await check("request the metadata", metadata.request_autopilot_component())
         await check("the parameters'", self._parameter_metadata(metadata), limit_s=20.0)
 
     async def refusals_on_the_ground(self) -> None:

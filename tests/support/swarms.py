@@ -45,7 +45,7 @@ class Held:
     def __init__(self, folder: Path, *options: str) -> None:
         self.folder = folder
         self._options = options
-        self.said: list[str] = []
+        self.log_lines: list[str] = []
         self._ready = threading.Event()
         self._process: subprocess.Popen[str] | None = None
 
@@ -68,13 +68,13 @@ class Held:
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
-        assert self._ready.wait(START_S), self.said
-        assert self._process.poll() is None, self.said
+        assert self._ready.wait(START_S), self.log_lines
+        assert self._process.poll() is None, self.log_lines
 
     def _read(self) -> None:
         assert self._process is not None and self._process.stderr is not None  # noqa: PT018
         for line in self._process.stderr:
-            self.said.append(line.rstrip())
+            self.log_lines.append(line.rstrip())
             if line.startswith("uav 0, system 1:"):  # the first of the addresses: all have started
                 self._ready.set()
         self._ready.set()
@@ -83,7 +83,7 @@ class Held:
         """End the run by SIGINT; return its manifest."""
         assert self._process is not None
         self._process.send_signal(signal.SIGINT)
-        assert self._process.wait(END_S) == 0, self.said
+        assert self._process.wait(END_S) == 0, self.log_lines
         self._reader.join(END_S)
         return json.loads((self.folder / "manifest.json").read_text())
 
@@ -104,7 +104,7 @@ class Held:
     @property
     def pace(self) -> list[float]:
         """Reported real-time factors, one every few seconds."""
-        return [float(x) for line in self.said for x in re.findall(r"([\d.]+) x real time", line)]
+        return [float(x) for line in self.log_lines for x in re.findall(r"([\d.]+) x real time", line)]
 
 
 def findings(process: subprocess.Popen[str], *, wall_limit_s: float) -> list[dict[str, Any]]:
