@@ -98,7 +98,7 @@ class PlanTransfer:
             return ()
         station = UploadStation(partner, message.get_srcSystem(), message.get_srcComponent())
         finished, upload = self._finished, self._upload
-        if finished is not None and station == finished.station and not finished.is_meant_by(message):
+        if finished is not None and station == finished.station and not finished.is_late_item(message):
             finished.repeats_us = []  # the station has gone on, so it has received the acknowledgement
         if upload is not None and station == upload.station:
             upload.refused = None
@@ -205,7 +205,7 @@ class PlanTransfer:
             heard_us=now_us,
             stray=span.stop,
         )
-        return upload.ask(span.start)
+        return upload.request(span.start)
 
     def _on_item(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:
         """Store the requested item and request the next."""
@@ -226,7 +226,7 @@ class PlanTransfer:
             upload.measure_round(now_us - upload.asked_us)
         upload.retries = 0
         upload.asked_us, upload.retry_us = now_us, now_us + upload.patience_us
-        return upload.ask(seq + 1) if seq < upload.last else self._complete(upload, now_us)
+        return upload.request(seq + 1) if seq < upload.last else self._complete(upload, now_us)
 
     def _on_unrequested_item(
         self, message: Message, now_us: int, station: UploadStation
@@ -237,7 +237,7 @@ class PlanTransfer:
             return station.acknowledge(message.mission_type, _ERROR)
         if finished.repeats_us or now_us - finished.ended_us < STALE_US:
             return ()
-        if message.seq == finished.last and finished.is_meant_by(message):
+        if message.seq == finished.last and finished.is_late_item(message):
             return finished.answer
         return station.acknowledge(message.mission_type, _ERROR)
 
@@ -253,7 +253,7 @@ class PlanTransfer:
             seq = max(upload.first, seq - 1)
             if not upload.items:  # an old station supports one kind of request only
                 upload.in_integers = not upload.in_integers
-        return upload.ask(seq)
+        return upload.request(seq)
 
     def _complete(self, upload: Upload, now_us: int) -> Sequence[Addressed]:
         """Check all items as one plan, then store it or keep the old one."""
@@ -349,7 +349,7 @@ class PlanTransfer:
             self._finish(upload, (), now_us)
         elif message.type == common.MAV_MISSION_UNSUPPORTED:
             upload.in_integers = not upload.in_integers
-            return upload.ask(upload.asked)
+            return upload.request(upload.asked)
         return ()
 
     def _on_clear(self, message: Message, now_us: int, station: UploadStation) -> Sequence[Addressed]:

@@ -86,14 +86,14 @@ class Upload(Struct, kw_only=True):
         """Time to wait for an answer before requesting again."""
         return max(RETRY_US, min(self.round_us + 4 * self.variation_us, SLOWEST_RETRY_US))
 
-    def ask(self, seq: int) -> list[Addressed]:
+    def request(self, seq: int) -> list[Addressed]:
         """Return the request for an item."""
-        request = common.MAVLink_mission_request_int_message
+        make = common.MAVLink_mission_request_int_message
         if not self.in_integers:
-            request = common.MAVLink_mission_request_message
+            make = common.MAVLink_mission_request_message
         self.asked = seq
         station = self.station
-        return reply(station.partner, request(station.system, station.component, seq, int(self.kind)))
+        return reply(station.partner, make(station.system, station.component, seq, int(self.kind)))
 
     def measure_round(self, sample_us: int) -> None:
         """Update the round-trip time by that of an item that was requested once."""
@@ -116,7 +116,7 @@ class UploadFinished(Struct, kw_only=True):
     repeats_us: list[int]
     """Times at which the acknowledgement is repeated"""
 
-    def is_meant_by(self, message: Message) -> bool:
+    def is_late_item(self, message: Message) -> bool:
         """Whether a message is a late or repeated item of this upload."""
         return (
             message.get_msgId() in ITEM_MESSAGES
