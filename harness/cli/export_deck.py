@@ -1,6 +1,6 @@
-"""The swarm's antenna at any instant of a run as a NEC deck, which nec2c reads and xnec2c opens.
+"""Exports the swarm's antenna at an instant of a run as a NEC deck for nec2c and xnec2c.
 
-Exit status: 0 fine, 2 bad input or no antenna at that time, with one line on stderr.
+Exit status: 0 success, 2 bad input or no antenna at that time, with one line on stderr.
 """
 
 import sys
@@ -29,7 +29,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
 class DeckRefused(Exception):
-    """There is no deck; the text is one line that says why."""
+    """There is no deck; the text is the reason in one line."""
 
 
 class _Manifest(msgspec.Struct, frozen=True, kw_only=True):
@@ -43,7 +43,7 @@ def export(
     time: Annotated[float, typer.Option(help="Simulated seconds since the start.", metavar="S")],
     out: Annotated[Path | None, typer.Option(help="File; stdout without it.", metavar="FILE")] = None,
 ) -> None:
-    """Write the antenna as it was at the recorded instant nearest to a time, with its feeds, as a deck."""
+    """Write the antenna with its feeds at the recorded instant nearest to a time as a NEC deck."""
     deck = deck_at(run, time)
     if out is None:
         sys.stdout.write(deck)
@@ -52,9 +52,9 @@ def export(
 
 
 def deck_at(run: Path, time_s: float) -> str:
-    """Make the deck of the recorded instant nearest to a simulated time; raises DeckRefused, OSError.
+    """Return the deck of the recorded instant nearest to a simulated time; raises DeckRefused, OSError.
 
-    Elements are those of the living vehicles, in their order.
+    The elements are those of the living vehicles, in their order.
     """
     folder = RunFolder(run)
     scenario = _scenario(folder)

@@ -131,7 +131,7 @@ class MotorStop(Fault, frozen=True, kw_only=True):
 
 
 class RadioAttenuation(Fault, frozen=True, kw_only=True):
-    """Every link of the channel is attenuated, also of guests; 200 dB block it. Interferers are unaffected."""
+    """All links, also guests', are attenuated; 200 dB block them. Interferers keep their power."""
 
     uav: Annotated[int, Meta(ge=0)] | Literal["all"] = "all"
     attenuation_db: Annotated[float, Meta(ge=0.0, le=300.0)]

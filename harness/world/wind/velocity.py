@@ -43,7 +43,7 @@ class MovingAir:
         self._weights = math.sqrt(model.correlation), math.sqrt(1.0 - model.correlation)
 
     def step(self, dt_s: float, height_m: Array) -> Array:
-        """Return the velocity (n, 3) in m/s, NED, at heights (n,) above ground, ``dt_s`` after the last one."""
+        """Return velocities (n, 3), m/s, NED, at heights (n,) above ground, ``dt_s`` after the last call."""
         air_vel_ned_m_s: Array = self._model.mean_speed_m_s(height_m)[:, None] * self._towards_ned
         if self._turbulence is not None:
             series_m_s = self._turbulence.step(dt_s)
