@@ -1,6 +1,6 @@
-"""The swarm's antenna at any instant of a run as a NEC deck, which nec2c reads and xnec2c opens.
+"""Exports the swarm's antenna at an instant of a run as a NEC deck for nec2c and xnec2c.
 
-Exit status: 0 fine, 2 bad input or no antenna at that time, with one line on stderr.
+Exit status: 0 success, 2 bad input or no antenna at that time, with one line on stderr.
 """
 
 import sys
@@ -27,7 +27,7 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
 class DeckRefused(Exception):
-    """There is no deck; the text is one line that says why."""
+    """There is no deck; the text is the reason in one line."""
 
 
 @app.command()
@@ -37,7 +37,7 @@ def export(
     time: Annotated[float, typer.Option(help="Simulated seconds since the start.", metavar="S")],
     out: Annotated[Path | None, typer.Option(help="File; stdout without it.", metavar="FILE")] = None,
 ) -> None:
-    """Write the antenna as it was at the recorded instant nearest to a time, with its feeds, as a deck."""
+    """Write the antenna with its feeds at the recorded instant nearest to a time as a NEC deck."""
     deck = deck_at(run, time)
     if out is None:
         sys.stdout.write(deck)
@@ -46,9 +46,9 @@ def export(
 
 
 def deck_at(run: Path, time_s: float) -> str:
-    """Return the deck of the recorded instant nearest to a simulated time, of the living vehicles in order.
+    """Return the deck of the recorded instant nearest to a simulated time; raises DeckRefused, OSError.
 
-    Raises DeckRefused, NotARun, OSError.
+    The elements are those of the living vehicles, in their order.
     """
     folder = RunFolder(run)
     scenario = read_scenario(folder)

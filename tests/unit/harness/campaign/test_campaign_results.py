@@ -341,7 +341,7 @@ MEASURED_BY = ("harness/campaign/flights.py",)
 
 def hashes(root):
     read = sources.read_sources(root, measured_by=MEASURED_BY)
-    return sources.hash_said(read), sources.hash_bytes(read)
+    return sources.hash_code(read), sources.hash_bytes(read)
 
 
 def test_the_state_of_the_sources_is_of_what_flies_and_measures(tmp_path):
