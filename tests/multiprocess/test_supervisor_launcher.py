@@ -40,7 +40,7 @@ def finish(folder, scenario, outcome, *, draw=True):
 harness.launch.processes.python_module = python_module
 # the analysis needs records of a real flight, and seconds to import
 record = types.SimpleNamespace
-report = types.SimpleNamespace(finish=finish, Outcome=record, ProcessRecord=record)
+report = types.SimpleNamespace(finish=finish, RunOutcome=record, ProcessRecord=record)
 sys.modules["harness.report.report"] = report
 sys.exit(main())
 """

@@ -189,9 +189,7 @@ def test_killed_prefork_server_ends_the_run_and_the_vehicles(launch: Launch) -> 
 def test_hanging_physics_is_ended_at_the_wall_time_limit(
     launch: Launch, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        harness.launch.processes, "STOP_LIMIT_S", 3.0
-    )  # also of the vehicles on a busy machine
+    monkeypatch.setattr(harness.launch.processes, "STOP_LIMIT_S", 3.0)  # enough on a busy machine
     swarm = launch("physics-hangs", agents=2, wall_limit_s=2.0)
     with swarm, pytest.raises(SwarmTimeoutError, match="the wall time of 2 s is over"):
         swarm.run(until_s=5.0)
