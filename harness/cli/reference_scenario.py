@@ -33,12 +33,14 @@ from harness.cli.reference_text import UndocumentedError, one_line, table, unit_
 from harness.scenario.scenario import Scenario
 
 SCHEMA_FILE = "scenario.schema.json"
+NO_BREAK = "\u00a0"
+"""A space at which no line is broken."""
 INTRODUCTION = f"""# Scenario
 
-A scenario is a TOML file that decides a run; equal scenarios give equal logs. Every field has a default, so a
-file holds what differs from it. A field is also set by its path on the command line, as in
-`--set wind.mean_n=2` or, of the first fault, `--set faults.0.uav=3`. Unknown fields and values out of range
-are refused with one line that names the path.
+A scenario is a TOML file that decides a run; equal scenarios give equal logs. A file holds only what differs
+from the defaults; entries of arrays of tables have fields that are required. A field is also set by its path
+on the command line, as in `--set wind.mean_n=2` or, of the first fault, `--set faults.0.uav=3`. Unknown fields
+and values out of range are refused with one line that names the path.
 
 Paths with `[]` belong to arrays of tables, such as `[[faults]]`. `optional` fields may be left out: TOML has
 no empty value. Units are those that the names end in; NED is north, east, down from the site's origin, FRD
@@ -207,14 +209,14 @@ def _range(kind: Type) -> str:
             IntType(gt=gt, ge=ge, lt=lt, le=le, multiple_of=step)
             | FloatType(gt=gt, ge=ge, lt=lt, le=le, multiple_of=step)
         ):
-            low = f"> {gt:g}" if gt is not None else _number(ge)
-            high = f"< {lt:g}" if lt is not None else _number(le)
+            low = f">{NO_BREAK}{gt:g}" if gt is not None else _number(ge)
+            high = f"<{NO_BREAK}{lt:g}" if lt is not None else _number(le)
             if low == high and low:
                 text = f"{low} only"
             elif low and high:
-                text = f"{low} .. {high}"
+                text = f"{low}{NO_BREAK}..{NO_BREAK}{high}"
             else:
-                text = f"≥ {low}" if low else f"≤ {high}" if high else ""
+                text = f"≥{NO_BREAK}{low}" if low else f"≤{NO_BREAK}{high}" if high else ""
             return f"{text}, multiple of {step}" if step is not None else text
     return ""
 
