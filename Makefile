@@ -8,7 +8,7 @@ CLIENTS := $(VENV)/.set-up-clients
 DOCS := $(VENV)/.set-up-docs
 ARGS ?=
 
-.PHONY: help setup swarm test test-clients validate validate-radio validate-antenna codesign campaign article antenna bench bench-radio docs lint format clean
+.PHONY: help setup swarm wheel test test-clients validate validate-radio validate-antenna codesign campaign article antenna bench bench-radio docs lint format clean
 help:
 	@echo "make swarm [ARGS='--duration 20 --seed 3']   fly scenarios/article.toml"
 	@echo "make test  [ARGS='-k radio']                 run the tests"
@@ -23,6 +23,7 @@ help:
 	@echo "make bench [ARGS='--quick | --agents 8 --json']   measure what flying costs (docs/results/performance.md)"
 	@echo "make bench-radio [ARGS='--peer COMMAND']      measure what the radio costs"
 	@echo "make docs                                    build the documentation site into build/site"
+	@echo "make wheel                                   build the wheel, install it elsewhere and fly with it"
 	@echo "make lint | format | setup | clean"
 
 setup: $(DEV)
@@ -91,7 +92,9 @@ docs: $(DOCS)
 	$(BIN)/python scripts/write_reference.py --check
 	$(BIN)/mkdocs build --strict
 
-lint: $(STAMP)
+# checked for words that are kept for people
+PLAIN := coflight foundation antenna netsim scripts scenarios README.md CHANGELOG.md
+lint: $(DEV)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy

@@ -136,9 +136,26 @@ def finish(
     return summary
 
 
-def _window(whole: Flight, outcome: RunOutcome) -> Flight:
+def draw_again(folder: RunFolder, scenario: Scenario, *, formed_us: int | None) -> list[str]:
+    """Draw the figures of a run that was reported, from its tables; returns their names.
+
+    Patterns are computed again. Raises OSError, and KeyError or ValueError for tables of another scenario.
+    """
+    whole = read_flight(folder, scenario)
+    window = _window(whole, formed_us)
+    error = formation_error(window) if len(window) else None
+    air, sessions = pq.read_table(folder.air), pq.read_table(folder.ftm)
+    completed = sessions.filter(pc.equal(sessions["status"], "ok"))
+    error_m = completed["distance_m"].to_numpy() - completed["true_distance_m"].to_numpy()
+    occupancy = _occupancy(air["time_us"].to_numpy(), air["busy_ns"].to_numpy())
+    drawn = Drawn(whole, window, error, antenna_report.measure(window, scenario), occupancy, error_m)
+    folder.figures.mkdir(exist_ok=True)
+    return _draw(folder, scenario, drawn)
+
+
+def _window(whole: Flight, formed_us: int | None) -> Flight:
     """Return the part of the flight after the formation was reached."""
-    begin_us = outcome.formed_us if outcome.formed_us is not None else np.iinfo(np.int64).max
+    begin_us = formed_us if formed_us is not None else np.iinfo(np.int64).max
     return whole.at(np.flatnonzero(whole.time_us >= begin_us))
 
 
@@ -251,15 +268,7 @@ def _write_json(path: Path, content: dict[str, Any]) -> None:
     path.write_bytes(msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n")
 
 
-def _draw(
-    folder: RunFolder,
-    scenario: Scenario,
-    whole: Flight,
-    window: Flight,
-    error: FormationError | None,
-    antenna: Aperture,
-    sessions: NDArray[Any],
-) -> list[str]:
+def _draw(folder: RunFolder, scenario: Scenario, drawn: Drawn) -> list[str]:
     """Draw every figure for which the run has data; returns their names."""
     at = folder.figures
     whole, window, error, antenna, (time_us, busy_fraction), error_m = drawn
@@ -274,7 +283,6 @@ def _draw(
         figures.save_patterns(
             at / "patterns.png", *figure_patterns(gains, places_ned_m, heading_rad, scenario.antenna)
         )
-    time_us, busy_fraction = _occupancy(read(folder.raw_air, AIR_RECORD))
     if len(time_us):
         figures.save_channel_occupancy(at / "channel.png", time_us, busy_fraction)
     if len(error_m):
@@ -282,14 +290,13 @@ def _draw(
     return sorted(path.name for path in at.glob("*.png"))
 
 
-def _occupancy(log: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return busy fractions in intervals of one second (or of the run, if it is shorter than two)."""
-    if len(log) < 2:
+def _occupancy(
+    time_us: NDArray[np.int64], busy_ns: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return ends and busy fractions of intervals of 1 s (of the run, if it is shorter than two)."""
+    if len(time_us) < 2:
         return np.empty(0, dtype=np.int64), np.empty(0)
-    rows = np.unique(
-        np.searchsorted(log["time_us"], np.arange(log["time_us"][0], log["time_us"][-1] + 1, 1_000_000))
-    )
+    rows = np.unique(np.searchsorted(time_us, np.arange(time_us[0], time_us[-1] + 1, 1_000_000)))
     if len(rows) < 2:
-        rows = np.array([0, len(log) - 1])
-    time_us, busy_ns = log["time_us"][rows], log["busy_ns"][rows]
-    return time_us[1:], np.diff(busy_ns) / (np.diff(time_us) * 1e3)
+        rows = np.array([0, len(time_us) - 1])
+    return time_us[rows][1:], np.diff(busy_ns[rows]) / (np.diff(time_us[rows]) * 1e3)
