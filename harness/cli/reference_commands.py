@@ -2,12 +2,15 @@
 
 import inspect
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 import typer
 
 from harness.cli.reference_text import code_spans, table
 
+ROOT = Path(__file__).parents[2]
+"""Of the checkout: defaults within it are shown relative to it."""
 INTRODUCTION = """# Command line
 
 The scripts of `scripts/`, by their arguments and options. `make` runs the most used of them with the options
@@ -75,4 +78,6 @@ def _default(parameter: Any) -> str:  # noqa: ANN401
     value = parameter.default
     if value is None or value is False or value == () or value == [] or callable(value):
         return ""
+    if isinstance(value, Path) and value.is_relative_to(ROOT):
+        value = value.relative_to(ROOT).as_posix()
     return f"`{getattr(value, 'value', value)}`"

@@ -88,6 +88,7 @@ def test_the_pages_are_current():
     check = [sys.executable, "scripts/write_reference.py", "--check"]
     result = subprocess.run(check, cwd=ROOT, capture_output=True, text=True, check=False)
     assert result.returncode == 0, f"run scripts/write_reference.py: {result.stdout}{result.stderr}"
+    assert not any(str(ROOT) in page.read_text() for page in FOLDER.glob("*.md"))
 
 
 def test_every_field_of_the_scenario_has_a_row():
