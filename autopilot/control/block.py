@@ -20,7 +20,7 @@ CASCADE = np.dtype(
         ("landed", "u1"),
         ("flies", "u1"),  # in the flying phase of the take-off
         # setpoint: `PositionController.take` writes that of a trajectory
-        ("wanted", "f8", (3, 3)),
+        ("setpoint", "f8", (3, 3)),
         ("mask", "u1", (3, 3)),
         # state of the position loop's divider
         ("updates", "i8"),

@@ -80,7 +80,7 @@ def follow_trajectory(block: Block, estimate: Array) -> None:
             acc_down = decided[ACCELERATION, 2] - disturbance[2]
             position[INTEGRAL, 2] += integral_shift_m_s2(before, hover[HOVER], acc_down)
         control_position(
-            c["wanted"], c["mask"], estimate[POS:GYRO_BIAS], estimate[VEL:POS], acc, disturbance,
+            c["setpoint"], c["mask"], estimate[POS:GYRO_BIAS], estimate[VEL:POS], acc, disturbance,
             hover[HOVER], yaw_rad, turn[CLIMB_MAX], position_dt_s, c["position_gains"], limits, position,
             decided,
         )  # fmt: skip

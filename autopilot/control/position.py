@@ -229,7 +229,7 @@ class PositionController:
         """Layout as in `control_position`, like limits and memory"""
         self.limits: Array = block["position_limits"][0]
         self.memory: Array = block["position"][0]
-        self.setpoint: Array = block["wanted"][0]
+        self.setpoint: Array = block["setpoint"][0]
         """Rows position, velocity, acceleration; ``mask`` has the axes in use"""
         self.mask: NDArray[np.bool_] = block["mask"][0].view(np.bool_)
         self._setpoint_octets = self.setpoint.reshape(9).data

@@ -116,7 +116,7 @@ class OnboardApp:
         self._traffic = Traffic(
             station=station, stations=len(places), config=config, devices=devices, rng=rng, near=self._near
         )
-        self._table = self._traffic.hearing
+        self._table = self._traffic.table
         self._model = LocalisationModel(
             gps_bias_std_m=config.gps_bias_std_m,
             gps_bias_time_constant_s=config.gps_bias_time_constant_s,

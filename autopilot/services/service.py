@@ -9,8 +9,6 @@ GROUND_STATION, COMPANION, APPLICATION = 0, 1, 2
 """Link numbers: two external links, and the application in this process."""
 BROADCAST = -1
 """As a partner's number: all partners on the link. As a link's number: all links."""
-EVERYBODY = BROADCAST
-"""Old name of `BROADCAST`."""
 NEVER_US = 1 << 62
 """A deadline that never arrives."""
 

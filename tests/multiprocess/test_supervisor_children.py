@@ -72,7 +72,7 @@ def test_child_reports_ready_stops_on_request_and_reports_finished(
     assert supervisor.pids == {"uav 3": pid}
     assert supervisor.end(["uav 3"], grace_s=WALL_LIMIT_S) == []
     assert not supervisor.alive("uav 3")
-    messages = [supervisor.hear(0.0), supervisor.hear(0.0), supervisor.hear(0.0)]
+    messages = [supervisor.receive(0.0), supervisor.receive(0.0), supervisor.receive(0.0)]
     assert messages[0] == ("uav 3", Finished(name="uav 3", details={"steps": 12}))
     assert messages[1] == ("uav 3", Exited(name="uav 3", pid=pid, returncode=0, log_tail=""))
     assert messages[2] is None
@@ -155,7 +155,7 @@ def test_grandchild_in_another_session_is_killed(supervisor: Supervisor) -> None
 
 def test_end_of_several_children_is_reported_by_name(supervisor: Supervisor) -> None:
     pids = {f"uav {i}": supervisor.start(f"uav {i}", python(STUBBORN)) for i in range(4)}
-    messages = [supervisor.hear(WALL_LIMIT_S) for _ in pids]
+    messages = [supervisor.receive(WALL_LIMIT_S) for _ in pids]
     assert {message[0] for message in messages if message} == set(pids)
     began_s = time.monotonic()
     forced = supervisor.stop()

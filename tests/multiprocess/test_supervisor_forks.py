@@ -142,7 +142,7 @@ def test_forks_that_end_at_once_do_not_block_further_forks(supervisor: Superviso
     names = [f"uav {i}" for i in range(40)]
     for i, name in enumerate(names):
         supervisor.fork(name, ["returns", str(i % 2)], forker="forker")
-    messages = [supervisor.hear(WALL_LIMIT_S) for _ in names]
+    messages = [supervisor.receive(WALL_LIMIT_S) for _ in names]
     assert time.monotonic() - began_s < WALL_LIMIT_S
     ends = {
         message[0]: message[1].returncode
@@ -242,7 +242,7 @@ def test_end_continues_processes_stopped_by_sigstop(supervisor: Supervisor) -> N
     assert supervisor.stop() == []
     assert time.monotonic() - began_s < WALL_LIMIT_S / 4
     ends = {}
-    while (message := supervisor.hear(0.0)) is not None:
+    while (message := supervisor.receive(0.0)) is not None:
         if isinstance(message[1], Exited):
             ends[message[0]] = message[1].returncode
     assert ends == {"uav 0": -signal.SIGKILL, "uav 1": 0, "uav 2": 0, "forker": 0}
@@ -259,7 +259,7 @@ def test_forks_killed_with_their_forker_are_reported(supervisor: Supervisor) -> 
     os.kill(supervisor.pids["forker"], signal.SIGKILL)
     ends = {}
     while len(ends) < 1 + len(pids[::2]):
-        message = supervisor.hear(WALL_LIMIT_S)
+        message = supervisor.receive(WALL_LIMIT_S)
         assert message is not None
         if isinstance(message[1], Exited):
             ends[message[0]] = message[1].returncode
@@ -269,7 +269,7 @@ def test_forks_killed_with_their_forker_are_reported(supervisor: Supervisor) -> 
 
 def receive_ready(supervisor: Supervisor) -> str:
     """Return the name of the next child that reports Ready."""
-    message = supervisor.hear(WALL_LIMIT_S)
+    message = supervisor.receive(WALL_LIMIT_S)
     assert message is not None
     assert isinstance(message[1], Ready)
     return message[0]

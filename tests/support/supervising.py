@@ -23,11 +23,11 @@ supervisor = Supervisor(Path(sys.argv[1]))
 {start}
 ready = 0
 while ready < len(supervisor.pids):
-    message = supervisor.hear(10.0)
+    message = supervisor.receive(10.0)
     ready += message is not None and isinstance(message[1], Ready)
 print(*supervisor.pids.values(), flush=True)
 while True:
-    supervisor.hear(10.0)
+    supervisor.receive(10.0)
 """
 
 
@@ -48,7 +48,7 @@ def receive(supervisor: Supervisor, kind: type, name: str) -> object:
     """Return the next message of a kind from a child; raises AssertionError after `WALL_LIMIT_S`."""
     deadline = time.monotonic() + WALL_LIMIT_S
     while time.monotonic() < deadline:
-        message = supervisor.hear(deadline - time.monotonic())
+        message = supervisor.receive(deadline - time.monotonic())
         if message is not None and message[0] == name and isinstance(message[1], kind):
             return message[1]
     raise AssertionError(f"no {kind.__name__} from {name}")

@@ -57,7 +57,7 @@ LISTENER = np.dtype(
         ("periods_off", "f8"),
         ("gps_var_m2", "f8"),
         ("bad", "i8"),
-        ("heard", "i8"),
+        ("received", "i8"),
         ("missed", "i8"),
         ("at", "i8"),
         ("is_open", "i8"),
@@ -104,7 +104,7 @@ def receive_beacon(page: np.void, now_us: int, listener: Listener, stations: Sta
     if time_us > now_us + CLOCK_TOLERANCE_US:
         me["bad"] += 1
         return REFUSED
-    me["heard"] += 1
+    me["received"] += 1
     outcome, newest = RECEIVED, True
     if sender["heard_us"] >= 0:
         gap = (seq - sender["seq"]) % SEQ_MODULUS
@@ -238,7 +238,7 @@ class NeighbourTable:
     @property
     def beacons_heard(self) -> int:
         """Number of valid beacons received."""
-        return int(self.listener["heard"].item())
+        return int(self.listener["received"].item())
 
     @property
     def beacons_missed(self) -> int:

@@ -40,7 +40,7 @@ class Traffic:
         near: neighbourhood to range to, and whose reported distances are used; None: all stations.
 
     Attributes:
-        hearing: table of the other stations' beacons.
+        table: table of the other stations' beacons.
         range_silence_us: distances older than this are not sent any more.
         gather_s: time within which each station has ranged to all reachable peers, one loss included.
 
@@ -71,7 +71,7 @@ class Traffic:
         self._seq = 0
         self._beacon_seq = 0
         self._period_us = config.beacon_period_ms * 1_000
-        self.hearing = NeighbourTable(
+        self.table = NeighbourTable(
             station=station, stations=stations, period_us=self._period_us, gps_std_m=config.gps_bias_std_m,
             near=near,
         )  # fmt: skip
@@ -148,7 +148,7 @@ class Traffic:
             )
         if ranging and self._ranging.next_us < until_us:
             requests = self._ranging.due(
-                now_us, until_us, lambda peer: self.hearing.reaches(peer, now_us), variance_m2
+                now_us, until_us, lambda peer: self.table.reaches(peer, now_us), variance_m2
             )
             items += [FtmRequest(seq=self._next_seq(), at_us=at_us, peer=peer) for at_us, peer in requests]
         return tuple(items)

@@ -73,10 +73,10 @@ def received(times_and_numbers, *, config=None):
     for time_s, seq in times_and_numbers:
         now_us = round(time_s * 1e6)
         beacon = beacon_of(1, seq=seq % wire.SEQ_MODULUS, time_us=now_us)
-        found = take(traffic.hearing, beacon, now_us)
+        found = take(traffic.table, beacon, now_us)
         assert found in {RECEIVED, RESTARTED}
         restarted.append(found == RESTARTED)
-    return restarted, traffic.hearing
+    return restarted, traffic.table
 
 
 def test_a_restarted_sender_is_distinguished_from_lost_beacons():
@@ -127,7 +127,7 @@ def test_channel_access_delay_is_not_taken_for_a_restart(period_ms):
 
 
 def test_an_overtaken_beacon_is_not_taken_for_a_restart():
-    table, found = traffic_of().hearing, []
+    table, found = traffic_of().table, []
     for now_ms, seq, time_ms in ((1_000, 7, 1_000), (1_200, 9, 1_200), (1_210, 8, 1_100), (1_300, 10, 1_300)):
         beacon = beacon_of(1, seq=seq, time_us=1_000 * time_ms)
         found.append(take(table, beacon, 1_000 * now_ms))
@@ -158,7 +158,7 @@ class Flight:
         for now_us in range(self.now_us, self.now_us + round(seconds * 1e6), STEP_US):
             if now_us % 100_000 == 0:
                 for station in self.neighbours:
-                    take(self.traffic.hearing, beacon_of(station, time_us=now_us), now_us)
+                    take(self.traffic.table, beacon_of(station, time_us=now_us), now_us)
             self.traffic.take_survey(Survey(ended_ns=now_us * 1_000, busy_ns=round(busy * now_us * 1_000)))
             own.time_us = now_us
             deadline_us = self.traffic.next_deadline_us(ranging=True)
@@ -234,7 +234,7 @@ def test_gaps_in_the_sequence_numbers_count_as_missed_beacons():
     ],
 )
 def test_an_invalid_beacon_is_counted_and_changes_nothing(beacon, source):
-    table = traffic_of(0).hearing
+    table = traffic_of(0).table
     before = table.stations.copy()
     assert take(table, beacon, 0, source=source) == REFUSED
     assert (table.bad_beacons, table.beacons_heard) == (1, 0)
@@ -321,7 +321,7 @@ def test_a_failed_session_has_no_distance_and_a_good_one_has_a_standard_deviatio
 
 def test_requests_and_beacons_share_one_increasing_number():
     traffic, own, numbers = traffic_of(0, config=SCHEDULED), own_state(), []
-    take(traffic.hearing, beacon_of(1), 0)
+    take(traffic.table, beacon_of(1), 0)
     for now_us in range(0, 2_000_000, STEP_US):
         numbers += [item.seq for item in traffic.due(own, now_us, now_us + STEP_US, ranging=True)]
     assert numbers == list(range(len(numbers)))
