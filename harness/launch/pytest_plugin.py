@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from harness.scenario import packaged
+
 if TYPE_CHECKING:
     from harness.launch.swarm import Swarm
     from harness.scenario.scenario import Scenario
@@ -34,7 +36,7 @@ _flown: "pytest.StashKey[list[Swarm]]" = pytest.StashKey()
 def swarm(request: pytest.FixtureRequest) -> Generator[SwarmFactory, None, None]:
     """Provide a factory of running swarms: ``swarm(scenario, **options of Swarm)``.
 
-    A relative path refers to pytest's root directory. ``wall_limit_s`` is `DEADLINE_S` by default.
+    A relative path refers to pytest's root directory; a packaged scenario may be named. ``wall_limit_s`` is `DEADLINE_S` by default.
     All swarms are stopped when the test ends, and it fails if one of them left a process or a port behind.
     """
     flown: list[Swarm] = request.node.stash.setdefault(_flown, [])
@@ -43,7 +45,7 @@ def swarm(request: pytest.FixtureRequest) -> Generator[SwarmFactory, None, None]
         from harness.launch.swarm import Swarm  # noqa: PLC0415  slow to import, and most tests need no swarm
 
         if isinstance(scenario, str | Path):
-            scenario = request.config.rootpath / scenario
+            scenario = packaged.find(scenario, root=request.config.rootpath)
         options.setdefault("wall_limit_s", DEADLINE_S)
         flight = Swarm(scenario, **options)
         flown.append(flight)

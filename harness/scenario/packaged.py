@@ -6,15 +6,16 @@ FOLDER = Path(__file__).parents[2] / "scenarios"
 """Beside the packages, in a checkout as in an installation."""
 
 
-def find(path: str | Path) -> Path:
+def find(path: str | Path, *, root: Path = Path()) -> Path:
     """Return the path of a scenario file, which may be named instead: ``article`` is scenarios/article.toml.
 
-    A file of the user's at that path has precedence. Without either, the path itself is returned.
+    Relative paths are below ``root``. A file at the path has precedence over a packaged one; without either,
+    the path below ``root`` is returned.
     """
-    own = Path(path)
-    if not own.name or own.suffix or own.is_absolute() or ".." in own.parts or own.is_file():
+    named, own = Path(path), root / path
+    if not named.name or named.suffix or named.is_absolute() or ".." in named.parts or own.is_file():
         return own
-    packaged = FOLDER / own.with_name(f"{own.name}.toml")
+    packaged = FOLDER / named.with_name(f"{named.name}.toml")
     return packaged if packaged.is_file() else own
 
 

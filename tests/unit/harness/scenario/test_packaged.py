@@ -26,6 +26,13 @@ def test_a_file_at_the_path_has_precedence(tmp_path: Path, monkeypatch: pytest.M
     assert packaged.find("article") == Path("article")
 
 
+def test_relative_paths_are_below_the_root(tmp_path: Path) -> None:
+    assert packaged.find("own.toml", root=tmp_path) == tmp_path / "own.toml"
+    assert packaged.find("article", root=tmp_path) == packaged.FOLDER / "article.toml"
+    assert packaged.find("nowhere", root=tmp_path) == tmp_path / "nowhere"
+    assert packaged.find(packaged.FOLDER / "ring.toml", root=tmp_path) == packaged.FOLDER / "ring.toml"
+
+
 @pytest.mark.parametrize("path", ["article.toml", "nowhere/article", "../article", "/article", "", "."])
 def test_what_is_no_name_stays_a_path(path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
