@@ -1,7 +1,7 @@
 """pytest plugin: the `swarm` fixture flies real multi-process swarms in tests.
 
-Every test run with coflight installed loads this module, so it imports only pytest until a test requests a
-swarm. A test calls the fixture once per swarm:
+Every test run with coflight installed loads this module, so it imports little beside pytest until a test
+requests a swarm. A test calls the fixture once per swarm:
 
     def test_hover(swarm):
         flight = swarm("scenarios/article.toml", agents=3)
@@ -36,8 +36,9 @@ _flown: "pytest.StashKey[list[Swarm]]" = pytest.StashKey()
 def swarm(request: pytest.FixtureRequest) -> Generator[SwarmFactory, None, None]:
     """Provide a factory of running swarms: ``swarm(scenario, **options of Swarm)``.
 
-    A relative path refers to pytest's root directory; a packaged scenario may be named. ``wall_limit_s`` is `DEADLINE_S` by default.
-    All swarms are stopped when the test ends, and it fails if one of them left a process or a port behind.
+    A relative path refers to pytest's root directory; a packaged scenario may be named. ``wall_limit_s`` is
+    `DEADLINE_S` by default. All swarms are stopped when the test ends, and it fails if one of them left a
+    process or a port behind.
     """
     flown: list[Swarm] = request.node.stash.setdefault(_flown, [])
 
