@@ -105,8 +105,8 @@ def fields_of_expansion(seen: Segments, driving: Segments, k_rad_m: float) -> Co
 
     With I'' = -k^2 I except for A, and G = exp(-jkR)/R, R^2 = rho^2 + a^2 + (z - z')^2, integration by parts
     leaves only terms at the segment's ends:  E_z = -j eta/(4 pi k) { [I dG/dz' - I' G] + k^2 A int G dz' },
-    E_rho = -j eta/(4 pi k rho) [(z' - z) (I dG/dz' - I' G) + I G]  for sine and cosine, and E_rho = j eta/(4 pi k)
-    [dG/drho]  for A.
+    E_rho = -j eta/(4 pi k rho) [(z' - z) (I dG/dz' - I' G) + I G]  for sine and cosine, and
+    E_rho = j eta/(4 pi k) [dG/drho]  for A.
     """
     fields: Complex = np.empty((len(seen.radii_m), len(driving.radii_m), 3), complex)
     write_fields(
