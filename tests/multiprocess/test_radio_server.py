@@ -234,7 +234,7 @@ def test_a_time_master_that_makes_no_sense_is_refused(senseless):
     still = pack_rows(np.zeros((3, 3)))
     state = {"pos_ned_m": still, "vel_ned_m_s": still, "q_ned_frd": LEVEL}
     hosted.advance(Advance(to_us=4000, release_us=8000, at_us=0, **state))
-    with pytest.raises(ValueError, match="refuses to go on"):
+    with pytest.raises(ValueError, match="rejects the request to advance"):
         hosted.advance(Advance(**({"to_us": 8000, "release_us": 12_000, "at_us": 4000} | state | senseless)))
 
 
@@ -348,7 +348,7 @@ def test_an_endpoint_where_nobody_listens_and_a_radio_that_died_are_clear_errors
 def test_what_no_station_can_send_is_said_by_who_would_send_it(radio):
     with (
         contextlib.closing(radio.client(0)) as client,
-        pytest.raises(ValueError, match=r"station 0: the 802\.11 emulator refuses"),
+        pytest.raises(ValueError, match=r"station 0: the 802\.11 emulator rejects"),
     ):
         client.send(4000, [Broadcast(seq=1, at_us=4000, payload=b"x" * 1473)])
 
