@@ -36,7 +36,7 @@ class VehicleMotion(NamedTuple):
 
 
 _BATCH_ORDER = attrgetter("now_us", "station")
-_REFUSED = "the 802.11 emulator rejects the request to advance: bad motion, station or time"
+_REJECTED = "the 802.11 emulator rejects the request to advance: bad motion, station or time"
 STREAM = 802
 """Key of the emulator's random streams, different from those of the run's other processes."""
 
@@ -133,12 +133,12 @@ class EmulatorService:
         vel_ned_m_s = unpack_rows(request.vel_ned_m_s, stations=vehicles, columns=3)
         q_ned_frd = unpack_rows(request.q_ned_frd, stations=vehicles, columns=4)
         if pos_ned_m is None or vel_ned_m_s is None or q_ned_frd is None:
-            raise ValueError(_REFUSED)
+            raise ValueError(_REJECTED)
         possible = is_possible(pos_ned_m, vel_ned_m_s, q_ned_frd)
         named = (*request.senders, *request.silent, *(station for station, _ in request.range_offsets_m))
         known = max(named, default=0) < self.stations
         if not (known and possible and request.to_us > self._reached_us):
-            raise ValueError(_REFUSED)
+            raise ValueError(_REJECTED)
         return self._with_guests(VehicleMotion(pos_ned_m, vel_ned_m_s, q_ned_frd))
 
     def _with_guests(self, motion: VehicleMotion) -> VehicleMotion:

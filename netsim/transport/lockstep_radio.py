@@ -63,7 +63,7 @@ def checked(batch: TxBatch) -> bytes:
     """Return the bytes of a batch. Raises ValueError if an emulator would reject it."""
     payload = encode(batch)
     if decode(TxBatch, payload) is None:  # ranges are checked by the decoder
-        raise ValueError(f"station {batch.station}: invalid transmission for the 802.11 emulator")
+        raise ValueError(f"station {batch.station}: the 802.11 emulator rejects the transmission")
     return payload
 
 

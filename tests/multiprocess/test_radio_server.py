@@ -231,8 +231,8 @@ def test_invalid_advance_is_refused(invalid):
     still = pack_rows(np.zeros((3, 3)))
     state = {"pos_ned_m": still, "vel_ned_m_s": still, "q_ned_frd": LEVEL}
     hosted.advance(Advance(to_us=4000, release_us=8000, at_us=0, **state))
-    with pytest.raises(ValueError, match="refuses to go on"):
-        hosted.advance(Advance(**({"to_us": 8000, "release_us": 12_000, "at_us": 4000} | state | invalid)))
+    with pytest.raises(ValueError, match="rejects the request to advance"):
+        hosted.advance(Advance(**({"to_us": 8000, "release_us": 12_000, "at_us": 4000} | state | senseless)))
 
 
 def test_lost_station_does_not_block_others(radio):
@@ -345,7 +345,7 @@ def test_unreachable_endpoint_and_dead_emulator_are_errors(radio):
 def test_invalid_transmission_raises_at_the_sender(radio):
     with (
         contextlib.closing(radio.client(0)) as client,
-        pytest.raises(ValueError, match=r"station 0: the 802\.11 emulator refuses"),
+        pytest.raises(ValueError, match=r"station 0: the 802\.11 emulator rejects"),
     ):
         client.send(4000, [Broadcast(seq=1, at_us=4000, payload=b"x" * 1473)])
 

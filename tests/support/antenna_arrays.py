@@ -1,4 +1,4 @@
-"""Arrays that the antenna's tests share: the article's, moved and tilted."""
+"""Arrays shared by the antenna tests: the article's array, ideal and disturbed."""
 
 import numpy as np
 
@@ -7,17 +7,17 @@ from antenna.model.geometry import Snapshot, along, grid, upright
 
 
 def vertical_snapshot(places_m, wavelength_m):
-    """Make the undisturbed array: elements upright at (n, 3) places, fed as an ordinary end-fire array."""
+    """Return upright elements at positions (n, 3), fed as an ordinary end-fire array."""
     return upright(places_m, end_fire(places_m, wavelength_m))
 
 
 def ideal(wavelength_m, count=8):
-    """Make the article's 4 x 2 array, or its first ``count`` places."""
+    """Return the article's 4 x 2 array, or its first ``count`` elements."""
     return vertical_snapshot(grid(count, 4, 0.85 * wavelength_m, 0.25 * wavelength_m), wavelength_m)
 
 
 def perturbed(rng, wavelength_m, sigma_m=0.5, tilt_rad=0.1, count=8):
-    """Move every element by a Gaussian error per axis, and tilt it by about that much."""
+    """Return the array with Gaussian position errors per axis and random tilts."""
     array = ideal(wavelength_m, count)
     axes = array.axes + rng.normal(0.0, tilt_rad, (count, 3))
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)

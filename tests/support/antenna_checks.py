@@ -1,4 +1,4 @@
-"""What the tests of the antenna's validation share."""
+"""Helpers of the antenna's validation tests."""
 
 from studies.antenna.plan import AntennaPlan
 from studies.common.report import Section

@@ -1,4 +1,4 @@
-"""Exact far field of Hertzian dipoles with given currents: the witness beside NEC2; they share no code.
+"""Exact far field of Hertzian dipoles with given currents: a reference without common code with the solvers.
 
 A Hertzian dipole's field in direction r is proportional to its moment's part across r, so the intensity is
 |sum_n I_n (u_n - (u_n.r) r) exp(j k r.p_n)|^2. Its mean over the sphere has a closed form: by
@@ -13,7 +13,7 @@ from antenna.model.geometry import Array, Snapshot
 
 
 def gain_dbi(snapshot: Snapshot, wavelength_m: float, theta_deg: Array, phi_deg: Array) -> Array:
-    """Directivity in the directions of two broadcastable arrays of angles."""
+    """Return the directivity in the directions of two broadcastable arrays of angles."""
     theta_gain, phi_gain = partial_gains(snapshot, wavelength_m, theta_deg, phi_deg)
     return 10.0 * np.log10(np.maximum(theta_gain + phi_gain, 1e-30))
 
@@ -21,7 +21,7 @@ def gain_dbi(snapshot: Snapshot, wavelength_m: float, theta_deg: Array, phi_deg:
 def partial_gains(
     snapshot: Snapshot, wavelength_m: float, theta_deg: Array, phi_deg: Array
 ) -> tuple[Array, Array]:
-    """Directivity in the theta and phi polarisations, linear."""
+    """Return the linear directivity in the theta and phi polarisations."""
     theta, phi = np.broadcast_arrays(np.radians(theta_deg), np.radians(phi_deg))
     r = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
     theta_hat = np.stack([np.cos(theta) * np.cos(phi), np.cos(theta) * np.sin(phi), -np.sin(theta)], axis=-1)
@@ -46,7 +46,7 @@ def mean_intensity(snapshot: Snapshot, wavelength_m: float) -> float:
 
 
 def exact_patterns(snapshots, wavelength_m, step_deg=5.0):
-    """Make patterns as a backend does that knows no error."""
+    """Return the patterns of a backend without errors."""
     theta_deg, phi_deg = directions_deg(step_deg)
     return [
         make_pattern(

@@ -1,4 +1,4 @@
-"""A channel with given powers and delays, stations with given backoffs, and a log of who sent what when."""
+"""A channel with given powers and delays, stations with given backoffs, and a log of all transmissions."""
 
 from collections.abc import Mapping, Sequence
 from itertools import chain
@@ -17,12 +17,12 @@ from netsim.phy.modes import phy_mode
 from netsim.phy.propagation import LinkRow
 from netsim.phy.signals import Transmission
 
-UNHEARD_DBM = -200.0
+UNDETECTED_DBM = -200.0
 A, B, C, D = range(4)
 
 
 class GivenLinks:
-    """Powers and delays by (from, to); -50 dBm and no delay where nothing else is said."""
+    """Powers and delays by (from, to); -50 dBm and no delay by default."""
 
     version = 0
     fading = None
@@ -34,7 +34,7 @@ class GivenLinks:
         delays_ns: Mapping[tuple[int, int], int],
     ):
         self.asked: list[tuple[int, int]] = []
-        """Times and sources of all rows so far."""
+        """Times and sources of all requested rows."""
         self._rows = []
         for source in range(stations):
             powers_mw = [10 ** (powers_dbm.get((source, to), -50.0) / 10) for to in range(stations)]
@@ -48,7 +48,7 @@ class GivenLinks:
 
 
 class GivenBackoffs(Uniforms):
-    """Draws that make backoffs of (slots, contention window); what is not given comes from a stream."""
+    """Draws that result in backoffs of (slots, contention window); further draws come from a stream."""
 
     def __init__(self, draws: Sequence[tuple[int, int]]) -> None:
         super().__init__(np.random.default_rng(1))
@@ -58,7 +58,7 @@ class GivenBackoffs(Uniforms):
 
 
 class Air:
-    """Stations 0..n-1 at 20 MHz, DCF unless said otherwise; times in microseconds."""
+    """Stations 0..n-1 at 20 MHz, DCF by default; times in microseconds."""
 
     def __init__(
         self,
@@ -78,7 +78,7 @@ class Air:
         self.outcomes: list[JobOutcome] = []
         self.arrivals: list[tuple[int, int, bool]] = []
         self.bodies: list[object] = []
-        """Of the frames to one station that have arrived"""
+        """Bodies of received unicast frames"""
         self.links = GivenLinks(stations, powers_dbm or {}, delays_ns or {})
         self.radios = Radios(
             config=config,
@@ -128,16 +128,16 @@ class Air:
         return job
 
     def run(self, until_us: int = 1_000_000) -> list[tuple[int, int, int, str]]:
-        """(start, end, source, kind) of every transmission so far, in order of start; whole microseconds."""
+        """Return (start, end, source, kind) of all transmissions, in order of start; whole microseconds."""
         self.queue.run_until(1_000 * until_us)
         order = sorted(self.transmissions, key=lambda t: (t.start_ns, t.source))
         assert all(t.start_ns % 1_000 == 0 for t in order)
         return [(t.start_ns // 1_000, t.end_ns // 1_000, t.source, t.frame.kind.value) for t in order]
 
-    def _on_group_frame(self, heard: GroupReception) -> None:
-        assert min(heard.powers_mw) > 0.0
-        assert len(heard.stations) == len(heard.ends_ns) == len(heard.powers_mw)
-        self.arrivals += [(station, heard.source, False) for station in heard.stations]
+    def _on_group_frame(self, received: GroupReception) -> None:
+        assert min(received.powers_mw) > 0.0
+        assert len(received.stations) == len(received.ends_ns) == len(received.powers_mw)
+        self.arrivals += [(station, received.source, False) for station in received.stations]
 
 
 class _Upper:

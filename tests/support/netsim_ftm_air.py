@@ -1,9 +1,9 @@
-"""Radios that range to each other over a channel with given powers and losses, and a log of who sent what."""
+"""Radios that range to each other over a channel with given losses, and a log of all transmissions."""
 
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
-from netsim_air import UNHEARD_DBM, GivenBackoffs, GivenLinks
+from netsim_air import UNDETECTED_DBM, GivenBackoffs, GivenLinks
 
 from netsim.ftm.elements import Measurement, Request
 from netsim.ftm.initiator import Ranging
@@ -27,20 +27,20 @@ Way = tuple[int, int]
 
 
 class LossyLinks:
-    """As given, but what a station begins to send within its intervals in microseconds is heard by nobody."""
+    """Links over which frames that a station begins to send within given intervals are not received."""
 
     version = 0
     fading = None
 
-    def __init__(self, stations: int, unheard_us: Mapping[int, Sequence[Interval]], delay_ns: int) -> None:
+    def __init__(self, stations: int, lost_us: Mapping[int, Sequence[Interval]], delay_ns: int) -> None:
         pairs = [(a, b) for a in range(stations) for b in range(stations) if a != b]
         delays_ns = dict.fromkeys(pairs, delay_ns)
         self._heard = GivenLinks(stations, {}, delays_ns)
-        self._lost = GivenLinks(stations, dict.fromkeys(pairs, UNHEARD_DBM), delays_ns)
-        self._unheard_us = unheard_us
+        self._lost = GivenLinks(stations, dict.fromkeys(pairs, UNDETECTED_DBM), delays_ns)
+        self._lost_us = lost_us
 
     def row(self, source: int, at_ns: int) -> LinkRow:
-        lost = any(begin <= at_ns / 1_000 <= end for begin, end in self._unheard_us.get(source, ()))
+        lost = any(begin <= at_ns / 1_000 <= end for begin, end in self._lost_us.get(source, ()))
         return (self._lost if lost else self._heard).row(source, at_ns)
 
 
@@ -56,7 +56,7 @@ class FtmAir:
         *,
         distance_m: float = 0.0,
         backoffs: Mapping[int, Sequence[Interval]] | None = None,
-        unheard_us: Mapping[int, Sequence[Interval]] | None = None,
+        lost_us: Mapping[int, Sequence[Interval]] | None = None,
         bias_m: float = 0.0,
         blocked_ways: Collection[Way] = (),
         blocked_from_ns: int = 0,
@@ -85,7 +85,7 @@ class FtmAir:
             config=config,
             access=EDCA,
             queue=self.queue,
-            links=LossyLinks(stations, unheard_us or {}, round(distance_m / 0.299792458)),
+            links=LossyLinks(stations, lost_us or {}, round(distance_m / 0.299792458)),
             stations=stations,
             streams=streams,
             on_group_frame=lambda _: None,
@@ -125,7 +125,7 @@ class FtmAir:
         self.queue.at(1_000 * at_us, lambda _: self.radios[source].request(peer, seq, timeout_ns), None)
 
     def send(self, at_us: int, source: int, to: int, body: Request) -> None:
-        """A request frame that is none of the radio's own sessions."""
+        """Send a request frame that belongs to no session of the radio."""
         job = Job(
             kind=FrameKind.FTM_REQUEST,
             destination=to,
@@ -139,7 +139,7 @@ class FtmAir:
         self.queue.at(1_000 * at_us, lambda job: self.macs[source].enqueue("vo", job), job)
 
     def run(self, until_us: int) -> list[tuple[int, int, int, str]]:
-        """(start, end, source, what) of every transmission so far, in whole microseconds.
+        """Return (start, end, source, what) of all transmissions, in whole microseconds.
 
         "request" has parameters and "trigger" has none; "2<1" is a measurement frame of dialog token 2 with
         the time stamps of token 1, "1!" one with parameters.

@@ -1,4 +1,4 @@
-"""Datagrams to capture, and captures read back by rules of their own: blocks, options, radiotap fields."""
+"""Datagrams to capture, and an independent reader of captures: blocks, options, radiotap fields."""
 
 import struct
 
@@ -38,7 +38,7 @@ def datagram(payload=b"hello", *, source=0, sequence=1, seq=0, destination=GROUP
 
 
 def blocks(content):
-    """Every block of a pcapng file as (type, body): both lengths agree, and all is on a 32-bit boundary."""
+    """Return all blocks of a pcapng file as (type, body); checks both lengths and the 32-bit alignment."""
     found, at = [], 0
     while at < len(content):
         kind, length = struct.unpack_from("<II", content, at)
@@ -51,7 +51,7 @@ def blocks(content):
 
 
 def options(content):
-    """Options as {code: value}; a list that is there ends with its end."""
+    """Return options as {code: value}; checks the end of the list."""
     found, at = {}, 0
     while at < len(content):
         code, length = struct.unpack_from("<HH", content, at)
@@ -63,7 +63,7 @@ def options(content):
 
 
 def packets(content):
-    """(time_ns, bytes, comment or None) of every packet."""
+    """Return (time_ns, bytes, comment or None) of every packet."""
     found = []
     for kind, body in blocks(content)[2:]:
         assert kind == 6
@@ -75,7 +75,7 @@ def packets(content):
 
 
 def radiotap(packet):
-    """Fields of a radiotap header by name, and what follows it."""
+    """Return the fields of a radiotap header by name, and the bytes after it."""
     version, _, length, present = struct.unpack_from("<BBHI", packet)
     assert version == 0
     assert not present >> 23

@@ -1,4 +1,4 @@
-"""An emulator with stations in given places, stepped like the time master does."""
+"""An emulator with stations at given positions, advanced in steps as by the time master."""
 
 from collections.abc import Callable, Sequence
 

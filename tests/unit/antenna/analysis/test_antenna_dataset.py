@@ -27,10 +27,10 @@ def _results(count=3):
     return [patterns[0], ElementsTouch(2, 5, 0.0003), *patterns[1:], *missing]
 
 
-def _same(found, wanted):
+def _same(found, expected):
     """Equal but for single precision: a part in 2^24 of 60 dB is less than 1e-5 dB."""
-    assert len(found) == len(wanted)
-    for one, other in zip(found, wanted, strict=True):
+    assert len(found) == len(expected)
+    for one, other in zip(found, expected, strict=True):
         assert type(one) is type(other)
         if isinstance(other, ElementsTouch):
             assert (one.first, one.second, one.distance_m) == (other.first, other.second, other.distance_m)
@@ -47,7 +47,7 @@ def _same(found, wanted):
 
 
 @pytest.mark.parametrize("timed", [False, True])
-def test_results_come_back_from_a_file(tmp_path, timed):
+def test_dataset_round_trips_through_a_file(tmp_path, timed):
     results = _results()
     time_us = np.arange(len(results), dtype=np.int64) * 500_000 if timed else None
     dataset = to_dataset(results, CONFIG, accuracy="exact", time_us=time_us)
@@ -62,7 +62,7 @@ def test_results_come_back_from_a_file(tmp_path, timed):
     assert [file.name for file in tmp_path.iterdir()] == ["patterns.nc"]
 
 
-def test_a_file_explains_itself_to_any_hdf5_tool(tmp_path):
+def test_dataset_file_has_labels_readable_by_hdf5(tmp_path):
     write_dataset(to_dataset(_results(), CONFIG, accuracy="exact"), tmp_path / "patterns.nc")
     with h5py.File(tmp_path / "patterns.nc") as file:
         grids = file["gain_theta_dbi"]
@@ -78,14 +78,14 @@ def test_a_file_explains_itself_to_any_hdf5_tool(tmp_path):
         assert file["too_near"][:].tolist() == [0, 0, 0, 0, 0, 1]
 
 
-def test_labels_find_directions():
+def test_directions_can_be_selected_by_label():
     pattern, *_ = results = _results()
     dataset = to_dataset(results, CONFIG, accuracy="exact")
     found = dataset["gain_theta_dbi"].sel(sample=0, theta=90.0, phi=45.0)
     assert float(found) == pytest.approx(pattern.theta_gain_dbi[18, 9], rel=1e-6)
 
 
-def test_a_file_that_cannot_be_written_leaves_what_was_there(tmp_path, monkeypatch):
+def test_failed_write_keeps_the_existing_file(tmp_path, monkeypatch):
     path = tmp_path / "patterns.nc"
     path.write_bytes(b"before")
     dataset = to_dataset(_results(), CONFIG, accuracy="exact")
@@ -100,18 +100,18 @@ def test_a_file_that_cannot_be_written_leaves_what_was_there(tmp_path, monkeypat
     assert [file.name for file in tmp_path.iterdir()] == ["patterns.nc"]
 
 
-def test_a_folder_that_is_not_there_is_named_by_the_file(tmp_path):
+def test_missing_folder_is_reported_with_the_path(tmp_path):
     path = tmp_path / "nowhere" / "patterns.nc"
     with pytest.raises(FileNotFoundError) as caught:
         write_dataset(to_dataset(_results(), CONFIG, accuracy="exact"), path)
     assert caught.value.filename == str(path)
 
 
-def test_other_files_are_refused_in_one_line(tmp_path):
+def test_other_files_are_rejected_in_one_line(tmp_path):
     text, other = tmp_path / "a.txt", tmp_path / "b.nc"
     text.write_text("gain")
     xr.Dataset({"gain_theta_dbi": ("sample", [1.0])}).to_netcdf(other, engine="h5netcdf")
-    for path, reason in ((text, "not a NetCDF-4 file"), (other, "not patterns")):
+    for path, reason in ((text, "not a NetCDF-4 file"), (other, "not a dataset of patterns")):
         with pytest.raises(NotPatterns, match=reason) as caught:
             read_dataset(path)
         assert str(caught.value).startswith(str(path))
@@ -120,7 +120,7 @@ def test_other_files_are_refused_in_one_line(tmp_path):
         read_dataset(tmp_path / "none.nc")
 
 
-def test_what_belongs_to_no_dataset_is_refused():
+def test_invalid_results_are_rejected():
     rng = np.random.default_rng(1)
     coarse, fine = (exact_patterns([perturbed(rng, 10.0)], 10.0, step)[0] for step in (10.0, 5.0))
     assert isinstance(coarse, Pattern)

@@ -21,7 +21,7 @@ def _pattern(snapshot, step_deg=5.0):
 
 
 def _made(gain, **maximum):
-    """Make a pattern of these gains (T, P), all in the theta polarisation."""
+    """Return a pattern of these gains (T, P), all in the theta polarisation."""
     theta_deg, phi_deg = directions_deg(180.0 / (len(gain) - 1))
     return Pattern(
         theta_deg=theta_deg, phi_deg=phi_deg, theta_gain_dbi=to_dbi(gain), phi_gain_dbi=to_dbi(0.0 * gain),
@@ -30,7 +30,7 @@ def _made(gain, **maximum):
 
 
 def _article(turn_deg=0.0, step_deg=2.0):
-    """Make the pattern of the article's array, turned about the vertical towards larger phi."""
+    """Return the pattern of the article's array, rotated about the vertical towards larger phi."""
     ideal = vertical_snapshot(grid(8, 4, 8.5, 2.5), LAMBDA_M)
     c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -87,14 +87,14 @@ def test_main_lobe_has_the_half_power_widths(turn_deg):
     assert lobe.any(axis=0).sum() * 2.0 < 20.0  # side lobes are 8 dB lower
 
 
-def test_features_hardly_depend_on_the_grid():
+def test_features_are_nearly_independent_of_the_grid():
     coarse, fine = features(_article(step_deg=5.0)), features(_article(step_deg=1.0))
     assert coarse.azimuth_width_deg == pytest.approx(fine.azimuth_width_deg, abs=0.05)
     assert coarse.elevation_width_deg == pytest.approx(fine.elevation_width_deg, abs=0.05)
     assert fine.side_lobe_dbi == pytest.approx(4.9, abs=0.05)
 
 
-def test_other_lobes_as_high_are_not_the_main_lobe():
+def test_other_lobes_of_equal_height_are_not_the_main_lobe():
     """Two dipoles a wavelength apart, in phase: four lobes of one height, in two pairs of mirror images."""
     pattern = _pattern(_row(2, 1.0), step_deg=3.0)
     high = pattern.gain_dbi >= pattern.max_gain_dbi - HALF_POWER_DB
@@ -119,7 +119,7 @@ def test_a_lobe_over_ground_ends_at_the_horizon():
 
 
 @pytest.mark.parametrize("axis", [(1.0, 0.0), (0.6, 0.8), (0.8, -0.6)])
-def test_a_pole_on_the_flank_of_a_lobe_is_no_lobe(axis):
+def test_pole_on_the_flank_of_a_lobe_is_not_a_side_lobe(axis):
     """((1 + cos(a)) / 2)^4 falls from one direction to the opposite one, a away from it.
 
     At a pole it is less than on the half of the ring that is nearer to that direction, and more than on the
@@ -134,10 +134,10 @@ def test_a_pole_on_the_flank_of_a_lobe_is_no_lobe(axis):
 
 
 @pytest.mark.parametrize(("count", "step_deg"), [(8, 15.0), (8, 30.0), (16, 7.5)])
-def test_a_lobe_between_the_directions_of_the_grid_has_no_features(count, step_deg):
+def test_unresolved_lobe_has_no_features(count, step_deg):
     """A row half a wavelength apart is 102 / count degrees wide, here half a step beside the grid's phi.
 
-    The grid then knows its flanks alone, which are no side lobe.
+    The grid then resolves only its flanks, which are not side lobes.
     """
     row, turn_deg = _row(count, 0.5), step_deg / 2.0
     c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
@@ -150,7 +150,7 @@ def test_a_lobe_between_the_directions_of_the_grid_has_no_features(count, step_d
 
 @pytest.mark.parametrize("count", [4, 8, 16, 32])
 @pytest.mark.parametrize("step_deg", [2.0, 5.0, 10.0, 15.0])
-def test_a_width_is_right_or_none(count, step_deg):
+def test_width_is_accurate_or_none(count, step_deg):
     """sin(n psi / 2) / (n sin(psi / 2)) with psi = pi cos(phi) has half power at 1.3916 * 2 / n for many n.
 
     Found here without that, by minimisation of the difference. The maximum is on the grid, where the pattern
@@ -174,7 +174,7 @@ def test_a_width_is_right_or_none(count, step_deg):
 
 
 @pytest.mark.parametrize("step_deg", [0.5, 5.0, 12.0])
-def test_a_ring_and_mirror_images_are_many_maxima(step_deg):
+def test_rings_and_mirror_images_are_ambiguous_maxima(step_deg):
     """One dipole's is a ring, a row's are two, on both sides, an end-fire array's is one, on the grid or not.
 
     That of two elements is flat: a cardioid, whose gain falls with the fourth power of the angle.

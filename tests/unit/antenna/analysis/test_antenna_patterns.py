@@ -23,7 +23,7 @@ def _maximum(gains_dbi, gain, margin_db):
 
 
 @pytest.mark.parametrize("step_deg", [0.7, 5.0, 7.0, 30.0])
-def test_grid_covers_the_sphere_in_steps_no_wider_than_asked(step_deg):
+def test_grid_covers_the_sphere_in_steps_up_to_the_requested(step_deg):
     theta_deg, phi_deg = directions_deg(step_deg)
     assert (theta_deg[0], theta_deg[-1], phi_deg[0]) == (0.0, 180.0, 0.0)
     assert np.diff(theta_deg).max() <= step_deg + 1e-9
@@ -31,7 +31,7 @@ def test_grid_covers_the_sphere_in_steps_no_wider_than_asked(step_deg):
     assert phi_deg[-1] + theta_deg[1] == pytest.approx(360.0)
 
 
-def test_five_degrees_are_kept():
+def test_step_of_five_degrees_is_unchanged():
     theta_deg, phi_deg = directions_deg(5.0)
     assert (len(theta_deg), len(phi_deg)) == (37, 72)
 
@@ -77,7 +77,7 @@ def test_maximum_is_that_of_a_half_degree_grid(step_deg, sigma_m):
         assert at_dbi == pytest.approx(pattern.max_gain_dbi, abs=1e-9)
 
 
-def test_coarse_grid_alone_would_be_low():
+def test_maximum_without_refinement_would_be_low():
     """What the refinement is for: this would fail if the maximum were the grid's."""
     rng = np.random.default_rng(7)
     patterns = [_pattern(perturbed(rng, LAMBDA_M)) for _ in range(20)]
@@ -106,7 +106,7 @@ def test_maximum_is_found_at_poles_and_across_zero_longitude(peak):
     assert lobe_dbi(theta, phi) == pytest.approx(gain, abs=1e-9)
 
 
-def test_second_lobe_of_the_grid_wins_when_its_peak_lies_between_the_nodes():
+def test_higher_lobe_between_grid_nodes_is_the_maximum():
     """Two lobes 90 degrees apart: the lower one stands on a node, the higher one in the middle of a cell."""
 
     def gain(theta_deg, phi_deg):
@@ -122,14 +122,14 @@ def test_second_lobe_of_the_grid_wins_when_its_peak_lies_between_the_nodes():
     assert found == pytest.approx((10.1, 92.5, 182.5), abs=1e-3)
 
 
-def test_lone_dipole_has_its_equator_as_maximum():
+def test_single_dipole_has_its_maximum_at_the_equator():
     snapshot = vertical_snapshot(np.zeros((1, 3)), LAMBDA_M)
     pattern = _pattern(snapshot)
     assert pattern.max_gain_dbi == pytest.approx(10.0 * np.log10(1.5), abs=1e-9)
     assert pattern.max_theta_deg == pytest.approx(90.0, abs=1e-3)
 
 
-def test_patterns_are_the_same_one_by_one():
+def test_patterns_do_not_depend_on_the_batch():
     """What one pattern's maximum is does not depend on which others are solved for beside it."""
     rng = np.random.default_rng(21)
     snapshots = [perturbed(rng, LAMBDA_M, sigma) for sigma in (0.0, 0.3, 1.0, 2.0, 2.0)]
@@ -139,7 +139,7 @@ def test_patterns_are_the_same_one_by_one():
         np.testing.assert_array_equal(among.theta_gain_dbi, alone.theta_gain_dbi)
 
 
-def test_partial_gains_add_up_and_a_vertical_array_has_but_one():
+def test_partial_gains_sum_to_the_total_and_a_vertical_array_has_one():
     tilted = _pattern(perturbed(np.random.default_rng(22), LAMBDA_M))
     powers = 10.0 ** (tilted.theta_gain_dbi / 10.0) + 10.0 ** (tilted.phi_gain_dbi / 10.0)
     seen = tilted.gain_dbi > -100.0

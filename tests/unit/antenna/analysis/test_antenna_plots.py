@@ -28,7 +28,7 @@ def _pattern(turn_deg=0.0, step_deg=3.0):
     return exact_patterns([turned], LAMBDA_M, step_deg)[0]
 
 
-def test_patterns_share_one_scale_and_each_has_its_lobe_outlined():
+def test_patterns_share_a_colour_scale_and_outline_their_lobes():
     figure = patterns_figure({"Ideal": _pattern(), "Flown": _pattern(20.0)})
     first, flown, colour_bar = figure.axes
     assert first.get_title() == "Ideal: 13.28 dBi at θ 90°, φ 90°"
@@ -43,7 +43,7 @@ def test_patterns_share_one_scale_and_each_has_its_lobe_outlined():
     assert in_panel[0][:, 0].mean() == pytest.approx(110.0, abs=2.0)
 
 
-def test_gain_density_shows_every_series_even_a_constant_one():
+def test_gain_density_shows_every_series_also_a_constant_one():
     rng = np.random.default_rng(6)
     figure = gain_density_figure({"2 N": rng.normal(12.0, 0.3, 50), "calm": np.full(50, 13.2)}, 13.26)
     (axes,) = figure.axes
@@ -59,13 +59,13 @@ def test_gain_density_has_the_deviation_of_gain_statistics():
     assert labels == ["three: 12.00 ± 1.00 dBi"]  # and no ideal, where there is none
 
 
-def test_a_lobe_between_the_directions_of_the_grid_has_no_outline():
+def test_unresolved_lobe_has_no_outline():
     """15 degrees wide, 9 degrees from the nearest direction."""
     panel, _ = patterns_figure({"Coarse": _pattern(9.0, step_deg=18.0)}).axes
     assert not any(isinstance(artist, QuadContourSet) for artist in panel.collections)
 
 
-def test_cuts_are_rows_and_columns_of_the_grid_all_the_way_round():
+def test_cuts_are_closed_rows_and_columns_of_the_grid():
     """The values are theta + phi / 1000, so that each says where it comes from."""
     theta_deg, phi_deg = np.linspace(0.0, 180.0, 7), np.arange(0.0, 360.0, 30.0)
     values = theta_deg[:, np.newaxis] + phi_deg / 1000.0

@@ -51,7 +51,7 @@ def test_single_gain_has_no_spread():
     assert (result.mean_dbi, result.std_db) == (13.26, 0.0)
 
 
-def test_statistics_of_nothing_are_refused():
+def test_statistics_of_empty_input_are_rejected():
     with pytest.raises(ValueError):
         gain_statistics(np.empty(0))
     with pytest.raises(ValueError):
@@ -77,7 +77,7 @@ def test_equal_gains_have_a_histogram_and_no_curve():
     assert len(density.gain_dbi) == len(density.kernel_per_db) == 0
 
 
-def test_envelope_is_that_of_all_patterns_held_at_once():
+def test_envelope_equals_that_of_all_patterns_in_memory():
     """Means and extremes exactly; quantiles to a bin, of so many gains that neighbours are nearer."""
     gains_dbi = np.random.default_rng(2).normal(0.0, 3.0, (2000, 7, 12))
     running = RunningEnvelope()
@@ -94,7 +94,7 @@ def test_envelope_is_that_of_all_patterns_held_at_once():
 
 
 @pytest.mark.parametrize("samples", [2, 3, 4, 7])
-def test_an_envelope_has_the_quantiles_of_gain_statistics_of_few_samples_too(samples):
+def test_envelope_of_few_samples_has_the_quantiles_of_gain_statistics(samples):
     """To a bin: the median of two gains is midway between them, not one of them."""
     gains_dbi = np.random.default_rng(samples).normal(0.0, 8.0, (samples, 7, 12))
     running = RunningEnvelope()
@@ -102,11 +102,11 @@ def test_an_envelope_has_the_quantiles_of_gain_statistics_of_few_samples_too(sam
         running.add(_with_gains(one))
     found = running.result().quantiles_dbi
     for t, p in ((0, 0), (3, 5), (6, 11)):
-        wanted = gain_statistics(gains_dbi[:, t, p]).quantiles_dbi
-        assert {q: found[q][t, p] for q in QUANTILES} == pytest.approx(wanted, abs=LEVEL_STEP_DB)
+        expected = gain_statistics(gains_dbi[:, t, p]).quantiles_dbi
+        assert {q: found[q][t, p] for q in QUANTILES} == pytest.approx(expected, abs=LEVEL_STEP_DB)
 
 
-def test_without_quantiles_an_envelope_needs_no_more_than_a_few_patterns():
+def test_envelope_without_quantiles_needs_little_memory():
     gains_dbi = np.random.default_rng(2).normal(0.0, 3.0, (3, 91, 180))
     patterns = [_with_gains(one) for one in gains_dbi]
     lean, whole = RunningEnvelope(quantiles=False), RunningEnvelope()
@@ -124,7 +124,7 @@ def test_without_quantiles_an_envelope_needs_no_more_than_a_few_patterns():
         np.testing.assert_array_equal(getattr(found, name), getattr(full, name))
 
 
-def test_envelope_of_one_pattern_is_the_pattern_whatever_its_level():
+def test_envelope_of_one_pattern_equals_the_pattern_at_any_level():
     gains_dbi = np.linspace(-90.0, 60.0, 84).reshape(7, 12)
     gains_dbi[0] = FLOOR_DBI
     running = RunningEnvelope()
@@ -134,7 +134,7 @@ def test_envelope_of_one_pattern_is_the_pattern_whatever_its_level():
         np.testing.assert_allclose(same, gains_dbi)
 
 
-def test_envelope_of_two_grids_is_refused():
+def test_envelope_of_two_grids_is_rejected():
     running = RunningEnvelope()
     running.add(_with_gains(np.zeros((7, 12))))
     with pytest.raises(ValueError, match=r"\(13, 24\) directions among \(7, 12\)"):
@@ -175,7 +175,7 @@ def test_gain_over_ground_is_smooth_up_to_the_horizon_and_none_below():
     assert gain_towards_dbi([pattern], 91.0, 90.0).tolist() == [FLOOR_DBI]
 
 
-def test_gain_of_no_patterns_is_no_gain():
+def test_gain_of_no_patterns_is_empty():
     assert len(gain_towards_dbi([], 90.0, 90.0)) == 0
 
 

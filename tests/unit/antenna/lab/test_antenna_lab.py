@@ -1,4 +1,4 @@
-"""The antenna alone, on the command line: the closed form's numbers, what disorder costs, refusals."""
+"""The antenna command line: closed-form values, gain loss by disorder, invalid input."""
 
 import json
 from itertools import islice
@@ -28,7 +28,7 @@ PNG = b"\x89PNG"
 
 
 def _run(capsys, command):
-    """Run a command that succeeds; its JSON."""
+    """Run a command that succeeds; return its JSON."""
     status = main([*command.split(), "--json"])
     printed = capsys.readouterr()
     assert (status, printed.err) == (0, "")
@@ -42,7 +42,7 @@ def _run(capsys, command):
         ("2x4", "end_fire", 11.037), ("2x4", "hansen_woodyard", 12.332), ("2x4", "optimum", 14.128),
     ],
 )  # fmt: skip
-def test_feeding_policies_give_what_hertzian_dipoles_do(capsys, formation, excitation, directivity_dbi):
+def test_feeding_policies_match_hertzian_dipoles(capsys, formation, excitation, directivity_dbi):
     found = _run(capsys, f"pattern --formation {formation} --excitation {excitation} --wavelength 7.5")
     assert found["exact_directivity_dbi"] == pytest.approx(directivity_dbi, abs=0.001)
     assert found["max_gain_dbi"] == pytest.approx(directivity_dbi - NEC_BIAS_DB, abs=0.003)
@@ -55,7 +55,7 @@ def test_feeding_policies_give_what_hertzian_dipoles_do(capsys, formation, excit
 @pytest.mark.parametrize(
     ("config", "height_m"), [(CONFIG, 0.0), (LONG, 0.0), (structs.replace(LONG, ground="perfect"), 12.0)]
 )
-def test_ports_know_the_gain_of_any_voltages(config, height_m):
+def test_ports_predict_the_gain_of_any_voltages(config, height_m):
     """Admittances are reciprocal, and their gains those of whole patterns, at the pattern's own maximum."""
     rng = np.random.default_rng(7)
     for _ in range(3):
@@ -71,7 +71,7 @@ def test_ports_know_the_gain_of_any_voltages(config, height_m):
 
 
 @pytest.mark.parametrize("config", [CONFIG, LONG])
-def test_no_weights_near_the_optimum_gain_more(config):
+def test_optimum_is_a_local_maximum_of_gain(config):
     best = structs.replace(config, excitation="optimum")
     rng = np.random.default_rng(8)
     array = perturbed(rng, LAMBDA_M, tilt_rad=0.2)
@@ -83,7 +83,7 @@ def test_no_weights_near_the_optimum_gain_more(config):
         assert seen.gain(other) < seen.gain(voltages)
 
 
-def test_an_array_that_touches_has_no_optimum():
+def test_optimum_of_touching_elements_is_rejected():
     places_m = grid(8, 4, 8.5, 2.5)
     places_m[3] = places_m[2]
     with pytest.raises(ElementsTouch) as caught:
@@ -91,7 +91,7 @@ def test_an_array_that_touches_has_no_optimum():
     assert (caught.value.first, caught.value.second) == (2, 3)
 
 
-def test_the_closed_form_is_that_of_the_tests_witness():
+def test_closed_form_matches_the_independent_test_implementation():
     array = perturbed(np.random.default_rng(9), LAMBDA_M, tilt_rad=0.6)
     found, (witness,) = hertzian_pattern(array, LAMBDA_M, grid_deg=5.0), exact_patterns([array], LAMBDA_M)
     np.testing.assert_allclose(found.theta_gain_dbi, witness.theta_gain_dbi, atol=1e-8)
@@ -101,7 +101,7 @@ def test_the_closed_form_is_that_of_the_tests_witness():
     assert found.max_gain_dbi == pytest.approx(float(towards_dbi), abs=1e-9)
 
 
-def test_images_take_half_of_the_power_with_them():
+def test_images_account_for_half_of_the_power():
     """The average over the sphere is 1 whatever the height: nothing is lost in a perfect conductor."""
     for height_m in (1.0, 4.0, 9.0):
         array = perturbed(np.random.default_rng(9), LAMBDA_M, tilt_rad=0.6)
@@ -117,7 +117,7 @@ def test_a_dipole_on_the_ground_has_twice_the_gain():
     assert found.max_gain_dbi == pytest.approx(10.0 * np.log10(3.0), abs=1e-4)
 
 
-def test_disorder_is_drawn_as_asked_and_the_same_for_a_seed():
+def test_disorder_has_the_requested_deviation_and_depends_only_on_the_seed():
     places_m = grid(8, 4, 8.5, 2.5)
     disorder = Disorder(sigma_m=0.4, tilt_rad=0.2, seed=3)
     found = list(islice(draws(places_m, CONFIG, disorder), 500))
@@ -157,14 +157,14 @@ def test_gain_falls_with_displacement_over_wavelength(capsys, wavelength_m, sigm
     assert 0.0 < found["pointing"]["mean_deg"] < found["pointing"]["max_deg"]
 
 
-def test_optimum_weights_for_what_was_drawn_make_up_for_it(capsys):
+def test_optimum_weights_for_true_positions_restore_the_gain(capsys):
     """13.45 dBi on average, and phases alone from true positions 12.35."""
     common = "statistics --sigma 0.5 --wavelength 10 --samples 200 --cores 1 --feeds truth"
     assert _run(capsys, f"{common} --excitation optimum")["mean_dbi"] == pytest.approx(13.45, abs=0.09)
     assert _run(capsys, common)["mean_dbi"] == pytest.approx(12.35, abs=0.12)
 
 
-def test_statistics_do_not_depend_on_the_cores_and_leave_files(capsys, tmp_path):
+def test_statistics_do_not_depend_on_the_cores_and_write_files(capsys, tmp_path):
     command = f"statistics --sigma 1 --wavelength 5 --tilt 20 --samples 150 --netcdf {tmp_path}/n/p.nc"
     one = _run(capsys, f"{command} --cores 1 --figure {tmp_path}/d.png --envelope {tmp_path}/e.png")
     assert one == _run(capsys, f"{command} --cores 2")
@@ -185,7 +185,7 @@ def test_samples_that_touch_are_counted_and_named(capsys):
 
 
 @pytest.mark.parametrize("excitation", ["end_fire", "optimum"])
-def test_an_ideal_formation_that_touches_is_no_reason_to_draw_none(capsys, tmp_path, excitation):
+def test_touching_ideal_formation_does_not_prevent_statistics(capsys, tmp_path, excitation):
     """All places are one: what is drawn around it, 2 m about, is apart."""
     common = f"--formation 2x1 --broadside 0 --sigma 2 --feeds truth --excitation {excitation} --seed 4"
     files = f"--figure {tmp_path}/d.png --envelope {tmp_path}/e.png"
@@ -198,13 +198,13 @@ def test_an_ideal_formation_that_touches_is_no_reason_to_draw_none(capsys, tmp_p
     assert all((tmp_path / name).read_bytes().startswith(PNG) for name in names)
 
 
-def test_a_maximum_that_is_one_of_many_has_no_pointing_error(capsys):
+def test_ambiguous_maximum_has_no_pointing_error(capsys):
     assert _run(capsys, "pattern --formation 1x1")["pointing_error_deg"] is None
     assert _run(capsys, "pattern --formation 2x1")["pointing_error_deg"] is None  # as high along -y
     assert _run(capsys, "pattern --formation 1x2")["pointing_error_deg"] == pytest.approx(0.0, abs=0.1)
 
 
-def test_lots_are_sized_by_what_patterns_take(capsys, monkeypatch):
+def test_lot_size_follows_from_the_size_of_a_pattern(capsys, monkeypatch):
     """A grid of 5 degrees in two polarisations is 2 * 37 * 72 * 4 bytes."""
     lots = []
 
@@ -228,7 +228,7 @@ def test_lots_are_sized_by_what_patterns_take(capsys, monkeypatch):
     assert lots == [1] * 11
 
 
-def test_memory_that_cannot_be_had_is_one_line(capsys, monkeypatch):
+def test_out_of_memory_is_reported_in_one_line(capsys, monkeypatch):
     def greedy(*_args, **_kwargs):
         raise MemoryError("Unable to allocate 9.66 GiB for an array\nwith shape (1801, 3600, 400)")
 
@@ -240,7 +240,7 @@ def test_memory_that_cannot_be_had_is_one_line(capsys, monkeypatch):
     assert said.count("\n") == 1
 
 
-def test_a_pattern_leaves_figures_deck_and_data(capsys, tmp_path):
+def test_pattern_command_writes_figures_deck_and_data(capsys, tmp_path):
     command = f"pattern --sigma 0.5 --tilt 10 --seed 2 --figure {tmp_path}/p.png --cuts {tmp_path}/c.png"
     found = _run(capsys, f"{command} --deck-out {tmp_path}/p.nec --netcdf {tmp_path}/p.nc")
     assert all((tmp_path / name).read_bytes().startswith(PNG) for name in ("p.png", "c.png"))
@@ -255,7 +255,7 @@ def test_a_pattern_leaves_figures_deck_and_data(capsys, tmp_path):
     assert found["exact_directivity_dbi"] == pytest.approx(found["max_gain_dbi"] + NEC_BIAS_DB, abs=0.003)
 
 
-def test_a_deck_is_an_element(capsys, tmp_path):
+def test_deck_defines_an_element(capsys, tmp_path):
     """The default dipole, written as a deck."""
     (tmp_path / "e.nec").write_text("GW 1 9 0 0 -0.025 0 0 0.025 0.0002\nGE 0\nEX 0 1 5 0 1 0\nEN\n")
     found = _run(capsys, f"pattern --deck {tmp_path}/e.nec")
@@ -263,7 +263,7 @@ def test_a_deck_is_an_element(capsys, tmp_path):
     assert found["exact_directivity_dbi"] is None
 
 
-def test_people_get_a_table(capsys):
+def test_default_output_is_a_table(capsys):
     assert main(["pattern", "--formation", "2x1"]) == 0
     printed = capsys.readouterr().out
     assert "max_gain_dbi" in printed
@@ -321,7 +321,7 @@ def test_bad_input_is_one_line(capsys, tmp_path, command, said):
 
 
 @pytest.mark.nec2
-def test_benchmark_takes_its_parts_together(capsys):
+def test_benchmark_times_are_consistent(capsys):
     pytest.importorskip("PyNEC")
     found = _run(capsys, "benchmark --seconds 0")
     assert (found["elements"], found["directions"], found["rounds"]) == (8, 37 * 72, 3)

@@ -30,18 +30,18 @@ from antenna.solvers.interface import Accuracy
         ({"element_kind": "loop", "element_deck": "CE"}, "element_deck: only for element_kind deck"),
     ],
 )  # fmt: skip
-def test_what_no_solver_can_do_is_refused_at_the_door(settings, message):
+def test_invalid_settings_are_rejected_when_decoded(settings, message):
     with pytest.raises(msgspec.ValidationError, match=message):
         msgspec.convert(settings, AntennaConfig)
 
 
 @pytest.mark.parametrize("excitation", ["end_fire", "hansen_woodyard"])
-def test_over_a_real_ground_feeds_that_need_no_solver_are_had(excitation):
+def test_feeds_without_a_solver_work_over_real_ground(excitation):
     settings = {"ground": "real", "backend": "nec2c", "excitation": excitation}
     assert msgspec.convert(settings, AntennaConfig).excitation == excitation
 
 
-def test_defaults_pass_their_own_checks():
+def test_defaults_are_valid():
     assert msgspec.convert({}, AntennaConfig) == AntennaConfig()
 
 
@@ -82,5 +82,5 @@ TRIANGLE = "3 0 0 0 0 0 .3 .001", "3 0 0 .3 0 .3 0 .001", "3 0 .3 0 0 0 0 .001"
         (_deck("9 0 0 2.3 0 0 2.6 .001"), Accuracy.LARGEST_ELEMENTS),
     ],
 )
-def test_the_batch_solver_claims_no_more_than_it_was_compared_for(settings, accuracy):
+def test_batch_accuracy_is_limited_to_the_range_compared_with_nec2(settings, accuracy):
     assert batch_accuracy(msgspec.convert(settings, AntennaConfig)) == accuracy

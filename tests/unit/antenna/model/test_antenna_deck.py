@@ -1,4 +1,4 @@
-"""Decks read for an element and written of arrays."""
+"""Reading an element from a deck, and writing an array as a deck."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def _read(*cards):
 
 @pytest.mark.parametrize("ground", [None, Ground()], ids=["free", "ground"])
 @pytest.mark.parametrize("step_deg", [0.1, 0.8, 1.0, 2.0, 4.0, 5.0, 7.0, 7.2, 10.0, 12.0, 15.0, 20.0, 30.0])
-def test_a_deck_asks_for_the_directions_of_a_pattern(ground, step_deg):
+def test_deck_requests_the_directions_of_a_pattern(ground, step_deg):
     """From the pole on, over ground to the horizon alone; 4, 7.2, 12 and 20 have an odd ceil(180 / step)."""
     snapshot = vertical_snapshot(np.array([[0.0, 0.0, 5.0]]), 10.0)
     text = write_deck(snapshot, dipole(0.05, 0.0002, 9), 10.0, ground=ground, step_deg=step_deg)
@@ -32,7 +32,7 @@ def test_a_deck_asks_for_the_directions_of_a_pattern(ground, step_deg):
 
 
 @pytest.mark.parametrize("element", [dipole(5.0, 0.001, 11), loop(0.3, 0.001, 12)], ids=["dipole", "loop"])
-def test_what_is_written_of_one_vehicle_is_read_as_its_element(element):
+def test_element_round_trips_through_a_deck(element):
     text = write_deck(vertical_snapshot(np.zeros((1, 3)), 10.0), element, 10.0)
     found = read_element(text)
     assert found.feed_segment == element.feed_segment
@@ -41,7 +41,7 @@ def test_what_is_written_of_one_vehicle_is_read_as_its_element(element):
         assert mine.start_m + mine.end_m == pytest.approx(its.start_m + its.end_m, abs=1e-8)
 
 
-def test_what_follows_the_end_of_a_deck_is_not_read():
+def test_lines_after_the_end_card_are_ignored():
     followed = f"{ONE}\n{REST}GW 2 3 0 1 0 0 2 0 0.001\nEX 0 2 2 0 1 0\nLD 4 0 0 0 50 0 0\nthe end\n"
     assert read_element(followed) == _read(ONE)
     with pytest.raises(DeckError, match=r"^line 2: the deck has no source"):
@@ -58,7 +58,7 @@ def test_what_follows_the_end_of_a_deck_is_not_read():
         "gw 1,9,,,-0.5,,,0.5,0.001,",
     ],
 )
-def test_fields_stand_between_commas_too_and_empty_ones_are_zero(card):
+def test_fields_may_be_separated_by_commas_and_empty_ones_are_zero(card):
     assert _read(card) == _read(ONE)
 
 
@@ -79,13 +79,13 @@ def test_fields_stand_between_commas_too_and_empty_ones_are_zero(card):
         ([ONE, *["GS 0 0 1e-15"] * 30], "line 1: GW: length of 0 m; expected 1e-06 to 1000"),
     ],
 )  # fmt: skip
-def test_sizes_that_no_element_has_are_refused_by_their_line(cards, said):
+def test_sizes_out_of_range_are_rejected_with_the_line(cards, said):
     with pytest.raises(DeckError) as caught:
         _read(*cards)
     assert str(caught.value) == said
 
 
-def test_lengths_in_another_unit_are_scaled_before_they_are_judged():
+def test_lengths_are_scaled_before_the_range_check():
     """In micrometres the same dipole is a million long."""
     assert _read("GW 1 9 0 0 -5e5 0 0 5e5 1e3", "GS 0 0 1e-6").wires == (
         Wire(start_m=(0.0, 0.0, -0.5), end_m=(0.0, 0.0, 0.5), radius_m=pytest.approx(0.001), segments=9),
@@ -110,14 +110,14 @@ def test_lengths_in_another_unit_are_scaled_before_they_are_judged():
     ids=["identical", "reversed", "folded back", "within", "beside", "crossing", "joined, and crossing",
          "T", "nearly joined", "copy", "copy beside"],
 )  # fmt: skip
-def test_wires_that_meet_elsewhere_than_at_their_ends_are_refused_by_both_lines(second, said):
+def test_crossing_wires_are_rejected_with_both_lines(second, said):
     with pytest.raises(DeckError) as caught:
         _read("CE", ONE, second)
     line = 2 if said == "its own copy" else 3
     if said is None:
         line, said = 4, "that of line 3"
-    told = f"line {line}: GW: the wire touches or crosses {said}; wires may meet only at ends of both"
-    assert str(caught.value) == told
+    expected = f"line {line}: GW: the wire touches or crosses {said}; wires may meet only at ends of both"
+    assert str(caught.value) == expected
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def test_wires_that_meet_elsewhere_than_at_their_ends_are_refused_by_both_lines(
         "copies",
     ],
 )
-def test_wires_that_meet_at_their_ends_or_nowhere_are_read(others):
+def test_wires_joined_at_their_ends_are_accepted(others):
     assert len(_read("CE", ONE, *others).wires) > 1
 
 

@@ -17,7 +17,7 @@ def test_article_grid_is_four_by_two_about_the_origin():
     np.testing.assert_array_equal(places_m[:, 2], 0.0)
 
 
-def test_incomplete_grid_keeps_the_places_of_the_full_one():
+def test_incomplete_grid_has_the_positions_of_the_complete_one():
     np.testing.assert_array_equal(grid(6, 4, 8.5, 2.5), grid(8, 4, 8.5, 2.5)[:6])
 
 
@@ -30,7 +30,7 @@ def test_longer_grid_grows_along_endfire():
 
 
 @pytest.mark.parametrize(("count", "columns"), [(0, 4), (4, 0)])
-def test_empty_grid_is_refused(count, columns):
+def test_empty_grid_is_rejected(count, columns):
     with pytest.raises(ValueError):
         grid(count, columns, 1.0, 1.0)
 
@@ -83,7 +83,7 @@ def test_segment_distance_is_that_of_the_nearest_of_many_points():
         assert sampled - distance < 0.02
 
 
-def test_touching_elements_are_named():
+def test_touching_elements_are_reported():
     centres_m = grid(8, 4, 8.5, 2.5)
     centres_m[6] = centres_m[3] + [0.0001, 0.0, 0.03]
     snapshot = vertical_snapshot(centres_m, 10.0)
@@ -94,7 +94,7 @@ def test_touching_elements_are_named():
     check_apart(snapshot, dipole(0.02, 0.0002, 9), grounded=False)  # shorter ones pass each other in height
 
 
-def test_who_reaches_the_ground_is_named():
+def test_element_that_touches_the_ground_is_reported():
     places_m = grid(8, 4, 8.5, 2.5) + np.array([0.0, 0.0, 1.0])
     places_m[2, 2] = 0.02
     snapshot = vertical_snapshot(places_m, 10.0)
@@ -139,7 +139,7 @@ def _good():
         ("voltages", np.array([1.0, np.inf])),
     ],
 )
-def test_impossible_snapshots_are_refused(field, value):
+def test_invalid_snapshots_are_rejected(field, value):
     Snapshot(**_good())
     with pytest.raises(ValueError):
         Snapshot(**(_good() | {field: value}))

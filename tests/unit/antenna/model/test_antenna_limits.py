@@ -1,4 +1,4 @@
-"""Limits of the solvers as the validation shows them: what touches, faint power, pairs near each other."""
+"""Limits of the solvers in the validation: touching elements, faint power, near pairs."""
 
 import math
 
@@ -19,7 +19,7 @@ def _pynec():
     pytest.importorskip("PyNEC", reason="the optional extra coflight[nec2] is not installed")
 
 
-def test_arrangements_that_touch_are_refused_by_the_same_elements():
+def test_all_solvers_report_the_same_touching_elements():
     answers = {
         (solver, name): limits.solve_touching((solver, name))
         for name in limits.TOUCHING
@@ -39,7 +39,7 @@ def test_arrangements_that_touch_are_refused_by_the_same_elements():
 
 @needs_nec2
 @pytest.mark.usefixtures("_pynec")
-def test_power_and_segments_are_judged():
+def test_power_and_segments_are_evaluated():
     """Nine segments cost what the average gain says; at a wavelength of 5 m nine are not enough."""
     asked = limits.jobs(PLAN)
     results = {group: [None] * len(jobs) for group, jobs in asked.items()}
@@ -76,7 +76,7 @@ def test_resistance_falls_against_reactance_by_the_cube_of_the_wavelength():
 
 @needs_nec2
 @pytest.mark.usefixtures("_pynec")
-def test_power_that_nec2_does_not_know_is_no_difference_of_directivity():
+def test_wrong_power_of_nec2_does_not_affect_directivity():
     results = [power.solve((*size, 4)) if size[1] == 9 else None for size in power.SIZES]
     checks, table = power.judge(results)
     assert missed(checks) == []
@@ -100,7 +100,7 @@ def test_power_that_nec2_does_not_know_is_no_difference_of_directivity():
 
 @needs_nec2
 @pytest.mark.usefixtures("_pynec")
-def test_pairs_are_apart_as_wanted_and_what_one_alone_refuses_is_not_met():
+def test_pairs_have_the_requested_distance_and_solvers_agree_on_rejections():
     """At 0.1 m some of 10 formations have no credible power; all solvers refuse the same ones."""
     snapshots = near.pairs(0.1, 10)
     for one in snapshots:
@@ -123,6 +123,6 @@ def test_pairs_are_apart_as_wanted_and_what_one_alone_refuses_is_not_met():
         assert word in names[0]
 
 
-def test_no_power_is_no_directivity():
+def test_zero_power_has_no_directivity():
     assert math.isnan(limits.LimitAnswer(max_gain_dbi=3.0, average_gain=-0.1).directivity_dbi)
     assert math.isnan(limits.LimitAnswer(refusal="elements 0 and 1 touch").directivity_dbi)

@@ -66,7 +66,7 @@ def _compare(found, witness, limits_db):
     "element", [SHORT, LONG, LOOP, OCTAGON, DECK], ids=["short", "long", "loop", "octagon", "deck"]
 )
 @pytest.mark.parametrize("ground", [{}, PERFECT], ids=["free", "perfect"])
-def test_batch_is_nec2_within_its_accuracy_class(element, ground):
+def test_batch_matches_nec2_within_its_accuracy_class(element, ground):
     pytest.importorskip("PyNEC", reason="the optional extra coflight[nec2] is not installed")
     config = AntennaConfig(wavelength_m=LAMBDA_M, **element, **ground)
     snapshots = _snapshots(31, 12, 10.0 if ground else 0.0)
@@ -77,7 +77,7 @@ def test_batch_is_nec2_within_its_accuracy_class(element, ground):
 
 @pytest.mark.nec2
 @pytest.mark.parametrize("wavelength_m", [20.0, 40.0])
-def test_of_faint_elements_batch_is_nec2_but_for_the_power(wavelength_m):
+def test_batch_matches_nec2_except_for_the_power_of_faint_elements(wavelength_m):
     """In directivity, the gain over the average gain, and the pattern of it; grids of 5 degrees suffice."""
     pytest.importorskip("PyNEC", reason="the optional extra coflight[nec2] is not installed")
     config = AntennaConfig(wavelength_m=wavelength_m)
@@ -95,7 +95,7 @@ def test_of_faint_elements_batch_is_nec2_but_for_the_power(wavelength_m):
 @pytest.mark.nec2
 @pytest.mark.parametrize("step_deg", [4.0, 7.2, 20.0])
 @pytest.mark.parametrize("ground", [{}, PERFECT], ids=["free", "perfect"])
-def test_nec2c_is_nec2_on_grids_of_an_odd_number_of_steps(step_deg, ground):
+def test_nec2c_matches_nec2_on_grids_of_an_odd_number_of_steps(step_deg, ground):
     """180 over 4, 7.2 and 20 is odd: the grid that has the horizon on it has smaller steps than these."""
     pytest.importorskip("PyNEC", reason="the optional extra coflight[nec2] is not installed")
     if shutil.which("nec2c") is None:
@@ -112,7 +112,7 @@ def test_nec2c_is_nec2_on_grids_of_an_odd_number_of_steps(step_deg, ground):
 
 
 @pytest.mark.parametrize("missing", [1, -72])
-def test_a_pattern_of_nec2c_that_lacks_directions_is_one_clear_line(monkeypatch, missing):
+def test_incomplete_pattern_of_nec2c_is_a_one_line_error(monkeypatch, missing):
     if shutil.which("nec2c") is None:
         pytest.skip("the program nec2c is not installed")
     backend = make_backend(AntennaConfig(backend="nec2c"))
@@ -125,7 +125,7 @@ def test_a_pattern_of_nec2c_that_lacks_directions_is_one_clear_line(monkeypatch,
 @pytest.mark.nec2
 @pytest.mark.parametrize("element", [SHORT, LONG, DECK], ids=["short", "long", "deck"])
 @pytest.mark.parametrize("ground", [{}, PERFECT, {"ground": "real"}], ids=["free", "perfect", "real"])
-def test_nec2c_is_nec2(element, ground):
+def test_nec2c_matches_nec2(element, ground):
     pytest.importorskip("PyNEC", reason="the optional extra coflight[nec2] is not installed")
     if shutil.which("nec2c") is None:
         pytest.skip("the program nec2c is not installed")
@@ -144,7 +144,7 @@ def test_ideal_formation_has_13_26_dbi_along_endfire(wavelength_m):
     assert pattern.max_gain_dbi - 10.0 * np.log10(pattern.average_gain) == pytest.approx(13.280, abs=0.001)
 
 
-def test_batch_has_hertzian_dipoles_patterns_for_short_ones():
+def test_batch_matches_hertzian_dipoles_for_short_dipoles():
     """Against the closed form, however the dipoles stand and lean; NEC2's bias is in the average."""
     rng = np.random.default_rng(33)
     snapshots = [perturbed(rng, LAMBDA_M, sigma, tilt_rad=0.3) for sigma in (0.1, 0.5, 1.0, 2.0, 4.0)]
@@ -155,7 +155,7 @@ def test_batch_has_hertzian_dipoles_patterns_for_short_ones():
         assert np.abs(directivity_dbi - exact_dbi)[seen].max() < 0.02
 
 
-def test_a_short_dipole_over_perfect_ground_gains_what_its_image_adds():
+def test_short_dipole_over_perfect_ground_has_the_gain_of_its_image():
     """Vertical, a quarter wavelength up: at the horizon its field is doubled.
 
     The gain is there 4 sin^2 theta over the mean over the sphere of 4 sin^2 theta cos^2(k h cos theta), of
@@ -172,7 +172,7 @@ def test_a_short_dipole_over_perfect_ground_gains_what_its_image_adds():
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-def test_threads_slices_and_numbers_of_elements_change_nothing(threads):
+def test_results_do_not_depend_on_threads_slices_and_element_counts(threads):
     rng = np.random.default_rng(34)
     snapshots = [perturbed(rng, LAMBDA_M, 0.5, count=8 - k % 3) for k in range(150)]
     snapshots[70].centres_m[3] = snapshots[70].centres_m[2]
@@ -186,14 +186,14 @@ def test_threads_slices_and_numbers_of_elements_change_nothing(threads):
         assert one.max_gain_dbi == pytest.approx(found[k].max_gain_dbi, abs=1e-9)
 
 
-def test_an_undriven_element_scatters_and_is_no_source():
+def test_undriven_element_scatters_without_being_a_source():
     snapshot = vertical_snapshot(grid(2, 2, 5.0, 0.0), LAMBDA_M)
     snapshot.voltages[1] = 0.0
     (pattern,) = make_backend(AntennaConfig()).patterns([snapshot])
     assert pattern.max_gain_dbi - 10.0 * np.log10(pattern.average_gain) == pytest.approx(1.761, abs=0.005)
 
 
-def test_batch_over_real_ground_is_refused():
+def test_batch_over_real_ground_is_rejected():
     with pytest.raises(
         ValueError, match=r"^backend: batch does not support real ground; expected nec2 or nec2c$"
     ):

@@ -1,4 +1,4 @@
-"""The batch solver's parts: arrays that come near each other, fields of segments, maxima beyond the grid."""
+"""Parts of the batch solver: near elements, fields of segments, maxima between grid directions."""
 
 import shutil
 
@@ -34,7 +34,7 @@ def _with_a_pair(rng, apart_m, height_m=0.0):
 @pytest.mark.nec2
 @pytest.mark.parametrize("ground", ["none", "perfect"])
 @pytest.mark.parametrize(("settings", "apart_m"), [(SHORT, 0.3), (LONG, 0.6)])
-def test_elements_near_each_other_are_solved_as_by_nec2(settings, apart_m, ground):
+def test_near_elements_match_nec2(settings, apart_m, ground):
     """Few currents for each would be wrong by up to 0.06 dB (short) and 0.4 dB (long) there."""
     assert apart_m < near_m(LAMBDA_M)
     config = structs.replace(settings, ground=ground)
@@ -49,8 +49,8 @@ def test_elements_near_each_other_are_solved_as_by_nec2(settings, apart_m, groun
 
 @pytest.mark.nec2
 @pytest.mark.parametrize("backend", ["batch", "nec2", pytest.param("nec2c", marks=NEEDS_NEC2C)])
-def test_a_solution_that_cannot_be_names_the_two_instead(backend):
-    """At a few centimetres thin wires may radiate what nobody feeds in: no pattern, or one in balance."""
+def test_implausible_solution_reports_the_two_elements(backend):
+    """At a few centimetres the radiated power may exceed the input power: no pattern, or a balanced one."""
     rng = np.random.default_rng(6)
     arrays = [_with_a_pair(rng, apart_m) for apart_m in (0.04, 0.05, 0.06, 0.08) for _ in range(3)]
     results = make_backend(structs.replace(SHORT, backend=backend)).patterns(arrays)
@@ -95,7 +95,7 @@ def test_the_maximum_is_that_of_the_finest_grid(settings, ground):
             assert found.max_gain_dbi == pytest.approx(whole.max_gain_dbi, abs=1e-6)
 
 
-def test_slopes_and_curvatures_of_the_gain_are_those_of_differences():
+def test_slopes_and_curvatures_match_finite_differences():
     """Central differences over 1e-3 rad are off by the sixth of the third derivative, 1e-6 (k p)^3 or so."""
     rng = np.random.default_rng(5)
     radiating = Batch(SHORT).currents([perturbed(rng, LAMBDA_M)])
@@ -131,11 +131,11 @@ def test_potential_of_a_segment_is_the_integral_of_its_green_function(halves_awa
             distance_m = np.hypot(rho_m, along_m - z_m)
             return np.exp(-1j * k_rad_m * distance_m) / distance_m
 
-        wanted, _ = quad(
+        expected, _ = quad(
             green, -half_m, half_m, complex_func=True, points=[np.clip(along_m, -half_m, half_m)], limit=200
         )
         assert _potential(along_m, rho_m, half_m, k_rad_m) == pytest.approx(
-            wanted, rel=1e-8 if half_m < 0.1 else 5e-6
+            expected, rel=1e-8 if half_m < 0.1 else 5e-6
         )
 
 
@@ -159,7 +159,7 @@ def test_a_wide_array_on_a_wide_grid_has_its_highest_lobe_and_its_power(backend)
         )
 
 
-def test_where_an_array_is_changes_nothing_in_free_space():
+def test_gain_in_free_space_does_not_depend_on_the_position():
     """Single precision would lose 0.1 dB of a lobe a hundred kilometres from the origin."""
     near = perturbed(np.random.default_rng(10), LAMBDA_M)
     far = Snapshot(near.centres_m + np.array([1e5, -1e5, 1e4]), near.rotations, near.voltages)
@@ -170,7 +170,7 @@ def test_where_an_array_is_changes_nothing_in_free_space():
 
 
 @pytest.mark.nec2
-def test_low_over_real_ground_there_is_no_pattern_of_nec2():
+def test_nec2_rejects_arrays_low_over_real_ground():
     """PyNEC feeds an array below a fifth of the wavelength with negative power."""
     low, high = (
         Snapshot(
@@ -190,7 +190,7 @@ def test_low_over_real_ground_there_is_no_pattern_of_nec2():
 @NEEDS_NEC2C
 @pytest.mark.nec2
 @pytest.mark.parametrize("apart_m", [0.4, 0.6])
-def test_nec2c_solves_near_elements_as_nec2_does(apart_m):
+def test_nec2c_matches_nec2_for_near_elements(apart_m):
     arrays = [_with_a_pair(np.random.default_rng(seed), apart_m) for seed in range(3)]
     witnesses = [
         make_backend(structs.replace(SHORT, backend=name)).patterns(arrays) for name in ("nec2", "nec2c")

@@ -39,7 +39,7 @@ def test_ideal_formation_has_13_26_dbi_along_endfire(nec2, wavelength_m):
 
 
 @pytest.mark.nec2
-def test_pattern_is_that_of_hertzian_dipoles(nec2):
+def test_pattern_matches_hertzian_dipoles(nec2):
     """Positions, tilts, feeds and both angles: everything that a mapping into NEC2 could get wrong."""
     rng = np.random.default_rng(11)
     for _ in range(3):
@@ -60,7 +60,7 @@ def test_maximum_is_within_a_hundredth_of_that_of_a_half_degree_grid(nec2):
         snapshot = perturbed(rng, LAMBDA_M, 1.0, tilt_rad=0.15)
         exact_dbi = gain_dbi(snapshot, LAMBDA_M, theta_deg[:, np.newaxis], phi_deg)
         row, column = np.unravel_index(exact_dbi.argmax(), exact_dbi.shape)
-        far_field = nec2.FarField(snapshot, CONFIG)
+        far_field = nec2.PynecFarField(snapshot, CONFIG)
         near_deg = 0.5 * np.arange(-20, 21)
         at = np.meshgrid(theta_deg[row] + near_deg, phi_deg[column] + near_deg)
         fine_dbi = far_field.gains_dbi(*at).max()
@@ -68,7 +68,7 @@ def test_maximum_is_within_a_hundredth_of_that_of_a_half_degree_grid(nec2):
 
 
 @pytest.mark.nec2
-def test_gain_falls_with_position_errors_as_it_should(nec2):
+def test_gain_loss_by_position_errors_matches_the_reference(nec2):
     """0.5 m at 10 m: 12.62 +- 0.28 dB over 1000 samples (2 degree grid), here within four standard errors."""
     rng = np.random.default_rng(13)
     samples = 64
@@ -79,7 +79,7 @@ def test_gain_falls_with_position_errors_as_it_should(nec2):
 
 
 @pytest.mark.nec2
-def test_undriven_element_is_no_source(nec2):
+def test_undriven_element_is_not_a_source(nec2):
     places_m = grid(2, 2, 5.0, 0.0)
     snapshot = Snapshot(places_m, np.tile(np.eye(3), (2, 1, 1)), np.array([1.0, 0.0], complex))
     pattern = nec2.Nec2(CONFIG).pattern(snapshot)
@@ -87,7 +87,7 @@ def test_undriven_element_is_no_source(nec2):
 
 
 @pytest.mark.nec2
-def test_touching_elements_are_a_result_and_not_a_crash(nec2):
+def test_touching_elements_are_returned_as_a_result(nec2):
     rng = np.random.default_rng(14)
     crossed = ideal(LAMBDA_M)
     crossed.centres_m[5] = crossed.centres_m[2] + [0.0, 0.0001, 0.0]
@@ -105,7 +105,7 @@ def test_touching_elements_are_a_result_and_not_a_crash(nec2):
 
 
 @pytest.mark.nec2
-def test_long_dipoles_have_the_gain_that_the_literature_has_for_one(nec2):
+def test_half_wave_dipole_has_the_gain_of_the_literature(nec2):
     """A thin half-wave dipole has 2.15 dBi."""
     config = AntennaConfig(
         wavelength_m=LAMBDA_M,
@@ -120,7 +120,7 @@ def test_long_dipoles_have_the_gain_that_the_literature_has_for_one(nec2):
 
 @pytest.mark.nec2
 @pytest.mark.usefixtures("nec2")
-def test_workers_give_the_same_results_in_the_same_order():
+def test_workers_return_equal_results_in_order():
     rng = np.random.default_rng(15)
     config = AntennaConfig(wavelength_m=LAMBDA_M, grid_deg=15.0, backend="nec2")
     snapshots = [perturbed(rng, LAMBDA_M, tilt_rad=0.0) for _ in range(2 * CHUNK + 3)]
@@ -178,7 +178,7 @@ def test_a_script_without_a_guard_is_run_once(tmp_path):
 
 @pytest.mark.nec2
 @pytest.mark.usefixtures("nec2")
-def test_a_worker_that_dies_is_one_clear_line(monkeypatch):
+def test_dead_worker_is_a_one_line_error(monkeypatch):
     def dead():
         command = [sys.executable, "-c", "raise SystemExit(3)"]
         return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
@@ -191,11 +191,11 @@ def test_a_worker_that_dies_is_one_clear_line(monkeypatch):
 
 @pytest.mark.nec2
 @pytest.mark.usefixtures("nec2")
-def test_no_snapshots_give_no_patterns():
+def test_empty_input_returns_no_patterns():
     assert compute_patterns(CONFIG, [], workers=2) == []
 
 
-def test_missing_pynec_is_one_clear_line(monkeypatch):
+def test_missing_pynec_is_a_one_line_error(monkeypatch):
     monkeypatch.setitem(sys.modules, "PyNEC", None)
     monkeypatch.delitem(sys.modules, "antenna.solvers.nec2", raising=False)
     with pytest.raises(

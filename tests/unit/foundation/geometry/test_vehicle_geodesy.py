@@ -32,13 +32,13 @@ def test_the_tangent_plane_leaves_the_ground_by_the_earths_curvature():
     st.floats(-500.0, 9000.0),
     st.tuples(*[st.floats(-1000.0, 1000.0)] * 3),
 )
-def test_there_and_back_is_within_a_millimetre_anywhere(lat_deg, lon_deg, alt_m, pos_ned_m):
+def test_round_trip_is_within_a_millimetre_anywhere(lat_deg, lon_deg, alt_m, pos_ned_m):
     origin = {"origin_lat_deg": lat_deg, "origin_lon_deg": lon_deg, "origin_alt_m": alt_m}
     back = geodetic_to_ned(*ned_to_geodetic(pos_ned_m, **origin), **origin)
     assert np.abs(back - pos_ned_m).max() < 1e-6
 
 
-def test_arrays_give_what_scalars_give():
+def test_arrays_and_scalars_have_equal_results():
     points = np.random.default_rng(1).uniform(-500.0, 500.0, (4, 2, 3))
     lat_deg, lon_deg, alt_m = ned_to_geodetic(points, **ZURICH)
     assert lat_deg.shape == (4, 2)
@@ -54,7 +54,7 @@ def test_arrays_give_what_scalars_give():
     st.floats(-90.0, 90.0), st.floats(-180.0, 180.0), st.floats(-500.0, 9000.0),
     st.tuples(*[st.floats(-3000.0, 3000.0)] * 3),
 )  # fmt: skip
-def test_a_point_alone_is_where_it_is_among_others(lat_deg, lon_deg, alt_m, pos_ned_m):
+def test_single_point_matches_the_array_function(lat_deg, lon_deg, alt_m, pos_ned_m):
     """But for rounding, which at the size of the earth comes to nanometres."""
     origin = {"origin_lat_deg": lat_deg, "origin_lon_deg": lon_deg, "origin_alt_m": alt_m}
     point = [float(number) for number in ned_to_geodetic(pos_ned_m, **origin)]

@@ -1,4 +1,4 @@
-"""Where processor time goes: samples of the stack, charged to the parts that modules are of."""
+"""Sampling profiler: samples of the stack are attributed to the parts of modules."""
 
 import importlib.util
 import signal
@@ -31,20 +31,20 @@ PROFILE_GROUPS = {"swarm": "all", "swarm.flight": "flight", "swarm.flight.codec"
 @pytest.mark.parametrize(
     "parts", [vehicle_parts.PROFILE_GROUPS, physics_parts.PROFILE_GROUPS, radio_parts.PROFILE_GROUPS]
 )
-def test_every_part_is_of_modules_that_there_are_and_one_of_them_waits(parts):
+def test_profile_groups_name_existing_modules_and_include_the_link(parts):
     for module in parts:
         assert importlib.util.find_spec(module) is not None, module
     assert LINK in parts.values()
 
 
-def test_a_module_is_of_the_part_of_the_nearest_package_that_has_one():
+def test_module_belongs_to_the_part_of_its_nearest_package():
     assert part_of("swarm.flight.codec", PROFILE_GROUPS) == "codec"
     assert part_of("swarm.flight.control.inner", PROFILE_GROUPS) == "flight"
     assert part_of("swarm.radio", PROFILE_GROUPS) == "all"
     assert part_of("swarms", PROFILE_GROUPS) is None
 
 
-def test_shares_sum_up_to_the_time_and_other_threads_are_taken_off_the_wait():
+def test_shares_sum_to_the_cpu_time_and_threads_are_subtracted_from_the_link():
     # 4 of 10 s are other threads': 40 of 100 samples were taken while those worked and the main one waited
     shares = shares_s({"work": 50, LINK: 45, "codec": 5}, cpu_s=10.0, threads_s=4.0)
     assert sum(shares.values()) == pytest.approx(10.0)
@@ -57,12 +57,12 @@ def test_shares_sum_up_to_the_time_and_other_threads_are_taken_off_the_wait():
     assert list(shares)[:2] == ["work", THREADS]
 
 
-def test_threads_that_work_while_the_main_one_does_take_nothing_from_its_parts():
+def test_concurrent_threads_do_not_reduce_the_parts_of_the_main_thread():
     shares = shares_s({"work": 90, LINK: 10}, cpu_s=10.0, threads_s=5.0)
     assert shares == {"work": pytest.approx(5.0), THREADS: 5.0, LINK: 0.0}
 
 
-def test_what_was_not_sampled_is_of_no_part():
+def test_time_without_samples_belongs_to_no_part():
     assert shares_s({}, cpu_s=0.5, threads_s=0.1) == {REST: 0.5}
 
 
@@ -83,7 +83,7 @@ def work(cpu_s, then=None):
 """
 
 
-def test_time_is_charged_to_the_innermost_module_that_is_of_a_part():
+def test_time_is_attributed_to_the_innermost_module_with_a_part():
     flight, codec = _module("swarm.flight", BUSY), _module("swarm.flight.codec", BUSY)
     helper = _module("helper", BUSY)
     now_us = 0
@@ -113,25 +113,25 @@ def test_time_is_charged_to_the_innermost_module_that_is_of_a_part():
 
 def test_a_run_that_is_not_profiled_is_not_interrupted():
     before = signal.getsignal(signal.SIGPROF)
-    with profiled(PROFILE_GROUPS, now_us=lambda: 0, from_us=None) as told:
+    with profiled(PROFILE_GROUPS, now_us=lambda: 0, from_us=None) as details:
         assert signal.getsignal(signal.SIGPROF) is before
         assert signal.getitimer(signal.ITIMER_PROF) == (0.0, 0.0)
-    assert told == {}
+    assert details == {}
 
 
-def test_a_profile_is_told_once_the_work_is_done_and_nothing_interrupts_afterwards():
+def test_profile_is_available_at_the_end_and_sampling_stops():
     busy = _module("swarm.radio", BUSY)
-    with profiled(PROFILE_GROUPS, now_us=lambda: 1, from_us=0) as told:
+    with profiled(PROFILE_GROUPS, now_us=lambda: 1, from_us=0) as details:
         busy.work(0.1)
-        assert told == {}
+        assert details == {}
     assert signal.getitimer(signal.ITIMER_PROF) == (0.0, 0.0)
-    assert msgspec.convert(told[KEY], Profile).parts_cpu_s["all"] > 0.0
+    assert msgspec.convert(details[KEY], Profile).parts_cpu_s["all"] > 0.0
 
 
-def test_what_never_flew_has_no_profile():
-    with profiled(PROFILE_GROUPS, now_us=lambda: 0, from_us=4_000) as told:
+def test_profile_without_simulated_time_is_empty():
+    with profiled(PROFILE_GROUPS, now_us=lambda: 0, from_us=4_000) as details:
         _module("swarm", BUSY).work(0.05)
-    assert told == {}
+    assert details == {}
 
 
 def _told(**changes: object) -> dict[str, object]:
@@ -147,7 +147,7 @@ def _told(**changes: object) -> dict[str, object]:
     return {KEY: msgspec.to_builtins(msgspec.structs.replace(profile, **changes))}
 
 
-def test_vehicles_are_added_up_and_each_counts_by_its_own_time():
+def test_profiles_of_vehicles_are_summed_over_their_own_times():
     profiles = by_kind(
         {
             "uav 0": _told(),
@@ -169,12 +169,12 @@ def test_vehicles_are_added_up_and_each_counts_by_its_own_time():
     assert table.row_count == 2 * (1 + 2 + 1) + 1  # kinds, their two parts, how they wait; and all
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the operating system does not tell")
-def test_queueing_is_no_waiting():
+@pytest.mark.skipif(sys.platform != "linux", reason="needs /proc of Linux")
+def test_queueing_is_separate_from_waiting():
     busy = _module("swarm", BUSY)
-    with profiled(PROFILE_GROUPS, now_us=lambda: 1, from_us=0) as told:
+    with profiled(PROFILE_GROUPS, now_us=lambda: 1, from_us=0) as details:
         busy.work(0.05)
         time.sleep(0.2)
         busy.work(0.05)
-    profile = msgspec.convert(told[KEY], Profile)
+    profile = msgspec.convert(details[KEY], Profile)
     assert 0.15 < profile.waiting_s + profile.queueing_s < profile.wall_s

@@ -1,4 +1,4 @@
-"""Binary logs: whole blocks by row count, readable up to the last whole record whatever happened."""
+"""Binary logs: whole blocks by row count, readable up to the last complete record after any failure."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ def rows(count):
     return [(4000 * k, (k, 2.0 * k, -k)) for k in range(count)]
 
 
-def test_what_is_appended_is_read_back(tmp_path):
+def test_appended_records_are_read_back(tmp_path):
     log = RecordLog(tmp_path / "log.bin", PAIR)
     for row in rows(BLOCK_ROWS + 3):
         log.append([row])
@@ -32,7 +32,7 @@ def test_full_blocks_are_on_disk_before_the_log_is_closed(tmp_path):
     log.close()
 
 
-def test_packed_rows_lie_in_the_same_blocks(tmp_path):
+def test_packed_rows_are_written_in_the_same_blocks(tmp_path):
     logs = [RecordLog(tmp_path / name, PAIR) for name in ("rows", "arrays")]
     for first in range(0, 3 * BLOCK_ROWS, 7):
         chunk = rows(first + 7)[first:]
@@ -45,7 +45,7 @@ def test_packed_rows_lie_in_the_same_blocks(tmp_path):
     assert (tmp_path / "rows").read_bytes() == (tmp_path / "arrays").read_bytes()
 
 
-def test_a_record_cut_short_is_left_out_and_a_missing_file_is_empty(tmp_path):
+def test_incomplete_record_is_ignored_and_a_missing_file_is_empty(tmp_path):
     log = RecordLog(tmp_path / "log.bin", PAIR)
     log.append(rows(3))
     log.close()
@@ -55,8 +55,8 @@ def test_a_record_cut_short_is_left_out_and_a_missing_file_is_empty(tmp_path):
     assert len(read(tmp_path / "none.bin", PAIR)) == 0
 
 
-def test_a_log_that_cannot_be_written_is_closed_all_the_same():
-    """A full disk is an error once, and holds no file open."""
+def test_log_is_closed_after_a_write_error():
+    """A full disk is reported once, and the file is closed."""
     log = RecordLog("/dev/full", PAIR)
     log.append(rows(3))
     with pytest.raises(OSError, match="No space left"):
@@ -65,5 +65,5 @@ def test_a_log_that_cannot_be_written_is_closed_all_the_same():
     assert log._file.closed
 
 
-def test_the_emulators_log_of_frames_has_the_fields_of_its_records():
+def test_frame_log_layout_matches_the_frame_records():
     assert FRAME_LOG.names == FrameRecord._fields

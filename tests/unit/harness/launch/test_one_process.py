@@ -375,7 +375,7 @@ def test_datagrams_that_the_wire_refuses_are_refused_here_too():
     """1472 bytes are the largest datagram; the emulator's process would drop a larger one."""
     channel = Channel()
     channel.radios[0].send(STEP_US, [Broadcast(seq=0, at_us=STEP_US, payload=bytes(MAX_PAYLOAD_BYTES))])
-    with pytest.raises(ValueError, match=r"station 0: the 802\.11 emulator refuses"):
+    with pytest.raises(ValueError, match=r"station 0: the 802\.11 emulator rejects"):
         channel.radios[0].send(
             STEP_US, [Broadcast(seq=1, at_us=STEP_US, payload=bytes(1 + MAX_PAYLOAD_BYTES))]
         )
@@ -425,7 +425,7 @@ def test_a_frame_after_minutes_of_silence_is_delivered():
 
 def test_invalid_positions_and_times_are_refused():
     channel = Channel()
-    with pytest.raises(ValueError, match="refuses to go on"):
+    with pytest.raises(ValueError, match="rejects the request to advance"):
         channel.advance(STEP_US, pos_ned_m=pack_rows(np.full((2, 3), np.nan)))
     far_us = 10**9
     with pytest.raises(ValueError, match="refuses"):

@@ -120,7 +120,7 @@ def test_overrides_take_numbers_strings_words_and_new_tables():
         ("onboard.loop_period_ms=0", "onboard.loop_period_ms: expected `int` >= 4"),
         ("radio.bandwidth_mhz=60", "radio.bandwidth_mhz: invalid enum value 60"),
         ("radio.ftm.ftms_per_burst=1", "radio.ftm.ftms_per_burst: expected `int` >= 2"),
-        ("radio.control_mode=vht_mcs0", "radio.control_mode: RTS is a non-HT frame, vht_mcs0 is none"),
+        ("radio.control_mode=vht_mcs0", "radio.control_mode: RTS needs a non-HT mode, vht_mcs0 is VHT"),
         (
             'radio={bandwidth_mhz=20, ftm={mode="vht_mcs9"}}',
             "radio.ftm.mode: VHT MCS 9 does not exist on a 20 MHz channel",
@@ -129,24 +129,27 @@ def test_overrides_take_numbers_strings_words_and_new_tables():
             "radio.ftm={burst_duration_us=250, min_delta_us=100}",
             # VHT MCS 0 on 80 MHz: 60 + 16 + 44 us with the parameters, AIFS 34, then 56 + 16 + 44
             (
-                "radio.ftm.burst_duration_us: 250 us are too short for two measurement frames, "
-                "which take 270 us with ftm.min_delta_us of 100"
+                "radio.ftm.burst_duration_us: 250 us is too short for two measurement frames, "
+                "which take 270 us with ftm.min_delta_us = 100"
             ),
         ),
         (
             "radio.ftm={burst_duration_us=500, min_delta_us=310}",
             # in units of 100 us that is 400, and 116 for the second frame
-            "radio.ftm.burst_duration_us: 500 us are too short for two measurement frames, which take 516 us",
+            "radio.ftm.burst_duration_us: 500 us is too short for two measurement frames, which take 516 us",
         ),
         (
             "radio.stations=[{station=8}]",
-            "radio.stations[0].station: 8 is not on a channel of 8 stations",
+            "radio.stations[0].station: 8 is out of range for 8 stations",
         ),
         ("radio.extra_attenuation_db=1e6", "radio.extra_attenuation_db: expected `float` <= 1000.0"),
-        ("radio.stations=[{station=1},{station=1}]", "radio.stations[1].station: 1 has a table already"),
+        (
+            "radio.stations=[{station=1},{station=1}]",
+            "radio.stations[1].station: duplicate entry of station 1",
+        ),
         (
             'radio.guests=[{name="a", pos_ned_m=[0,0,0]}, {name="a", pos_ned_m=[0,9,0]}]',
-            "radio.guests[1].name: 'a' is there already",
+            "radio.guests[1].name: duplicate name 'a'",
         ),
         (
             "radio.interferers=[{pos_ned_m=[0,0,0], duty_cycle=1.5}]",

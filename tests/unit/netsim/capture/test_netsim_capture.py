@@ -30,7 +30,7 @@ NON_HT = ("ofdm6", "ofdm9", "ofdm12", "ofdm18", "ofdm24", "ofdm36", "ofdm48", "o
 # --- the file
 
 
-def test_a_file_begins_with_its_section_and_one_interface(tmp_path):
+def test_file_begins_with_a_section_header_and_one_interface(tmp_path):
     """Section header 0x0A0D0D0A, version 1.0; interface of link type 127, nanoseconds, no limit of length."""
     path = tmp_path / "radio.pcapng"
     Capture(path, config=CONFIG, comment="seed 7").close()
@@ -47,7 +47,7 @@ def test_a_file_begins_with_its_section_and_one_interface(tmp_path):
     st.lists(st.tuples(st.integers(0, 9), st.integers(0, 1472), st.integers(0, 40_000)), max_size=60),
     st.integers(0, 2**62),
 )
-def test_packets_are_in_order_of_start_however_they_end(tmp_path_factory, plan, origin_ns):
+def test_packets_are_ordered_by_start_for_any_end(tmp_path_factory, plan, origin_ns):
     """At any time any number overlap; the emulator reports them as they end. None is lost or doubled."""
     path = tmp_path_factory.mktemp("capture") / "radio.pcapng"
     start_ns, sent = origin_ns, []
@@ -67,7 +67,7 @@ def test_packets_are_in_order_of_start_however_they_end(tmp_path_factory, plan, 
     ]
 
 
-def test_a_file_can_be_read_before_there_is_a_frame(tmp_path):
+def test_file_without_frames_is_readable(tmp_path):
     path = tmp_path / "radio.pcapng"
     capture = Capture(path, config=CONFIG)
     assert [kind for kind, _ in blocks(path.read_bytes())] == [0x0A0D0D0A, 1]
@@ -78,7 +78,7 @@ def test_a_file_can_be_read_before_there_is_a_frame(tmp_path):
     st.lists(st.tuples(st.integers(0, 1472), st.integers(0, 500_000_000)), min_size=1, max_size=8),
     st.integers(20_000_000, 400_000_000),
 )
-def test_however_few_frames_are_in_the_file_a_second_after_they_are_settled(tmp_path_factory, plan, step_ns):
+def test_few_frames_are_written_within_the_write_period(tmp_path_factory, plan, step_ns):
     """`settle` comes at every step: one later than HOLD after a start may write the frame, none sooner.
 
     One that is later by the period too has it in the file: had the write before come since, the frame would
@@ -115,7 +115,7 @@ def test_however_few_frames_are_in_the_file_a_second_after_they_are_settled(tmp_
     assert path.read_bytes() == (folder / "alone").read_bytes()
 
 
-def test_of_many_frames_a_chunk_waits_and_a_kill_leaves_whole_blocks(tmp_path):
+def test_at_most_one_chunk_is_pending_and_a_kill_leaves_whole_blocks(tmp_path):
     """Back to back on 20 MHz at 24 Mbit/s: a frame of 1064 B takes 380 us, so 7 ms hold 19 of them.
 
     Of any number of frames all but those and one chunk are in the file, which ends with a whole block.
@@ -139,7 +139,7 @@ def test_of_many_frames_a_chunk_waits_and_a_kill_leaves_whole_blocks(tmp_path):
     assert len(packets(path.read_bytes())) == 1_000
 
 
-def test_a_missing_folder_and_a_full_disk_are_one_line_with_the_path(tmp_path):
+def test_missing_folder_and_full_disk_are_reported_with_the_path(tmp_path):
     missing = tmp_path / "missing" / "radio.pcapng"
     with pytest.raises(FileNotFoundError, match=r"missing/radio\.pcapng"):
         Capture(missing, config=CONFIG)
@@ -151,7 +151,7 @@ def test_a_missing_folder_and_a_full_disk_are_one_line_with_the_path(tmp_path):
     assert failure.value.errno == errno.ENOSPC
 
 
-def test_a_disk_that_takes_a_part_only_is_full(tmp_path):
+def test_partial_write_is_a_full_disk(tmp_path):
     """The system writes as much of a chunk as fits, and refuses the rest and what comes later."""
     path = tmp_path / "radio.pcapng"
     capture = Capture(path, config=CONFIG)
@@ -205,8 +205,8 @@ def retries(found):
     ]
 
 
-def test_every_transmission_but_the_first_of_a_frame_is_a_retry(tmp_path):
-    """B hears nobody, so A's frame to it goes out 1 + 7 times; the next frame's first is none again."""
+def test_all_transmissions_after_the_first_are_retries(tmp_path):
+    """B receives nothing, so A's frame is sent 1 + 7 times; the next frame begins without a retry."""
     air = Air(2, powers_dbm={(A, B): -200.0})
     air.send(0, A, B)
     air.send(1, A)
@@ -214,7 +214,7 @@ def test_every_transmission_but_the_first_of_a_frame_is_a_retry(tmp_path):
     assert retries(captured(air, tmp_path / "radio.pcapng")) == [(1, 0)] + 7 * [(1, 1)] + [(2, 0)]
 
 
-def test_a_retry_is_one_although_another_queue_has_sent_meanwhile(tmp_path):
+def test_retry_is_detected_after_a_frame_of_another_queue(tmp_path):
     """A's best-effort frame 1 to B fails; its voice frame 2 goes out in between, before 1 comes again."""
     air = Air(3, powers_dbm={(A, B): -200.0}, access=EDCA)
     air.send(0, A, B, category="be", retry_limit=3)
@@ -226,7 +226,7 @@ def test_a_retry_is_one_although_another_queue_has_sent_meanwhile(tmp_path):
 
 
 @given(st.integers(1, 2**40), st.booleans())
-def test_sequence_numbers_that_wrap_are_no_retries(tmp_path_factory, first, wrapped):
+def test_wrapped_sequence_numbers_are_not_retries(tmp_path_factory, first, wrapped):
     """Whether the MAC counts on or modulo 4096, a new number is ahead and an equal one is not."""
     path = tmp_path_factory.mktemp("capture") / "radio.pcapng"
     capture = Capture(path, config=CONFIG)
@@ -238,7 +238,7 @@ def test_sequence_numbers_that_wrap_are_no_retries(tmp_path_factory, first, wrap
     assert [retry for _, retry in retries(packets(path.read_bytes()))] == [0, 1, 0, 0, 1, 0, 0, 0]
 
 
-def test_answers_have_no_sequence_number_that_could_disturb_the_others(tmp_path):
+def test_control_frames_do_not_affect_retry_detection(tmp_path):
     """3000, an ACK, 3001: were the ACK's 0 a number, 3001 would lie behind it."""
     path = tmp_path / "radio.pcapng"
     capture = Capture(path, config=CONFIG)
@@ -249,10 +249,10 @@ def test_answers_have_no_sequence_number_that_could_disturb_the_others(tmp_path)
     assert retries(packets(path.read_bytes())) == [(3_000, 0), (3_001, 0)]
 
 
-def test_a_comment_says_who_did_not_get_a_frame(tmp_path):
-    """A and B broadcast at the same time: C, whom both reach alike, gets neither; D is out of reach of B.
+def test_comment_lists_the_receivers_that_missed_a_frame(tmp_path):
+    """A and B broadcast at once: C receives both with equal power and loses both; D is out of range of B.
 
-    A and B, which are sending, do not get each other's either: alone on the air both would have got it.
+    A and B, which are sending, do not receive each other's frame: without the other both would have.
     """
     air = Air(4, powers_dbm={(B, 3): -100.0})
     air.send(0, A)

@@ -80,7 +80,7 @@ def test_a_datagram_has_every_header_and_valid_checksums(
     assert udp[8:] == payload
 
 
-def test_a_checksum_of_zero_is_written_as_each_protocol_has_it():
+def test_checksum_of_zero_is_encoded_per_protocol():
     """A word that equals the checksum over the others makes their sum 0xFFFF, whose complement is 0.
 
     IPv4 writes 0, not minus zero (RFC 1624); in UDP that would say that there is no checksum: minus zero.
@@ -96,7 +96,7 @@ def test_a_checksum_of_zero_is_written_as_each_protocol_has_it():
 @given(
     kind=st.sampled_from([FrameKind.FTM_REQUEST, FrameKind.FTM]), content=st.binary(min_size=2, max_size=300)
 )
-def test_an_action_frame_carries_what_its_body_encodes_to(kind, content):
+def test_action_frame_contains_its_encoded_body(kind, content):
     frame = Frame(
         kind=kind, source=3, destination=4, mode=OFDM24, frame_bytes=28 + len(content), body=Body(content)
     )
@@ -129,7 +129,7 @@ def test_control_frames_have_their_sizes_and_addresses(source, destination, nav_
         assert data[:-4] == struct.pack("<HH", control, duration_us) + addresses
 
 
-def test_a_duration_beyond_the_field_is_its_largest():
+def test_duration_is_limited_to_the_field():
     """A VI TXOP of 3.008 ms fits; the field's 15 bits end at 32.767 ms (9.2.4.2)."""
     frame = Frame(kind=FrameKind.ACK, source=0, destination=1, mode=OFDM24, frame_bytes=14, nav_ns=40_000_000)
     assert struct.unpack_from("<H", mpdu(frame), 2) == (32_767,)
@@ -145,18 +145,18 @@ def test_a_data_frame_without_a_body_is_a_datagram_of_zeros(frame_bytes):
     assert data[60:-4] == bytes(frame_bytes - 64)
 
 
-def test_a_body_that_is_not_the_frames_is_refused():
+def test_body_of_wrong_length_is_rejected():
     frame = Frame(
         kind=FrameKind.DATA, source=0, destination=GROUP, mode=OFDM24, frame_bytes=100, body=b"too short"
     )
-    with pytest.raises(ValueError, match="100 bytes"):
+    with pytest.raises(ValueError, match="expected 100"):
         mpdu(frame)
     frame = Frame(kind=FrameKind.FTM, source=0, destination=1, mode=OFDM24, frame_bytes=48, body=object())
     with pytest.raises(TypeError, match="ftm"):
         mpdu(frame)
 
 
-def test_stations_have_addresses_of_their_own():
+def test_stations_have_unique_addresses():
     addresses = {address(station) for station in range(65_536)}
     assert len(addresses | {address(GROUP), NETWORK_ADDRESS}) == 65_538
     assert all(each[0] & 3 == 2 for each in addresses)  # locally administered, individual

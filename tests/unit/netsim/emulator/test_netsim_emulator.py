@@ -1,4 +1,4 @@
-"""The emulator as its server uses it: order, determinism, silence, loss, counts."""
+"""The emulator through its interface: order, determinism, silenced stations, loss, counters."""
 
 import msgspec
 import numpy as np
@@ -57,7 +57,7 @@ def everything(seed=1, *, backwards=False):
     )
 
 
-def test_same_seed_same_everything_in_whatever_order_stations_submit():
+def test_results_depend_only_on_the_seed_not_on_the_order_of_submission():
     first = everything()
     assert first == everything()
     assert first == everything(backwards=True)
@@ -101,7 +101,7 @@ def test_host_jitter_is_uniform_between_its_bounds():
     assert waits_us.mean() == pytest.approx(100.0, abs=4 * 28.9 / 20)
 
 
-def test_a_lone_station_talks_to_nobody():
+def test_single_station_has_no_receivers():
     swarm = Swarm([(0.0, 0.0, 0.0)])
     swarm.broadcast(0, 1_000)
     swarm.request(0, 0, 2_000)
@@ -145,7 +145,7 @@ def test_losses_over_a_long_link_are_noise_and_match_the_error_model():
     assert lost == pytest.approx(100, abs=45)
 
 
-def test_what_a_silent_station_had_queued_is_never_sent_nor_does_it_hear():
+def test_silenced_station_neither_sends_nor_receives():
     swarm = Swarm(FORMATION[:3])
     swarm.broadcast(2, 1_000)
     for _ in range(20):
@@ -158,8 +158,8 @@ def test_what_a_silent_station_had_queued_is_never_sent_nor_does_it_hear():
     swarm.run(100_000)
     # the frame on the air at 4 ms is completed; 1 asks 0 for a CTS in vain, and then 2
     assert swarm.emulator.counters.frames_sent["data"] <= sent + 2
-    heard = [(station, item.source) for station, item in swarm.received if item.received_ns > 5_000_000]
-    assert heard == [(2, 1)]
+    received = [(station, item.source) for station, item in swarm.received if item.received_ns > 5_000_000]
+    assert received == [(2, 1)]
     assert swarm.emulator.counters.drops["expired"] >= 18
 
 
@@ -192,7 +192,7 @@ def test_rts_before_broadcasts_saves_them_from_collisions():
     assert ratios[1] > ratios[0] + 0.1
 
 
-def test_quiet_until_the_next_event_and_for_ever_without_one():
+def test_quiet_time_is_the_next_event_or_unlimited():
     swarm = Swarm(FORMATION[:2], host_latency_us=50)
     assert swarm.emulator.next_event_us == NOTHING_PENDING_US
     swarm.broadcast(0, 10_000)
@@ -247,7 +247,7 @@ def test_skipping_quiet_steps_of_stations_in_flight_changes_nothing():
     assert np.abs(powers_dbm[0] - powers_dbm[1]).max() < 1.0
 
 
-def test_a_station_that_is_too_far_away_disturbs_nobody():
+def test_station_out_of_range_does_not_interfere():
     """5 km are a delay of 16.7 us: answers would be due before what they answer has ended there."""
     swarm = Swarm([(0.0, 0.0, -20.0), (10.0, 0.0, -20.0), (5_000.0, 0.0, -20.0)])
     swarm.request(0, 1, 100)
@@ -259,7 +259,7 @@ def test_a_station_that_is_too_far_away_disturbs_nobody():
     assert swarm.received[0][1].status == "ok"
 
 
-def test_who_senses_the_weakest_signals_still_gets_its_turn():
+def test_station_that_senses_weak_signals_still_gets_access():
     """The radios' noise is at -49 dBm, and the -82 dBm that arrive from each other still hold them back."""
     swarm = Swarm(
         [(0.0, 0.0, -20.0), (350.0, 0.0, -20.0)],
@@ -292,7 +292,7 @@ def test_busy_time_is_the_union_of_what_was_on_the_air():
     assert swarm.emulator.busy_ns == 2 * 76_000
 
 
-def test_wrong_input_is_refused():
+def test_invalid_input_is_rejected():
     swarm = Swarm(FORMATION[:2])
     with pytest.raises(ValueError, match="station 2 is out of range"):
         swarm.emulator.submit(TxBatch(station=2, now_us=0, items=()))
@@ -317,7 +317,7 @@ def test_deliveries_and_results_are_wire_messages():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_whatever_happens_every_item_comes_to_an_end(seed):
+def test_every_item_has_exactly_one_outcome(seed):
     rng = np.random.default_rng(seed)
     count = int(rng.integers(2, 12))
     reach_m = float(rng.choice([5.0, 100.0, 400.0]))

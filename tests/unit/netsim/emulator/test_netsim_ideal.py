@@ -1,4 +1,4 @@
-"""The ideal channel against the emulated one, against arithmetic, and against all that it leaves out. 3 s."""
+"""The ideal channel compared to the emulated one and to calculated times, without disturbances. 3 s."""
 
 from collections import Counter
 
@@ -41,7 +41,7 @@ def alone(swarm):
     return swarm
 
 
-def test_what_meets_nobody_arrives_as_on_the_emulated_channel_to_the_nanosecond():
+def test_uncontended_frames_match_the_emulated_channel_exactly():
     """A frame that finds the medium idle goes at once: with no contention both channels are the same."""
     ideal, emulated = (alone(swarm) for swarm in both(PAIR, host_latency_us=50, host_jitter_us=100))
     assert len(ideal.received) == 30 + 2 * 30
@@ -50,8 +50,8 @@ def test_what_meets_nobody_arrives_as_on_the_emulated_channel_to_the_nanosecond(
     assert ideal.emulator.counters == emulated.emulator.counters
 
 
-def test_a_datagram_arrives_after_latency_air_time_and_flight_whatever_else_is_sent():
-    """100 bytes and 64 of headers at 24 Mbit/s last 76 us; nobody waits, and nothing collides.
+def test_datagram_delay_is_independent_of_other_traffic():
+    """100 bytes and 64 of headers at 24 Mbit/s last 76 us; no frame waits or collides.
 
     Eight at once, and three of one's own at once, which the emulated channel has to put in a row.
     """
@@ -60,8 +60,8 @@ def test_a_datagram_arrives_after_latency_air_time_and_flight_whatever_else_is_s
         for station in range(8):
             swarm.broadcast(station, 1_000)
     swarm.run(4_000)
-    heard = {(to, item.source, item.seq) for to, item in swarm.received}
-    assert heard == {(to, of, seq) for to in range(8) for of in range(8) for seq in (1, 2, 3) if to != of}
+    received = {(to, item.source, item.seq) for to, item in swarm.received}
+    assert received == {(to, of, seq) for to in range(8) for of in range(8) for seq in (1, 2, 3) if to != of}
     for to, item in swarm.received:
         distance_m = float(np.linalg.norm(np.subtract(FORMATION[to], FORMATION[item.source])))
         assert item.received_ns == 1_300_000 + 76_000 + round(distance_m / 0.299792458)
@@ -75,7 +75,7 @@ def sessions(swarm, count=40):
     return [item for _, item in swarm.received]
 
 
-def test_ranging_measures_what_it_measures_on_the_emulated_channel():
+def test_ranging_matches_the_emulated_channel():
     """Clocks and noise come from the same streams in the same order.
 
     So each distance is the same but for where stamps are rounded to 1 ps (0.3 mm of a range, twice in each of
@@ -109,7 +109,7 @@ def test_a_session_lasts_as_long_as_its_frames():
     assert Counter(f.kind for f in frames) == {"ftm_request": 1, "ftm": 8, "ack": 9}
 
 
-def test_all_pairs_at_once_range_as_if_they_were_alone():
+def test_concurrent_ranging_of_all_pairs_is_undisturbed():
     """56 sessions begin in one moment; the emulated channel, of 1 frame at a time, takes far longer."""
     swarm = Swarm(FORMATION, channel="ideal")
     for station in range(8):
@@ -121,28 +121,28 @@ def test_all_pairs_at_once_range_as_if_they_were_alone():
     assert {item.round_trips for _, item in swarm.received} == {7}
 
 
-@pytest.mark.parametrize(("share", "hears"), [(0.999, True), (1.001, False)])
-def test_who_is_in_range_hears_all_and_who_is_not_hears_nothing(share, hears):
+@pytest.mark.parametrize(("share", "in_range"), [(0.999, True), (1.001, False)])
+def test_reception_depends_only_on_the_range(share, in_range):
     swarm = Swarm([(0.0, 0.0, -20.0), (share * REACH_M, 0.0, -20.0)], channel="ideal", **DISTURBED)
     for i in range(50):
         swarm.broadcast(0, 4_000 * i)
     swarm.unicast(0, 1, 204_000)
     swarm.request(0, 1, 212_000)
     swarm.run(400_000)
-    heard = [item for station, item in swarm.received if station == 1]
+    received = [item for station, item in swarm.received if station == 1]
     sent, ranged = (item for station, item in swarm.received if station == 0)
     counters = swarm.emulator.counters
-    if hears:
-        assert len(heard) == 51
+    if in_range:
+        assert len(received) == 51
         assert (sent.status, sent.attempts, ranged.status) == ("acknowledged", 1, "ok")
         assert counters.broadcasts_delivered == (0, 50)
     else:
-        assert heard == []
+        assert received == []
         assert (sent.status, sent.attempts, ranged.status) == ("retry_limit", 7, "no_response")
         assert counters.broadcasts_lost_to_noise == (0, 50)
 
 
-def test_a_cut_channel_is_cut_for_that_time():
+def test_attenuated_channel_is_cut_for_that_time():
     swarm = Swarm(FORMATION, channel="ideal")
     for i in range(75):
         swarm.broadcast(0, 4_000 * i + 1_000)
@@ -154,8 +154,8 @@ def test_a_cut_channel_is_cut_for_that_time():
     assert len(swarm.received) == 50 * 7
 
 
-def test_a_datagram_whose_ack_does_not_come_back_is_delivered_once():
-    """The sender is 30 dB louder than the other, who is out of range for it."""
+def test_datagram_with_lost_acks_is_delivered_once():
+    """The sender's power is 30 dB higher than the other's, whose ACK does not reach it."""
     swarm = Swarm(
         [(0.0, 0.0, -20.0), (2.0 * REACH_M, 0.0, -20.0)],
         channel="ideal",
@@ -185,7 +185,7 @@ def everything(*, backwards=False, **settings):
     )
 
 
-def test_same_seed_same_everything_in_whatever_order_and_whatever_would_disturb():
+def test_results_depend_only_on_the_seed_without_disturbances():
     first = everything()
     assert first == everything(backwards=True)
     assert first == everything(**DISTURBED)
@@ -203,7 +203,7 @@ def test_the_medium_is_never_busy():
     assert {survey.busy_ns for _, survey in swarm.surveys} == {0}
 
 
-def test_adaptive_rates_come_to_the_fastest_mode():
+def test_adaptive_rates_reach_the_fastest_mode():
     swarm = Swarm(PAIR, channel="ideal", data_mode="adaptive")
     for i in range(400):
         swarm.unicast(0, 1, 4_000 * i, b"x" * 1400)
@@ -213,8 +213,8 @@ def test_adaptive_rates_come_to_the_fastest_mode():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_whatever_happens_every_item_comes_to_an_end(seed):
-    """Stations move, fall silent and lose each other; a silent one's results are nobody's."""
+def test_every_item_has_exactly_one_outcome(seed):
+    """Stations move, are silenced and lose contact; results of a silenced one are not delivered."""
     rng = np.random.default_rng(seed)
     count = int(rng.integers(2, 10))
     swarm = Swarm(
@@ -224,7 +224,7 @@ def test_whatever_happens_every_item_comes_to_an_end(seed):
         queue_lifetime_us=int(rng.choice([1_000, 500_000])),
         ftm=FtmConfig(responder_sessions=2, bursts_exponent=seed % 2, asap=bool(seed // 2)),
     )
-    wanted, silent, datagrams = set(), set(), 0
+    submitted, silent, datagrams = set(), set(), 0
     for _ in range(60):
         if rng.random() < 0.03:
             gone = int(rng.integers(count))
@@ -234,9 +234,9 @@ def test_whatever_happens_every_item_comes_to_an_end(seed):
             at_us = swarm.now_us + int(rng.integers(STEP_US))
             swarm.broadcast(station, at_us)
             if rng.random() < 0.3:
-                wanted.add((station, swarm.request(station, int(rng.integers(count + 1)), at_us)))
+                submitted.add((station, swarm.request(station, int(rng.integers(count + 1)), at_us)))
             if rng.random() < 0.3:
-                wanted.add((station, swarm.unicast(station, int(rng.integers(count + 1)), at_us)))
+                submitted.add((station, swarm.unicast(station, int(rng.integers(count + 1)), at_us)))
                 datagrams += station not in silent
         if rng.random() < 0.05:
             swarm.emulator.set_extra_attenuation_db(float(rng.choice([0.0, 10.0, 200.0])))
@@ -245,7 +245,7 @@ def test_whatever_happens_every_item_comes_to_an_end(seed):
     swarm.run(swarm.now_us + 1_000_000)
     ended = [(to, item.seq) for to, item in swarm.received if isinstance(item, FtmResult | Sent)]
     assert len(ended) == len(set(ended))
-    assert {each for each in wanted if each[0] not in silent} <= set(ended) <= wanted
+    assert {each for each in submitted if each[0] not in silent} <= set(ended) <= submitted
     counters = swarm.emulator.counters
     assert counters.ftm.requested == counters.ftm.completed + sum(counters.ftm.failed.values())
     assert sum(counters.unicasts.values()) == datagrams

@@ -1,4 +1,4 @@
-"""The emulator's rehearsal calls every kernel of the air, and leaves none to be compiled. 20 s."""
+"""The emulator's warm-up calls every kernel of the radio, and leaves none to compile. 20 s."""
 
 from pathlib import Path
 
@@ -14,14 +14,14 @@ LAB = "lab"
 """The link simulation's, which no run uses."""
 
 
-def test_it_calls_every_kernel():
+def test_warm_up_calls_every_kernel():
     needed = kernels(Path(netsim.__file__).parent, without=LAB)
     assert len(needed) >= 10
     assert needed - called_by_rehearsal("netsim.emulator.warm_up") == set()
 
 
-def test_after_it_nothing_is_left_to_be_compiled():
-    """Other channels, and as many stations as compute links one by one, ask for no other types."""
+def test_warm_up_leaves_no_kernel_uncompiled():
+    """Other channels and larger numbers of stations need no other compiled signatures."""
     warm_up()
     compiled = signatures("netsim", without=LAB)
     assert any(compiled.values())

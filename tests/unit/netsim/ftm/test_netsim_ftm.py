@@ -96,21 +96,21 @@ def session_statistics(width, *, sessions=300, places=TWENTY_METRES, **ftm):
 @pytest.mark.parametrize(("width", "single_m"), [(20, 0.384), (40, 0.161), (80, 0.0806)])
 def test_error_has_no_bias_and_the_measured_deviation(width, single_m):
     errors_m, measured_single_m, round_trips = session_statistics(width)
-    # 2100 round trips know the deviation to 1.6 %, 300 means to 4.1 %
+    # standard error of the deviation with 2100 round trips: 1.6 %, of 300 means: 4.1 %
     assert measured_single_m == pytest.approx(single_m, rel=0.06)
     mean_std_m = single_m / sqrt(round_trips)
     assert errors_m.std() == pytest.approx(mean_std_m, rel=0.15)
     assert abs(errors_m.mean()) < 4 * mean_std_m / sqrt(errors_m.size)
 
 
-def test_more_frames_average_the_white_part_down():
+def test_more_frames_reduce_the_white_noise():
     short_m, _, few = session_statistics(20, ftms_per_burst=3)
     long_m, _, many = session_statistics(20, ftms_per_burst=17)
     assert (few, many) == (2, 16)
     assert short_m.std() / long_m.std() == pytest.approx(sqrt(8), rel=0.2)
 
 
-def test_clocks_cancel_whatever_their_offset_and_drift():
+def test_clock_offset_and_drift_cancel():
     # uncorrected, clocks 200 ppm apart would be 15 ns or 2 m off over the 72 us from t2 to t3
     for seed in range(5):
         swarm = Swarm(
@@ -145,7 +145,7 @@ def test_mean_error_of_2000_sessions_is_the_configured_bias(width, single_m, bia
     errors_m = np.array([r.distance_m - 20.0 for r in air.results if r.status == "ok"])
     assert errors_m.size == 2_000
     assert errors_m.mean() == pytest.approx(bias_m, abs=0.01)
-    # 14000 round trips know the deviation of one to 0.6 %
+    # standard error of the deviation with 14000 round trips: 0.6 %
     assert sqrt(np.mean([r.distance_std_m**2 for r in air.results])) == pytest.approx(single_m, rel=0.03)
 
 
@@ -257,7 +257,7 @@ def test_burst_ends_with_its_duration():
 
 
 @pytest.mark.parametrize("peer", [0, 2, 65_535])
-def test_a_peer_that_is_no_other_station_is_rejected_at_once(peer):
+def test_invalid_peer_is_rejected_at_once(peer):
     swarm = Swarm(TWENTY_METRES)
     seq = swarm.request(0, peer, 1_000)
     swarm.run(4_000)
@@ -266,7 +266,7 @@ def test_a_peer_that_is_no_other_station_is_rejected_at_once(peer):
     ]
 
 
-def test_a_second_request_to_the_same_peer_is_rejected_and_the_first_goes_on():
+def test_second_request_to_the_same_peer_is_rejected_and_the_first_continues():
     swarm = Swarm(TWENTY_METRES)
     swarm.request(0, 1, 1_000)
     swarm.request(0, 1, 1_200)
@@ -274,7 +274,7 @@ def test_a_second_request_to_the_same_peer_is_rejected_and_the_first_goes_on():
     assert [(item.seq, item.status) for _, item in results(swarm)] == [(2, "rejected"), (1, "ok")]
 
 
-def test_a_responder_serves_no_more_than_it_can():
+def test_responder_limits_its_sessions():
     places = [(0.0, 10.0 * i, 0.0) for i in range(5)]
     swarm = Swarm(places, ftm=FtmConfig(responder_sessions=2))
     for initiator in range(1, 5):
@@ -303,7 +303,7 @@ def test_a_silent_peer_does_not_respond():
     assert swarm.emulator.counters.frames_sent["ftm_request"] == 7
 
 
-def test_a_peer_that_falls_silent_in_the_burst_leaves_what_was_measured():
+def test_peer_silenced_during_a_burst_leaves_the_completed_round_trips():
     swarm = Swarm(TWENTY_METRES, ftm=FtmConfig(min_delta_us=2_000))
     swarm.request(0, 1, 1_000)
     swarm.run(8_000)
@@ -314,7 +314,7 @@ def test_a_peer_that_falls_silent_in_the_burst_leaves_what_was_measured():
     assert 1 <= result.round_trips <= 3
 
 
-def test_a_request_stuck_in_the_queue_is_dropped_in_time():
+def test_request_stuck_in_the_queue_is_dropped_at_its_time_out():
     # sixty datagrams of 2 ms each are ahead of it
     swarm = Swarm(
         TWENTY_METRES, broadcast_mode="ofdm6", bandwidth_mhz=20, ftm=FtmConfig(access_category="be")

@@ -1,4 +1,4 @@
-"""FTM action frames as bytes: round trips, places of the fields, hostile bytes, Wireshark's opinion."""
+"""FTM action frames as bytes: round trips, layout of the fields, invalid bytes, decoding by Wireshark."""
 
 import shutil
 import struct
@@ -60,7 +60,7 @@ EXAMPLE = Parameters(
 
 
 @given(BODIES)
-def test_what_was_encoded_decodes_to_itself(body):
+def test_elements_round_trip(body):
     assert decode(body.encode()) == body
 
 
@@ -75,7 +75,7 @@ def test_sizes_follow_from_the_fields():
         assert len(body.encode()) == body.size == size
 
 
-def test_fields_are_where_the_standard_has_them():
+def test_fields_have_the_layout_of_the_standard():
     """9.4.2.168: bits of each octet from its lowest on.
 
     status 2, value 5, reserved 1 | exponent 4, duration 4 | min delta 8 | partial TSF 16 | no preference 1,
@@ -103,7 +103,7 @@ def test_no_preference_has_its_own_codes():
 
 
 @given(BODIES, st.data())
-def test_cut_bytes_are_no_frame(body, data):
+def test_truncated_bytes_decode_to_none(body, data):
     whole = body.encode()
     cut = whole[: data.draw(st.integers(0, len(whole) - 1))]
     # what is left may be a whole frame without its element, and nothing else
@@ -111,7 +111,7 @@ def test_cut_bytes_are_no_frame(body, data):
 
 
 @given(st.binary(max_size=80))
-def test_any_bytes_give_a_frame_or_none(buffer):
+def test_any_bytes_decode_to_a_frame_or_none(buffer):
     for prefix in (b"", b"\x04\x20\x01", b"\x04\x21" + bytes(18), b"\x04\x20\x01\xce\x09"):
         body = decode(prefix + buffer)
         if body is not None:
@@ -132,7 +132,7 @@ def test_any_bytes_give_a_frame_or_none(buffer):
         bytes((4, 33, 1)) + bytes(16),
     ],
 )
-def test_wrong_bytes_are_none(buffer):
+def test_invalid_bytes_decode_to_none(buffer):
     assert decode(buffer) is None
 
 
@@ -158,7 +158,7 @@ def test_error_exponent_is_the_least_that_holds(bound_ps):
 
 
 @pytest.mark.skipif(shutil.which("tshark") is None, reason="tshark is not installed")
-def test_wireshark_reads_the_same(tmp_path):
+def test_wireshark_decodes_equal_fields(tmp_path):
     bodies = [
         Request(parameters=EXAMPLE),
         Measurement(

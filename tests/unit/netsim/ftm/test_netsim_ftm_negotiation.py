@@ -1,4 +1,4 @@
-"""What responders grant, and the times of bursts that both sides read out of it."""
+"""Parameters that responders grant, and the times of bursts that both sides derive from them."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -34,17 +34,17 @@ TIMES_NS = st.integers(0, 10**13)
 
 
 @given(CONFIGS, CONFIGS, TIMES_NS)
-def test_grant_keeps_to_the_responders_limits_and_else_to_the_wish(initiator, responder, now_ns):
-    wanted = requested_parameters(initiator, 13)
-    granted = grant(wanted, responder, 13, now_ns)
+def test_grant_follows_the_request_within_the_responders_limits(initiator, responder, now_ns):
+    requested = requested_parameters(initiator, 13)
+    granted = grant(requested, responder, 13, now_ns)
     assert granted.status is Status.SUCCESSFUL
     assert granted.bursts_exponent == initiator.bursts_exponent
     assert granted.ftms_per_burst == min(initiator.ftms_per_burst, responder.responder_ftms_per_burst)
     # the protocol counts in 100 us
     assert 0 <= granted.min_delta_us - max(initiator.min_delta_us, responder.responder_min_delta_us) < 100
     assert granted.asap == (initiator.asap and responder.responder_asap_capable)
-    # a burst is longer than wanted only where the responder's pace makes it so, and then holds all frames
-    if granted.min_delta_us > wanted.min_delta_us:
+    # a burst is longer than requested only if the responder needs more time, and then fits all frames
+    if granted.min_delta_us > requested.min_delta_us:
         needed_us = granted.ftms_per_burst * granted.min_delta_us
         assert granted.burst_duration_us >= min(needed_us, LONGEST_BURST_US)
         shorter_us = granted.burst_duration_us // 2
@@ -56,11 +56,11 @@ def test_grant_keeps_to_the_responders_limits_and_else_to_the_wish(initiator, re
         assert 1_000 * granted.burst_period_ms >= granted.burst_duration_us
     # it says the same as bytes
     assert decode(Request(parameters=granted).encode()) == Request(parameters=granted)
-    assert decode(Request(parameters=wanted).encode()) == Request(parameters=wanted)
+    assert decode(Request(parameters=requested).encode()) == Request(parameters=requested)
 
 
 @given(CONFIGS, TIMES_NS)
-def test_no_preference_gets_what_the_responder_would_ask_for(responder, now_ns):
+def test_no_preference_selects_the_responders_parameters(responder, now_ns):
     granted = grant(Parameters(asap=True), responder, 8, now_ns)
     assert granted.bursts_exponent == responder.bursts_exponent
     assert granted.ftms_per_burst == min(responder.ftms_per_burst, responder.responder_ftms_per_burst)
@@ -69,7 +69,7 @@ def test_no_preference_gets_what_the_responder_would_ask_for(responder, now_ns):
 
 
 @given(CONFIGS, TIMES_NS, st.integers(0, 30_000_000))
-def test_both_sides_read_the_same_times_out_of_a_grant(config, now_ns, later_us):
+def test_both_sides_derive_equal_times_from_a_grant(config, now_ns, later_us):
     granted = grant(requested_parameters(config, 13), config, 13, now_ns)
     schedule = Schedule.of(granted, now_ns)
     # the initiator reads it later: up to half of the 67 s after which a partial TSF repeats
@@ -90,7 +90,7 @@ def test_both_sides_read_the_same_times_out_of_a_grant(config, now_ns, later_us)
     assert schedule.burst_at(schedule.end_ns(schedule.last) + 1) is None
 
 
-def test_between_bursts_there_is_none():
+def test_no_burst_between_bursts():
     schedule = Schedule(first_ns=0, period_ns=100_000_000, duration_ns=4_000_000, last=1)
     assert schedule.burst_at(4_000_001) is None
     assert schedule.burst_at(99_999_999) is None
@@ -99,18 +99,18 @@ def test_between_bursts_there_is_none():
 
 def test_a_preferred_first_burst_is_granted_if_there_is_time():
     now_ns = 5_000 * TIME_UNIT_NS
-    for wanted_units, granted_units in ((5_100, 5_100), (5_001, 5_010)):
-        wanted = Parameters(partial_tsf=wanted_units)
-        assert grant(wanted, FtmConfig(), 13, now_ns).partial_tsf == granted_units
+    for requested_units, granted_units in ((5_100, 5_100), (5_001, 5_010)):
+        requested = Parameters(partial_tsf=requested_units)
+        assert grant(requested, FtmConfig(), 13, now_ns).partial_tsf == granted_units
 
 
 @given(TIMES_NS, st.integers(-(2**15), 2**15 - 1))
-def test_partial_tsf_stands_for_the_nearest_time(now_ns, units):
+def test_partial_tsf_selects_the_nearest_time(now_ns, units):
     then_ns = (now_ns // TIME_UNIT_NS + units) * TIME_UNIT_NS
     assert from_partial_tsf_ns(then_ns // TIME_UNIT_NS % 2**16, now_ns) == then_ns
 
 
-def test_formats_wider_than_the_channel_are_out_of_reach():
+def test_formats_wider_than_the_channel_are_not_supported():
     fits = {
         width: [
             can_measure(Parameters(format_and_bandwidth=code), width) for code in (None, 8, 10, 12, 13, 14)
@@ -122,7 +122,7 @@ def test_formats_wider_than_the_channel_are_out_of_reach():
     assert fits[80] == [True, True, True, True, True, False]
 
 
-def test_seconds_to_wait_are_rounded_up_and_end_at_31():
+def test_retry_time_is_rounded_up_and_limited_to_31_s():
     seconds = [rejection(Status.FAILED, ns).value for ns in (1, 10**9, 10**9 + 1, 10**12)]
     assert seconds == [1, 1, 2, 31]
     assert rejection(Status.INCAPABLE, 5).value == 0

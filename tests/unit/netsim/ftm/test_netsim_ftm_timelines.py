@@ -68,7 +68,7 @@ def test_responder_that_needs_more_time_sends_fewer_frames_farther_apart():
     assert [(r.status, r.round_trips) for r in air.results] == [("ok", 1)]
 
 
-def test_second_burst_begins_on_its_time_and_carries_the_last_stamps_of_the_first():
+def test_second_burst_begins_on_schedule_with_the_last_stamps_of_the_first():
     #  request at 1000..1036 | 1024 + 100 ms: TSF of the request, cut to a time unit, and the burst period
     #  B 1!   B 2<1           A trigger |.| B ack |aifs+2| B 3<2   B 0<3
     air = FtmAir(
@@ -91,7 +91,7 @@ def test_second_burst_begins_on_its_time_and_carries_the_last_stamps_of_the_firs
     assert result.ended_ns == 1_000 * (third_us + 200 + FRAME_US)
 
 
-def test_first_burst_waits_for_its_time_when_not_as_soon_as_possible():
+def test_first_burst_without_asap_begins_on_schedule():
     #  1000        1114              12288: 10 ms after the request came, rounded up to a time unit
     #  A request   B 1! (announces)  A trigger |.| B ack |aifs| B 2   B 3<2   B 0<3
     air = FtmAir(backoffs={B: [(0, 3), (0, 3), (0, 3)]}, ftm=quiet(asap=False, ftms_per_burst=3))
@@ -109,7 +109,7 @@ def test_first_burst_waits_for_its_time_when_not_as_soon_as_possible():
     assert [(r.status, r.round_trips, r.measurements) for r in air.results] == [("ok", 2, 3)]
 
 
-def test_responder_that_is_not_capable_of_as_soon_as_possible_names_a_later_time():
+def test_responder_without_asap_grants_a_later_time():
     air = FtmAir(ftm=quiet(responder_asap_capable=False, ftms_per_burst=2))
     air.request(1_000)
     timeline = air.run(50_000)
@@ -119,13 +119,13 @@ def test_responder_that_is_not_capable_of_as_soon_as_possible_names_a_later_time
     assert air.results[0].round_trips == 1
 
 
-def test_frame_whose_ack_is_lost_comes_again_and_its_last_transmission_counts():
+def test_last_transmission_of_a_frame_with_lost_ack_counts():
     #  1114          1174 lost    1203        1158 + 45: no ACK; then AIFS and 4 slots of CW 7
     #  B 1! |.| A ack ~~~~ | no answer | aifs + 4 | B 1! |.| A ack     B 0<1
     air = FtmAir(
         distance_m=30.0,
         backoffs={B: [(0, 3), (4, 7)]},
-        unheard_us={A: [(1_150, 1_190)]},
+        lost_us={A: [(1_150, 1_190)]},
         ftm=quiet(ftms_per_burst=2, clock_ppm=0.0),
     )
     air.request(1_000)
@@ -146,12 +146,12 @@ def test_frame_whose_ack_is_lost_comes_again_and_its_last_transmission_counts():
     assert abs(result.distance_m - 30.0) < 0.005
 
 
-def test_lost_for_good_costs_its_round_trips_and_the_grant_rides_again():
+def test_frame_lost_after_all_retries_costs_its_round_trips_and_the_grant_is_repeated():
     #  1114          1237                1852          2052: min delta
     #  B 1! ~~~ aifs B 1! ~~~ aifs ..... B 1! ~~~      B 2! |.| A ack     B 3<2 |.| A ack    B 0<3 |.| A ack
     air = FtmAir(
         backoffs={B: [(0, 3), *[(0, 7)] * 6, (0, 3)]},
-        unheard_us={B: [(1_100, 1_900)]},
+        lost_us={B: [(1_100, 1_900)]},
         retry_limit=6,
         ftm=quiet(ftms_per_burst=4),
     )
@@ -163,12 +163,12 @@ def test_lost_for_good_costs_its_round_trips_and_the_grant_rides_again():
     assert [(r.status, r.round_trips, r.measurements) for r in air.results] == [("ok", 2, 3)]
 
 
-def test_lost_in_the_middle_costs_two_round_trips():
+def test_frame_lost_in_the_middle_costs_two_round_trips():
     #  1114          1314        1437              2252
     #  B 1! |.| A ack  B 2<1 ~~~ aifs B 2<1 ~~~ ... B 3 |.| A ack   B 4<3 |.| A ack   B 0<4 |.| A ack
     air = FtmAir(
         backoffs={B: [(0, 3), (0, 3), *[(0, 7)] * 6, (0, 3)]},
-        unheard_us={B: [(1_200, 2_100)]},
+        lost_us={B: [(1_200, 2_100)]},
         ftm=quiet(ftms_per_burst=5),
     )
     air.request(1_000)
@@ -180,7 +180,7 @@ def test_lost_in_the_middle_costs_two_round_trips():
     assert [(r.round_trips, r.measurements) for r in air.results] == [(2, 4)]
 
 
-def test_refused_request_names_the_time_after_which_to_ask_again():
+def test_rejected_request_reports_the_retry_time():
     #  A and B range to C, which serves one of them
     air = FtmAir(3, ftm=quiet(responder_sessions=1, ftms_per_burst=31))
     air.request(1_000, A, C)
@@ -200,24 +200,24 @@ def test_refused_request_names_the_time_after_which_to_ask_again():
     assert air.results[1].round_trips == 30
 
 
-def test_format_that_does_not_fit_the_channel_is_refused():
+def test_format_wider_than_the_channel_is_rejected():
     air = FtmAir(ftm=quiet())
-    wanted = Parameters(format_and_bandwidth=13, ftms_per_burst=8, asap=True)
-    air.send(1_000, A, B, Request(parameters=wanted))
+    requested = Parameters(format_and_bandwidth=13, ftms_per_burst=8, asap=True)
+    air.send(1_000, A, B, Request(parameters=requested))
     air.request(50_000)
     assert [what for _, _, source, what in air.run(40_000) if source == B] == ["ack", "0!"]
     refused = air.transmissions[2].frame.body
     assert refused.parameters.status is Status.INCAPABLE
-    # an initiator that is told so, here before its first round trip, reports it
-    air.send(50_100, A, B, Request(parameters=wanted))
+    # the initiator reports the rejection, here before its first round trip
+    air.send(50_100, A, B, Request(parameters=requested))
     air.run(90_000)
     assert [r.status for r in air.results] == ["incapable"]
 
 
 def test_lost_triggers_cost_their_burst_and_no_other():
-    # A is not heard around the second of four bursts; the first one's last stamps ride in the third
+    # A is not received around the second of four bursts; the first one's last stamps are sent in the third
     air = FtmAir(
-        unheard_us={A: [(99_000, 180_000)]},
+        lost_us={A: [(99_000, 180_000)]},
         ftm=quiet(bursts_exponent=2, ftms_per_burst=3, burst_duration_us=4_000),
     )
     air.request(1_000)
@@ -230,7 +230,7 @@ def test_lost_triggers_cost_their_burst_and_no_other():
     assert [us for us in triggers_us if us > 106_000] == [201_024, 301_024]
 
 
-def test_every_burst_begins_on_its_time():
+def test_every_burst_begins_on_schedule():
     air = FtmAir(ftm=quiet(bursts_exponent=6, ftms_per_burst=5, burst_period_ms=200))
     air.request(5_000)
     timeline = air.run(14_000_000)
@@ -242,7 +242,7 @@ def test_every_burst_begins_on_its_time():
     assert abs(air.results[0].distance_m) < 0.005
 
 
-def test_peer_that_falls_silent_between_bursts_leaves_what_was_measured():
+def test_peer_silenced_between_bursts_leaves_the_completed_round_trips():
     air = FtmAir(ftm=quiet(bursts_exponent=2, ftms_per_burst=4))
     air.request(1_000)
     air.run(50_000)
@@ -256,7 +256,7 @@ def test_peer_that_falls_silent_between_bursts_leaves_what_was_measured():
     assert air.queue.next_ns() > 10**18
 
 
-def test_stop_ends_a_session_and_frees_its_place():
+def test_stop_ends_a_session_and_frees_its_slot():
     air = FtmAir(3, ftm=quiet(responder_sessions=1, bursts_exponent=3, ftms_per_burst=2))
     air.request(1_000, A, C)
     air.run(50_000)
@@ -266,7 +266,7 @@ def test_stop_ends_a_session_and_frees_its_place():
     assert [(r.initiator, r.status, r.round_trips) for r in air.results] == [(A, "ok", 1), (B, "ok", 15)]
 
 
-def test_trigger_at_another_time_and_a_second_one_begin_nothing():
+def test_early_and_repeated_triggers_are_ignored():
     #  bursts of 4 ms from 1024 and 101024 on; own triggers: in the first, between the two, in the second
     air = FtmAir(ftm=quiet(bursts_exponent=1, ftms_per_burst=3, burst_duration_us=4_000))
     air.request(1_000)
@@ -276,9 +276,9 @@ def test_trigger_at_another_time_and_a_second_one_begin_nothing():
     assert sent == ["1!", "2<1", "3<2", "4<3", "5<4", "0<5"]
 
 
-def test_announcement_that_is_lost_for_good_ends_the_session_and_frees_its_place():
+def test_announcement_lost_after_all_retries_ends_the_session_and_frees_its_slot():
     air = FtmAir(
-        3, unheard_us={C: [(1_100, 5_000)]}, ftm=quiet(asap=False, responder_sessions=1, ftms_per_burst=2)
+        3, lost_us={C: [(1_100, 5_000)]}, ftm=quiet(asap=False, responder_sessions=1, ftms_per_burst=2)
     )
     air.request(1_000, A, C)
     air.request(8_000, B, C)
@@ -288,14 +288,14 @@ def test_announcement_that_is_lost_for_good_ends_the_session_and_frees_its_place
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_whatever_is_lost_every_request_ends_once_and_no_round_trip_is_wrong(seed):
-    """Three stations range to each other, and what they send is not heard in a fifth of the time.
+def test_every_request_ends_once_with_correct_round_trips_despite_losses(seed):
+    """Three stations range to each other, and in a fifth of the time their frames are not received.
 
-    Time stamps that were taken of another frame or transmission than those they are paired with would be off
-    by microseconds, hundreds of metres.
+    Time stamps paired with those of another frame or transmission would be wrong by microseconds, or
+    hundreds of metres.
     """
     rng = np.random.default_rng(seed)
-    unheard_us = {
+    lost_us = {
         station: [(int(at), int(at + rng.exponential(1_000))) for at in rng.uniform(0, 500_000, 100)]
         for station in (A, B, C)
     }
@@ -306,7 +306,7 @@ def test_whatever_is_lost_every_request_ends_once_and_no_round_trip_is_wrong(see
         responder_sessions=1 + seed % 2,
         burst_duration_us=4_000,
     )
-    air = FtmAir(3, distance_m=50.0, unheard_us=unheard_us, ftm=ftm, seed=seed)
+    air = FtmAir(3, distance_m=50.0, lost_us=lost_us, ftm=ftm, seed=seed)
     pairs = [(a, b) for a in (A, B, C) for b in (A, B, C) if a != b]
     for at_us in range(1_000, 400_000, 10_000):
         source, peer = pairs[rng.integers(len(pairs))]

@@ -1,4 +1,4 @@
-"""The emulator alone against ns-3's runs and theory; docs/concepts/radio.md has the whole of it."""
+"""The emulator compared with ns-3 and theory, without a flight."""
 
 import csv
 import json
@@ -19,11 +19,11 @@ from netsim.model.config import FtmConfig, RadioConfig
 from netsim.wire.messages import FtmRequest, FtmResult
 
 
-def rows(name, **wanted):
-    """Rows of a reference table whose cells are the wanted ones."""
+def rows(name, **cells):
+    """Return the rows of a reference table with these cells."""
     with (REFERENCE / name).open() as file:
         found = [
-            row for row in csv.DictReader(file) if all(row[key] == value for key, value in wanted.items())
+            row for row in csv.DictReader(file) if all(row[key] == value for key, value in cells.items())
         ]
     assert found
     return found
@@ -31,14 +31,14 @@ def rows(name, **wanted):
 
 @pytest.mark.parametrize("rts", [False, True])
 @pytest.mark.parametrize("stations", [1, 5, 20])
-def test_saturated_throughput_is_ns3s(stations, rts):
+def test_saturated_throughput_matches_ns3(stations, rts):
     (row,) = rows("ns3_saturation.csv", n=str(stations), rts=str(int(rts)), rate="OfdmRate6Mbps")
     result = saturate(stations=stations, rts=rts, mode="ofdm6", payload_bytes=1000, seconds=4.0)
     # the collisions of 4 s alone scatter by 1 %
     assert result.throughput_mbps == pytest.approx(float(row["throughput_mbps"]), rel=0.03)
 
 
-def test_collisions_are_those_of_bianchis_fixed_point():
+def test_collisions_match_bianchis_fixed_point():
     # tau = 2 / (1 + W + p W sum_{i<m} (2p)^i), p = 1 - (1 - tau)^(n - 1); W = 16 and six doublings
     n, w, m = 10, 16, 6
     low, high = 0.0, 1.0
@@ -47,20 +47,20 @@ def test_collisions_are_those_of_bianchis_fixed_point():
         tau = 2 / (1 + w + p * w * sum((2 * p) ** i for i in range(m)))
         low, high = (p, high) if 1 - (1 - tau) ** (n - 1) > p else (low, p)
     result = saturate(stations=n, rts=False, mode="ofdm6", payload_bytes=1000, seconds=10.0)
-    # a frozen slot that nobody may use follows every exchange, so real stations collide a little less often
+    # no station may use the frozen slot after every exchange, so simulated stations collide slightly less
     assert result.collisions_fraction == pytest.approx(p, abs=0.03)
     assert result.dropped == 0
 
 
 @pytest.mark.parametrize(("rate_mbps", "bianchi_mbps"), [(6, 4.7087), (54, 29.8324)])
-def test_bianchis_table_can_be_asked_for_with_its_own_packets(rate_mbps, bianchi_mbps, capsys):
+def test_bianchis_table_is_reproduced_with_its_packet_size(rate_mbps, bianchi_mbps, capsys):
     """Five stations; our frames have IP and UDP headers in front of the 1500 bytes, 1.8 % more than its."""
     command = f"saturation --stations 5 --rate-mbps {rate_mbps} --payload 1500 --seconds 6 --json"
     assert main(command.split()) == 0
     assert json.loads(capsys.readouterr().out)["throughput_mbps"] == pytest.approx(bianchi_mbps, rel=0.03)
 
 
-def test_a_retry_limit_gives_frames_up_and_costs_throughput_as_the_window_falls_back():
+def test_retry_limit_drops_frames_and_reduces_throughput():
     unlimited = saturate(stations=50, rts=False, mode="ofdm6", payload_bytes=1000, seconds=3.0)
     limited = saturate(stations=50, rts=False, mode="ofdm6", payload_bytes=1000, seconds=3.0, retry_limit=6)
     assert unlimited.dropped == 0 < limited.dropped
@@ -70,7 +70,7 @@ def test_a_retry_limit_gives_frames_up_and_costs_throughput_as_the_window_falls_
 @pytest.mark.parametrize(
     ("stations", "period_s", "jitter_s"), [(8, "0.1", "0.002"), (16, "0.1", "0.01"), (32, "0.1", "0.0005")]
 )
-def test_periodic_broadcasts_fare_as_in_ns3(stations, period_s, jitter_s):
+def test_periodic_broadcasts_match_ns3(stations, period_s, jitter_s):
     (row,) = rows("ns3_broadcast.csv", n=str(stations), period_s=period_s, jitter_s=jitter_s)
     result = broadcast(
         stations=stations,
@@ -90,7 +90,7 @@ def test_stations_that_broadcast_in_the_same_instant_all_collide():
 
 
 @pytest.mark.parametrize(("width_mhz", "round_trip_m"), [(20, 0.384), (40, 0.161)])
-def test_ranging_has_the_measured_noise_and_no_bias_of_its_own(width_mhz, round_trip_m):
+def test_ranging_has_the_measured_noise_and_no_bias(width_mhz, round_trip_m):
     bias_m, sessions, frames = 0.7, 2000, 4
     result = range_pair(
         distance_m=30.0, width_mhz=width_mhz, sessions=sessions, ftms_per_burst=frames, bias_m=bias_m
@@ -112,7 +112,7 @@ def test_airtime_of_a_session(width_mhz, mode, airtime_ms):
     assert result.airtime_ms == pytest.approx(airtime_ms, rel=0.05)
 
 
-def test_ranging_of_all_pairs_saturates_where_its_airtime_says():
+def test_ranging_of_all_pairs_saturates_at_the_predicted_airtime():
     few, many = (range_mesh(stations=n, period_s=0.1, seconds=3.0) for n in (4, 12))
     # 12 sessions of 1.5 ms in 100 ms fit with ease; 132 do not
     assert few.airtime_fraction == pytest.approx(12 * 1.5 / 100, rel=0.05)
@@ -149,7 +149,7 @@ def test_ranging_of_all_pairs_saturates_where_its_airtime_says():
         ),
     ],
 )
-def test_every_command_answers_in_json_and_in_a_table(command, fields, capsys):
+def test_every_command_prints_json_and_a_table(command, fields, capsys):
     assert main([*command.split(), "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert fields <= set(answer)
@@ -201,10 +201,10 @@ CONTRADICTORY = '{"control_mode":"vht_mcs0"}'
 @pytest.mark.parametrize(
     ("settings", "says"),
     [
-        (CONTRADICTORY, "control_mode: RTS is a non-HT frame, vht_mcs0 is none"),
+        (CONTRADICTORY, "control_mode: RTS needs a non-HT mode, vht_mcs0 is VHT"),
         (
             '{"guests":[{"name":"x","pos_ned_m":[0,0,0]},{"name":"x","pos_ned_m":[0,9,0]}]}',
-            "guests[1].name: 'x' is there already",
+            "guests[1].name: duplicate name 'x'",
         ),
         ('{"frequency_mhz":1e-300}', "frequency_mhz"),
         ('{"ftm":{"burst_duration_us":250}}', "ftm.burst_duration_us"),
@@ -212,7 +212,7 @@ CONTRADICTORY = '{"control_mode":"vht_mcs0"}'
         (b"\xff", "radio.json"),
     ],
 )
-def test_settings_that_cannot_be_are_one_line(settings, says, tmp_path, capsys):
+def test_invalid_settings_are_reported_in_one_line(settings, says, tmp_path, capsys):
     path = tmp_path / "radio.json"
     path.write_bytes(settings if isinstance(settings, bytes) else settings.encode())
     assert main(f"serve --port 0 --settings {path}".split()) == 2
@@ -221,7 +221,7 @@ def test_settings_that_cannot_be_are_one_line(settings, says, tmp_path, capsys):
     assert error.count("\n") == 1
 
 
-def test_the_emulator_of_a_run_refuses_contradictory_settings_in_one_line(tmp_path, capsys, monkeypatch):
+def test_emulator_process_rejects_inconsistent_settings_in_one_line(tmp_path, capsys, monkeypatch):
     path = tmp_path / "radio.json"
     path.write_text(f'{{"run_id":"x","stations":2,"seed":1,"radio":{CONTRADICTORY}}}')
     clock, master = socket.socketpair()
@@ -229,10 +229,10 @@ def test_the_emulator_of_a_run_refuses_contradictory_settings_in_one_line(tmp_pa
     with master:
         assert serve_run() == 2
     error = capsys.readouterr().err
-    assert error == "radio: control_mode: RTS is a non-HT frame, vht_mcs0 is none\n"
+    assert error == "radio: control_mode: RTS needs a non-HT mode, vht_mcs0 is VHT\n"
 
 
-def test_settings_made_in_python_are_held_to_the_ranges_of_a_file():
+def test_settings_made_in_python_are_range_checked():
     places_ned_m = [(0.0, 0.0, -HEIGHT_M)] * 2
     with pytest.raises(ValueError, match="frequency_mhz"):
         RadioBench(RadioConfig(frequency_mhz=-1.0), places_ned_m, 1)
@@ -248,7 +248,7 @@ def test_settings_made_in_python_are_held_to_the_ranges_of_a_file():
         (80, FtmConfig(burst_duration_us=250, min_delta_us=100, mode="vht_mcs9")),
     ],
 )
-def test_the_shortest_bursts_that_are_taken_measure(width_mhz, ftm):
+def test_shortest_accepted_bursts_complete_a_round_trip(width_mhz, ftm):
     """Each has at least 40 us more than two frames take, and AC_VO's backoff draws 0 to 3 slots of 9 us.
 
     The first frame comes SIFS, ACK and AIFS after the burst begins, but the last may end after it.
@@ -268,11 +268,11 @@ def test_the_shortest_bursts_that_are_taken_measure(width_mhz, ftm):
         ("ftm --distance 4000 --sessions 2", {"error_mean_m", "error_std_m", "round_trip_std_m"}),
         ("ftm --sessions 1 --ftms-per-burst 2", {"error_std_m", "round_trip_std_m"}),
         ("broadcast --seconds 0.5", {"mean_delay_ms", "p50_ms", "p95_ms", "p99_ms"}),
-        # 380 sessions in a millisecond, the time that one takes: nobody's gets through
+        # 380 sessions in a millisecond, the duration of one: none completes
         ("ftm-mesh --stations 20 --period 0.001 --seconds 0.003", {"mean_delay_ms"}),
     ],
 )
-def test_what_nothing_tells_is_null_and_a_dash(command, unknown, capsys):
+def test_undefined_values_are_null_and_a_dash(command, unknown, capsys):
     assert main([*command.split(), "--json"]) == 0
     line = capsys.readouterr().out
     assert line.count("\n") == 1
@@ -282,7 +282,7 @@ def test_what_nothing_tells_is_null_and_a_dash(command, unknown, capsys):
     assert words.count("-") >= len(unknown)  # a mesh has a row for fewer stations too
 
 
-def test_a_figure_is_drawn_of_meshes_in_which_nothing_completes(tmp_path):
+def test_figure_of_meshes_without_completed_sessions_is_drawn(tmp_path):
     path = tmp_path / "mesh.png"
     command = f"ftm-mesh --stations 20 --period 0.001 --seconds 0.003 --json --figure {path}"
     assert main(command.split()) == 0

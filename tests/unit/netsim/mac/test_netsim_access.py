@@ -7,7 +7,7 @@ DIFS 34. The file runs in under a second.
 from itertools import pairwise
 
 import pytest
-from netsim_air import UNHEARD_DBM, A, Air, B, C, D
+from netsim_air import UNDETECTED_DBM, A, Air, B, C, D
 
 from netsim.mac.jobs import JobOutcome
 
@@ -24,7 +24,7 @@ def test_idle_medium_is_used_at_once():
     assert air.arrivals == [(B, A, False)]
 
 
-def test_frame_within_difs_of_a_busy_medium_waits_for_the_rest_of_it():
+def test_frame_within_difs_of_a_busy_medium_waits_for_the_rest_of_difs():
     #  1000   1160  1170         1194
     #  A data |     B's arrives  B data
     air = Air(2)
@@ -43,7 +43,7 @@ def test_frame_that_finds_the_medium_busy_backs_off():
     assert air.run() == [(1000, 1160, A, "data"), (1160 + DIFS_US + 3 * SLOT_US, 1381, B, "data")]
 
 
-def test_backoff_freezes_while_busy_and_resumes_with_what_is_left():
+def test_backoff_freezes_while_busy_and_resumes_with_the_remaining_slots():
     #  1000   1160 1194     1212     1372 1406     1433
     #  A data |difs|2 slots | C data |difs|3 slots | B data
     #  B drew 5, C drew 2
@@ -54,7 +54,7 @@ def test_backoff_freezes_while_busy_and_resumes_with_what_is_left():
     assert air.run() == [(1000, 1160, A, "data"), (1212, 1372, C, "data"), (1433, 1593, B, "data")]
 
 
-def test_post_backoff_holds_back_the_next_frame_of_the_same_station():
+def test_post_backoff_delays_the_next_frame_of_the_same_station():
     air = Air(2, backoffs={A: [(4, 15)]})
     air.send(1000, A)
     air.send(1100, A)
@@ -93,7 +93,7 @@ def test_stations_that_start_in_the_same_instant_all_collide():
 
 
 @pytest.mark.parametrize(("after_us", "starts_us"), [(4, 1004), (5, 1160 + DIFS_US)])
-def test_energy_goes_unnoticed_for_the_time_of_cca(after_us, starts_us):
+def test_energy_is_not_sensed_within_cca_time(after_us, starts_us):
     #  1000    1004           1160
     #  A data  |              |           B finds the medium idle up to 4 us after A began, and sends;
     #          | B data       |difs|      a microsecond later it waits
@@ -116,7 +116,7 @@ def test_equal_backoffs_collide_despite_propagation():
 
 
 @pytest.mark.parametrize(("stronger_db", "wait_us"), [(6.0, EIFS_US), (0.0, DIFS_US)])
-def test_eifs_after_a_frame_that_began_well_and_broke(stronger_db, wait_us):
+def test_eifs_follows_a_frame_received_with_errors(stronger_db, wait_us):
     #  1000        1160
     #  A data      |                 C finds A's preamble if that is 4 dB over B, fails to decode it and waits
     #  B data      |eifs|slot|C data EIFS; of two equal frames it finds neither and senses energy alone
@@ -131,7 +131,7 @@ def test_eifs_after_a_frame_that_began_well_and_broke(stronger_db, wait_us):
 
 def test_a_correct_frame_ends_eifs():
     # D's frame reaches C while C waits EIFS; from its end on DIFS is enough
-    powers_dbm = {(A, C): -50.0, (B, C): -56.0, (A, D): UNHEARD_DBM, (B, D): UNHEARD_DBM}
+    powers_dbm = {(A, C): -50.0, (B, C): -56.0, (A, D): UNDETECTED_DBM, (B, D): UNDETECTED_DBM}
     air = Air(4, powers_dbm=powers_dbm, backoffs={C: [(0, 15)]})
     air.send(1000, A, mode="ofdm24", frame_bytes=400)
     air.send(1000, B, mode="ofdm24", frame_bytes=400)
@@ -159,16 +159,16 @@ def test_rts_and_cts_reserve_the_medium():
 
 
 @pytest.mark.parametrize("rts", [False, True])
-def test_hidden_terminal_collides_unless_it_hears_the_cts(rts):
-    # A and C do not hear each other, B hears both
-    air = Air(3, powers_dbm={(A, C): UNHEARD_DBM, (C, A): UNHEARD_DBM}, backoffs={C: [(0, 15)]})
+def test_hidden_terminal_collides_unless_it_receives_the_cts(rts):
+    # A and C do not receive each other, B receives both
+    air = Air(3, powers_dbm={(A, C): UNDETECTED_DBM, (C, A): UNDETECTED_DBM}, backoffs={C: [(0, 15)]})
     air.send(1000, A, B, rts=rts)
     air.send(1100, C)
     air.run(1600)
     first_data = next(t for t in air.transmissions if t.source == A and t.frame.kind == "data")
     from_c = next(t for t in air.transmissions if t.source == C)
     if rts:
-        # C waits for the end of the exchange at 1308, of which it hears CTS and ACK alone
+        # C waits for the end of the exchange at 1308, of which it receives only CTS and ACK
         assert (first_data.delivered, first_data.collided) == ([B], [])
         assert from_c.start_ns == 1_000 * (1308 + DIFS_US)
     else:
@@ -176,12 +176,12 @@ def test_hidden_terminal_collides_unless_it_hears_the_cts(rts):
         assert from_c.start_ns == 1_100_000
 
 
-def test_exposed_terminal_waits_though_it_would_disturb_nobody():
-    # A - B - C - D in a row, each hears its neighbours alone: B's frame to A holds back C's to D
+def test_exposed_terminal_defers_without_need():
+    # A - B - C - D in a row, each receives only its neighbours: B's frame to A delays C's to D
     #  1000   1160 1176     1220
-    #  B data |    | A ack  |difs| C data      C does not hear the ACK, but its time is in B's Duration field
-    deaf = [(i, j) for i in range(4) for j in range(4) if abs(i - j) > 1]
-    air = Air(4, powers_dbm=dict.fromkeys(deaf, UNHEARD_DBM), backoffs={C: [(0, 15)]})
+    #  B data |    | A ack  |difs| C data      C misses the ACK, but its time is in B's Duration field
+    hidden = [(i, j) for i in range(4) for j in range(4) if abs(i - j) > 1]
+    air = Air(4, powers_dbm=dict.fromkeys(hidden, UNDETECTED_DBM), backoffs={C: [(0, 15)]})
     air.send(1000, B, A)
     air.send(1050, C, D)
     assert air.run()[2] == (1220 + DIFS_US, 1414, C, "data")
@@ -189,11 +189,11 @@ def test_exposed_terminal_waits_though_it_would_disturb_nobody():
 
 
 @pytest.mark.parametrize(("later_us", "arrivals"), [(10, [(B, C, False)]), (30, [])])
-def test_stronger_frame_takes_over_a_receiver_that_is_still_in_the_preamble(later_us, arrivals):
+def test_stronger_frame_captures_a_receiver_in_the_preamble(later_us, arrivals):
     #  1000    1016          1160
     #  A data  |             |            preamble of A up to 1016: C's frame, 10 dB over A's at B, takes B
     #      C data  |             |        over if it begins before; later it only breaks A's
-    powers_dbm = {(A, B): -60.0, (C, B): -50.0, (A, C): UNHEARD_DBM, (C, A): UNHEARD_DBM}
+    powers_dbm = {(A, B): -60.0, (C, B): -50.0, (A, C): UNDETECTED_DBM, (C, A): UNDETECTED_DBM}
     air = Air(3, powers_dbm=powers_dbm)
     air.send(1000, A)
     air.send(1000 + later_us, C)
@@ -202,11 +202,11 @@ def test_stronger_frame_takes_over_a_receiver_that_is_still_in_the_preamble(late
 
 
 def test_busy_medium_beyond_nav_is_waited_for():
-    #  1000  1028 1044  1072 1088   1248 1264 1308            C knows of the exchange by RTS; D hears C alone
-    #  A rts |    B cts |    A data |    B ack |              and is heard by it alone, breaks B's ACK at C,
+    #  1000  1028 1044  1072 1088   1248 1264 1308            C has the NAV of the RTS; D receives only C
+    #  A rts |    B cts |    A data |    B ack |              and reaches only C, breaks B's ACK at C,
     #                                     1290 D data 1450    and holds it back beyond NAV and EIFS
     hidden = [(A, D), (D, A), (B, D), (D, B)]
-    air = Air(4, powers_dbm=dict.fromkeys(hidden, UNHEARD_DBM), backoffs={C: [(0, 15)]})
+    air = Air(4, powers_dbm=dict.fromkeys(hidden, UNDETECTED_DBM), backoffs={C: [(0, 15)]})
     air.send(1000, A, B, rts=True)
     air.send(1035, C)
     air.send(1290, D)
@@ -215,7 +215,7 @@ def test_busy_medium_beyond_nav_is_waited_for():
 
 
 @pytest.mark.parametrize("arrives_us", [1210, 1250, 1280, 1300, 1470, 1509])
-def test_frame_that_comes_while_nav_covers_a_busy_medium_waits_for_its_end(arrives_us):
+def test_frame_queued_during_nav_waits_for_its_end(arrives_us):
     #  1000   1160 1194 1200  1228 1244  1272 1288   1448 1464  1508 1542    1668
     #  C data |difs|    A rts |    B cts |    A data |    B ack |difs|14 slots| C data      C drew 15: one
     #                                                                                       has passed at 1204
@@ -226,18 +226,18 @@ def test_frame_that_comes_while_nav_covers_a_busy_medium_waits_for_its_end(arriv
     assert air.run()[-1] == (1508 + DIFS_US + 14 * SLOT_US, 1828, C, "data")
 
 
-def test_nav_falls_when_nothing_follows_an_rts():
+def test_nav_is_reset_when_no_frame_follows_an_rts():
     # 1028 + 2 SIFS + CTS 28 + preamble 20 + 2 slots = 1126
-    air = Air(3, powers_dbm={(A, B): UNHEARD_DBM}, backoffs={C: [(0, 15)]})
+    air = Air(3, powers_dbm={(A, B): UNDETECTED_DBM}, backoffs={C: [(0, 15)]})
     air.send(1000, A, B, rts=True, frame_bytes=1000, retry_limit=0)
     air.send(1035, C)
     assert air.run()[1] == (1126 + DIFS_US, 1320, C, "data")
 
 
-def test_lost_frame_is_repeated_with_doubled_windows_and_given_up():
+def test_lost_frame_is_retried_with_doubled_windows_and_dropped():
     # no answer: 45 us after its end the exchange has failed, then DIFS and the backoff, here the whole window
     windows = [31, 63, 127, 255, 511, 1023, 1023]
-    air = Air(2, powers_dbm={(A, B): UNHEARD_DBM}, backoffs={A: [(w, w) for w in windows]})
+    air = Air(2, powers_dbm={(A, B): UNDETECTED_DBM}, backoffs={A: [(w, w) for w in windows]})
     air.send(1000, A, B)
     starts_us = [start for start, *_ in air.run()]
     gaps_us = [later - earlier for earlier, later in pairwise(starts_us)]
@@ -245,9 +245,9 @@ def test_lost_frame_is_repeated_with_doubled_windows_and_given_up():
     assert air.outcomes == [JobOutcome.RETRY_LIMIT]
 
 
-def test_window_is_the_smallest_again_after_the_retry_limit():
+def test_window_is_reset_after_the_retry_limit():
     # two attempts: the second failure gives the frame up, and the next one backs off from 0..15, not 0..63
-    air = Air(2, powers_dbm={(A, B): UNHEARD_DBM}, backoffs={A: [(31, 31), (15, 15)]})
+    air = Air(2, powers_dbm={(A, B): UNDETECTED_DBM}, backoffs={A: [(31, 31), (15, 15)]})
     for _ in range(2):
         air.send(1000, A, B, retry_limit=1)
     starts_us = [start for start, *_ in air.run()]
@@ -258,15 +258,15 @@ def test_window_is_the_smallest_again_after_the_retry_limit():
 
 
 def test_repeated_frame_is_marked_as_a_duplicate():
-    # B hears A, A never hears B's ACK
-    air = Air(2, powers_dbm={(B, A): UNHEARD_DBM})
+    # B receives A, A never receives B's ACK
+    air = Air(2, powers_dbm={(B, A): UNDETECTED_DBM})
     air.send(1000, A, B, retry_limit=2)
     air.send(500_000, A, B, retry_limit=0)
     air.run()
     assert air.arrivals == [(B, A, False), (B, A, True), (B, A, True), (B, A, False)]
 
 
-def test_ack_that_has_begun_in_time_is_waited_for():
+def test_ack_that_begins_in_time_is_awaited():
     # at 6 Mbit/s the ACK ends 60 us after the frame, 15 us past the time-out, which stops at its preamble
     air = Air(2)
     air.send(1000, A, B)
@@ -276,14 +276,14 @@ def test_ack_that_has_begun_in_time_is_waited_for():
 
 
 @pytest.mark.parametrize("begins_us", [1195, 1198, 1200])
-def test_exchange_fails_if_an_answer_to_somebody_else_cuts_off_what_it_waits_for(begins_us):
+def test_exchange_fails_if_an_own_response_aborts_the_awaited_frame(begins_us):
     #  1000   1160 1161   1189  1205  1233  1355 1389    1407
-    #  A data |    C data |     A ack |     |difs|2 slots| A data     B is deaf. At 1205 A's time-out
+    #  A data |    C data |     A ack |     |difs|2 slots| A data     B misses C. At 1205 A's time-out
     #                       1195 D data     |                         finds D's frame begun, and A's ACK to C
     #                                                                 breaks that off: at 1233 nothing is left
     #                                                                 to wait for
-    unheard = [(A, B), (A, C), (A, D), (C, D), (D, C)]
-    air = Air(4, powers_dbm=dict.fromkeys(unheard, UNHEARD_DBM), backoffs={A: [(2, 31)]})
+    hidden = [(A, B), (A, C), (A, D), (C, D), (D, C)]
+    air = Air(4, powers_dbm=dict.fromkeys(hidden, UNDETECTED_DBM), backoffs={A: [(2, 31)]})
     air.send(1000, A, B, retry_limit=1)
     air.send(1161, C, A, frame_bytes=40, mode="ofdm54", retry_limit=0)
     air.send(begins_us, D)
@@ -292,7 +292,7 @@ def test_exchange_fails_if_an_answer_to_somebody_else_cuts_off_what_it_waits_for
     assert air.outcomes.count(JobOutcome.RETRY_LIMIT) == 2
 
 
-def test_group_frame_behind_rts_goes_to_the_loudest_neighbour():
+def test_rts_of_a_group_frame_goes_to_the_strongest_neighbour():
     #  9000  9028 9044  9072 9088
     #  A rts |    C cts |    A data
     air = Air(3, powers_dbm={(B, A): -60.0, (C, A): -55.0})
@@ -303,7 +303,7 @@ def test_group_frame_behind_rts_goes_to_the_loudest_neighbour():
     assert air.transmissions[-1].delivered == [B, C]
 
 
-def test_group_frame_goes_without_rts_when_nobody_was_heard_lately():
+def test_group_frame_without_recent_neighbours_is_sent_without_rts():
     air = Air(2)
     air.send(1000, A, rts=True)
     air.send(10_000, B)
@@ -311,16 +311,16 @@ def test_group_frame_goes_without_rts_when_nobody_was_heard_lately():
     assert [kind for *_, kind in air.run(2_000_000)] == ["data", "data", "data"]
 
 
-def test_group_frame_is_dropped_when_cts_stays_away():
-    air = Air(2, powers_dbm={(A, B): UNHEARD_DBM})
+def test_group_frame_is_dropped_without_cts():
+    air = Air(2, powers_dbm={(A, B): UNDETECTED_DBM})
     air.send(1000, B)
     air.send(2000, A, rts=True, retry_limit=3)
     assert [kind for *_, kind in air.run()] == ["data", "rts", "rts", "rts", "rts"]
     assert air.outcomes == [JobOutcome.SENT, JobOutcome.RETRY_LIMIT]
 
 
-def test_next_rts_goes_to_the_next_loudest_neighbour():
-    air = Air(3, powers_dbm={(B, A): -55.0, (C, A): -60.0, (A, B): UNHEARD_DBM})
+def test_next_rts_goes_to_the_next_strongest_neighbour():
+    air = Air(3, powers_dbm={(B, A): -55.0, (C, A): -60.0, (A, B): UNDETECTED_DBM})
     air.send(1000, B)
     air.send(5000, C)
     air.send(9000, A, rts=True)
@@ -342,7 +342,7 @@ def test_expired_frames_make_room_in_a_full_queue():
 
 
 def test_queue_is_bounded_in_length_and_time():
-    air = Air(2, powers_dbm={(A, B): UNHEARD_DBM})
+    air = Air(2, powers_dbm={(A, B): UNDETECTED_DBM})
     for _ in range(12):
         air.send(1000, A, B, retry_limit=0, lifetime_us=600)
     air.run()

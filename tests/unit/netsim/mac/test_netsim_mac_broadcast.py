@@ -43,31 +43,31 @@ def broadcast(stations, jitter_us, periods, seed=1):
         (32, 2_000, 0.231979, 3.56859),
     ],
 )
-def test_delivery_and_delay_are_those_of_ns3(stations, jitter_us, ns3_ratio, ns3_delay_ms):
+def test_delivery_and_delay_match_ns3(stations, jitter_us, ns3_ratio, ns3_delay_ms):
     ratio, delay_ms = broadcast(stations, jitter_us, periods=6_000 // stations)
     assert ratio == pytest.approx(ns3_ratio, abs=0.03)
     assert delay_ms == pytest.approx(ns3_delay_ms, rel=0.1)
 
 
-def test_a_frame_to_all_is_told_once_with_those_who_have_received_it():
+def test_group_frame_is_reported_once_with_its_receivers():
     """One is out of reach, and one has its radio off; the others have it when its end has reached them."""
     unheard = {(0, 3): -200.0, (3, 0): -200.0}
     air = Air(5, powers_dbm=unheard, delays_ns={(0, 1): 1_000, (0, 2): 2_000})
-    told = []
-    air.radios._on_group_frame = told.append
+    reported = []
+    air.radios._on_group_frame = reported.append
     air.stations[4].silence()
     job = air.send(1_000, 0)
     air.run(10_000)
     ((start_us, end_us, _, _),) = air.run()
-    (heard,) = told
-    assert (heard.source, heard.seq, heard.body) == (0, job.seq, job.body)
-    assert heard.stations == [1, 2]
-    assert heard.ends_ns == [1_000 * end_us + 1_000, 1_000 * end_us + 2_000]
-    assert heard.powers_mw == pytest.approx([1e-5, 1e-5])
+    (received,) = reported
+    assert (received.source, received.seq, received.body) == (0, job.seq, job.body)
+    assert received.stations == [1, 2]
+    assert received.ends_ns == [1_000 * end_us + 1_000, 1_000 * end_us + 2_000]
+    assert received.powers_mw == pytest.approx([1e-5, 1e-5])
     assert end_us > start_us
 
 
-def test_a_frame_to_all_that_nobody_receives_is_not_told():
+def test_group_frame_without_receivers_is_not_reported():
     air = Air(2, powers_dbm={(0, 1): -200.0})
     air.send(1_000, 0)
     assert len(air.run(10_000)) == 1

@@ -6,7 +6,7 @@ second.
 """
 
 import pytest
-from netsim_air import UNHEARD_DBM, A, Air, B, C, D
+from netsim_air import UNDETECTED_DBM, A, Air, B, C, D
 
 from netsim.mac.access import DCF, EDCA
 from netsim.mac.jobs import JobOutcome
@@ -28,7 +28,7 @@ def test_interframe_spaces_and_limits_are_those_of_5_ghz_ofdm():
     }
 
 
-def test_voice_goes_before_best_effort():
+def test_voice_has_priority_over_best_effort():
     #  1000   1160 1194 1203        1363     1406
     #  A data |aifs|slot | C data   | aifs   | B data      at 1203 B's AIFS ends, and its only slot counts
     air = Air(3, access=EDCA, backoffs={B: [(1, 15)], C: [(1, 3)]})
@@ -38,7 +38,7 @@ def test_voice_goes_before_best_effort():
     assert [frame[:3] for frame in air.run()[1:]] == [(1203, 1363, C), (1363 + AIFS_BE_US, 1566, B)]
 
 
-def test_slots_count_at_their_beginnings():
+def test_edca_counts_slots_at_their_boundaries():
     #  1000   1160 1203 1212      1372 1415 1424
     #  A data |aifs|slot| C data  |aifs|slot| B data      B drew 3 and counts at 1203 and at 1212, when C
     #                                                     begins; DCF would have counted one
@@ -49,7 +49,7 @@ def test_slots_count_at_their_beginnings():
     assert [frame[:3] for frame in air.run()[1:]] == [(1212, 1372, C), (1424, 1584, B)]
 
 
-def test_two_queues_of_one_station_collide_inside_it():
+def test_queues_of_one_station_collide_internally():
     # both would send at 1203: voice does, best effort draws from twice its window
     air = Air(2, access=EDCA, backoffs={B: [(0, 15), (1, 3), (20, 31)]})
     air.send(1000, A, category="be")
@@ -71,7 +71,7 @@ def test_order_of_first_use_is_not_the_order_of_priority():
     assert [job.failures for job in jobs] == [0, 0, 1, 0]
 
 
-def test_video_goes_on_after_sifs():
+def test_video_txop_continues_after_sifs():
     #  1000   1160 1176  1220 1236   1396 1412  1456
     #  A data |    B ack |    A data |    B ack |
     air = Air(2, access=EDCA)
@@ -134,7 +134,7 @@ class Always:
         ("ofdm6", 1000 + EXCHANGE_US + AIFS_VO_US + 3 * SLOT_US),  # 3 ms: after backing off three slots
     ],
 )
-def test_a_mode_that_is_chosen_too_late_for_a_txop_waits_for_one_of_its_own(mode, start_us):
+def test_frame_whose_mode_does_not_fit_the_txop_needs_a_new_one(mode, start_us):
     air = Air(2, access=EDCA, backoffs={A: [(3, 7)]})
     air.send(1000, A, B, category="vi")
     air.send(1000, A, B, category="vi", frame_bytes=2200, rates=Always(mode))
@@ -152,8 +152,8 @@ def test_best_effort_sends_one_frame_and_backs_off():
 
 def test_failure_ends_a_txop():
     #  1000   1160 1176  1220 1236   1396     1441 1475 1493
-    #  A data |    B ack |    A data | no ack |aifs|2   | A data      C does not hear A
-    air = Air(3, access=EDCA, powers_dbm={(A, C): UNHEARD_DBM}, backoffs={A: [(2, 7)]})
+    #  A data |    B ack |    A data | no ack |aifs|2   | A data      C does not receive A
+    air = Air(3, access=EDCA, powers_dbm={(A, C): UNDETECTED_DBM}, backoffs={A: [(2, 7)]})
     air.send(1000, A, B, category="vi")
     air.send(1000, A, C, category="vi", retry_limit=0)
     air.send(1000, A, B, category="vi")
@@ -161,7 +161,7 @@ def test_failure_ends_a_txop():
     assert air.outcomes == [JobOutcome.ACKNOWLEDGED, JobOutcome.RETRY_LIMIT, JobOutcome.ACKNOWLEDGED]
 
 
-def test_expired_frame_is_left_out_of_a_txop():
+def test_expired_frame_is_skipped_in_a_txop():
     air = Air(2, access=EDCA)
     air.send(1000, A, category="vo")
     air.send(1000, A, category="vo", lifetime_us=100)
@@ -170,12 +170,12 @@ def test_expired_frame_is_left_out_of_a_txop():
     assert air.outcomes == [JobOutcome.EXPIRED, JobOutcome.SENT, JobOutcome.SENT]
 
 
-def test_hidden_station_keeps_quiet_for_the_rest_of_a_txop():
-    # D hears B's ACKs alone: the first, at 1220, reserves the medium up to the end of the second, at 1456
+def test_hidden_station_defers_for_the_rest_of_a_txop():
+    # D receives only B's ACKs: the first, at 1220, reserves the medium to the end of the second, at 1456
     air = Air(
         4,
         access=EDCA,
-        powers_dbm={(A, D): UNHEARD_DBM, (D, A): UNHEARD_DBM},
+        powers_dbm={(A, D): UNDETECTED_DBM, (D, A): UNDETECTED_DBM},
         backoffs={D: [(0, 15)]},
     )
     for _ in range(2):
@@ -184,12 +184,12 @@ def test_hidden_station_keeps_quiet_for_the_rest_of_a_txop():
     assert air.run()[-1] == (1456 + AIFS_BE_US, 1659, D, "data")
 
 
-def test_group_frame_reserves_the_one_that_follows_in_its_txop():
+def test_group_frame_reserves_the_next_one_of_its_txop():
     #  1000   1160 1176   1336
     #  A data |    A data |aifs| C data      D, hidden from A, begins at 1176 too: at C neither of the
     #              D data |                  two is 4 dB over the other, and both are below the energy
     #                                        that it senses
-    hidden = dict.fromkeys([(A, D), (D, A)], UNHEARD_DBM)
+    hidden = dict.fromkeys([(A, D), (D, A)], UNDETECTED_DBM)
     weak = dict.fromkeys([(A, C), (D, C)], -75.0)
     air = Air(4, access=EDCA, powers_dbm=hidden | weak, backoffs={C: [(0, 15)]})
     for _ in range(2):
@@ -205,7 +205,7 @@ def test_group_frame_reserves_the_one_that_follows_in_its_txop():
     assert C not in air.transmissions[1].delivered + air.transmissions[2].delivered
 
 
-def test_holder_of_a_txop_is_answered_in_spite_of_its_own_reservation():
+def test_txop_holder_gets_responses_despite_its_own_nav():
     #  1000   1160 1176  1220 1236  1264 1280  1308 1324   1484 1500  1544
     #  A data |    B ack |    A rts |    C cts |    A data |    C ack |
     air = Air(3, access=EDCA)

@@ -5,7 +5,7 @@ second.
 """
 
 import pytest
-from netsim_air import UNHEARD_DBM, A, Air, B, C
+from netsim_air import UNDETECTED_DBM, A, Air, B, C
 
 from netsim.mac.access import EDCA
 from netsim.mac.jobs import JobOutcome
@@ -34,7 +34,7 @@ def test_lifetime_ends_on_a_busy_medium():
     assert [source for _, _, source, _ in air.run()] == [A]
 
 
-def test_each_lifetime_ends_in_its_own_time_whatever_the_order_in_the_queue():
+def test_lifetimes_end_independently_of_the_queue_order():
     # in the queue: to 2010, to 1310, to 1620, to 1310, and one that lives on, behind A's frame up to 2360
     air = Air(2, backoffs={B: [(0, 15)]})
     air.send(1000, A, frame_bytes=1000)
@@ -54,7 +54,7 @@ def test_lifetimes_end_in_every_queue_of_a_station():
     assert outcomes_at(air, 1610) == ([], [JobOutcome.EXPIRED] * 4)
 
 
-def test_frames_that_come_after_an_expiry_expire_too():
+def test_frames_queued_after_an_expiry_also_expire():
     # the second comes in the same instant in which the first ends, the third when the queue is empty
     air = Air(2)
     air.send(1000, A, frame_bytes=1000)
@@ -73,15 +73,15 @@ def test_exchange_that_has_begun_outlives_its_frame():
     assert air.outcomes == [JobOutcome.ACKNOWLEDGED]
 
 
-def test_frame_whose_lifetime_has_ended_is_not_repeated():
+def test_expired_frame_is_not_retried():
     # no answer to a frame that ends at 1160; its lifetime was over at 1100
-    air = Air(2, powers_dbm={(A, B): UNHEARD_DBM})
+    air = Air(2, powers_dbm={(A, B): UNDETECTED_DBM})
     air.send(1000, A, B, lifetime_us=100)
     assert outcomes_at(air, 1160 + TIMEOUT_US) == ([], [JobOutcome.EXPIRED])
     assert len(air.run()) == 1
 
 
-def test_nothing_is_left_pending_when_everything_has_been_sent():
+def test_no_events_remain_after_all_frames_are_sent():
     air = Air(2)
     air.send(1000, A, B)
     air.send(1000, A)
@@ -90,7 +90,7 @@ def test_nothing_is_left_pending_when_everything_has_been_sent():
     assert air.queue.next_ns() == NEVER_NS
 
 
-def test_silence_completes_the_frame_on_the_air_and_ends_the_others():
+def test_silence_completes_the_frame_on_the_air_and_drops_the_others():
     #  1000 1100 1160
     #  A data ^  |        A falls silent at 1100
     air = Air(2)
@@ -103,23 +103,23 @@ def test_silence_completes_the_frame_on_the_air_and_ends_the_others():
     assert len(air.outcomes) == 2
 
 
-def test_what_a_frame_on_the_air_carries_outlives_its_stations_silence():
+def test_body_of_a_frame_on_the_air_is_kept_when_its_station_is_silenced():
     """Another's frame is made meanwhile, and must not be taken for it."""
     air = Air(3)
     air.send(1000, A, B, body="of A")
     air.queue.at(1_100_000, lambda _: air.stations[A].silence(), None)
     air.send(1110, C, B, body="of C")
     air.run()
-    assert air.outcomes[0] is JobOutcome.EXPIRED  # nobody is there to hear that it has come
+    assert air.outcomes[0] is JobOutcome.EXPIRED  # its station is off when the ACK arrives
     assert air.bodies == ["of A", "of C"]
 
 
-def test_group_frame_of_which_the_rts_alone_is_on_the_air_expires_in_silence():
+def test_group_frame_with_only_its_rts_sent_expires_in_silence():
     air = Air(2)
     air.send(1000, B)
     air.send(2000, A, rts=True)
     air.queue.at(2_010_000, lambda _: air.stations[A].silence(), None)
-    # the CTS comes all the same, and nobody hears it
+    # the CTS is still sent, and no station receives it
     assert [kind for *_, kind in air.run()] == ["data", "rts", "cts"]
     assert air.outcomes == [JobOutcome.SENT, JobOutcome.EXPIRED]
 
@@ -134,7 +134,7 @@ def test_group_frame_of_which_the_rts_alone_is_on_the_air_expires_in_silence():
     ],
 )
 def test_attempts_are_transmissions_of_the_frame_itself(unheard, rts, frames, attempts):
-    air = Air(3, powers_dbm={unheard: UNHEARD_DBM})
+    air = Air(3, powers_dbm={unheard: UNDETECTED_DBM})
     job = air.send(1000, A, B, rts=rts, retry_limit=2)
     assert [kind for *_, kind in air.run()] == frames
     assert job.attempts == attempts

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from netsim_air import UNHEARD_DBM, A, Air, B
+from netsim_air import UNDETECTED_DBM, A, Air, B
 
 from netsim.mac.jobs import Job, JobOutcome
 from netsim.mac.rates import OVERHEAD_NS, AdaptiveRate, RateParameters, channel_modes
@@ -61,7 +61,7 @@ class Link:
         return delivered / (self.now_ns - start_ns) * 1e9
 
 
-def test_modes_of_a_channel_are_all_it_has_in_order_of_rate():
+def test_channel_modes_are_complete_and_ordered_by_rate():
     assert [mode.name for mode in MODES] == [f"ofdm{rate}" for rate in (6, 9, 12, 18, 24, 36, 48, 54)]
     assert [len(channel_modes(width, vht=True)) for width in (20, 40, 80)] == [9, 10, 10]
     for modes in (MODES, VHT_MODES):
@@ -84,7 +84,7 @@ def test_rate_follows_the_channel_down_and_up():
         assert link.delivered_per_s(success, 3) > 0.95 * best_per_s(success)
 
 
-def test_other_modes_are_tried_for_a_small_share_of_frames_and_hopeless_ones_rarely():
+def test_other_modes_are_sampled_with_few_frames_and_failing_ones_rarely():
     link = Link()
     link.delivered_per_s(MIDDLE, 2)
     link.used.clear()
@@ -96,7 +96,7 @@ def test_other_modes_are_tried_for_a_small_share_of_frames_and_hopeless_ones_rar
     assert 0 < link.used.count("ofdm54") < link.used.count("ofdm48")
 
 
-def test_destinations_are_learnt_apart():
+def test_destinations_have_separate_statistics():
     link = Link()
     for _ in range(10):
         near = link.delivered_per_s(CLEAR, 0.4, destination=1)
@@ -116,7 +116,7 @@ def test_frame_that_keeps_failing_falls_back_to_the_lowest_mode():
 
 
 class Recorded:
-    """Gives one mode after the other and notes what it is told."""
+    """Returns one mode after the other and records the reports."""
 
     def __init__(self, *names):
         self.modes = [phy_mode(name, 20) for name in names]
@@ -130,10 +130,10 @@ class Recorded:
         self.reports.append((destination, mode.name, acknowledged))
 
 
-def test_mode_is_asked_for_before_each_attempt_and_its_end_reported():
+def test_mode_is_requested_before_each_attempt_and_its_outcome_reported():
     # the ACK of a repetition gets through no more than the first: 160 us at 6, 88 at 12, 56 at 24 Mbit/s
     rates = Recorded("ofdm24", "ofdm12", "ofdm6")
-    air = Air(2, powers_dbm={(B, A): UNHEARD_DBM}, backoffs={A: [(0, 31), (0, 63)]})
+    air = Air(2, powers_dbm={(B, A): UNDETECTED_DBM}, backoffs={A: [(0, 31), (0, 63)]})
     air.send(1000, A, B, retry_limit=2, rates=rates)
     data = [(start, end) for start, end, source, _ in air.run() if source == A]
     assert [end - start for start, end in data] == [56, 92, 160]
@@ -141,9 +141,9 @@ def test_mode_is_asked_for_before_each_attempt_and_its_end_reported():
     assert rates.asked == [(B, 100, k, start) for k, (start, _) in enumerate(data)]
 
 
-def test_lost_rts_says_nothing_of_a_mode():
+def test_lost_rts_does_not_count_for_a_mode():
     rates = Recorded("ofdm24", "ofdm24")
-    air = Air(2, powers_dbm={(A, B): UNHEARD_DBM})
+    air = Air(2, powers_dbm={(A, B): UNDETECTED_DBM})
     air.send(1000, A, B, retry_limit=1, rts=True, rates=rates)
     air.run()
     assert len(rates.asked) == 2
@@ -186,6 +186,6 @@ def delivered_over_the_air(snr_db, *, fixed=None, seconds=1.0):
 
 
 @pytest.mark.parametrize("snr_db", [12.5, 16.0, 25.0])
-def test_adaptation_serves_as_well_as_the_best_fixed_mode_of_the_medium(snr_db):
+def test_adaptation_matches_the_best_fixed_mode(snr_db):
     best = max(delivered_over_the_air(snr_db, fixed=mode, seconds=0.5) for mode in MODES) / 0.5
     assert delivered_over_the_air(snr_db) > 0.93 * best

@@ -64,7 +64,7 @@ def throughput_mbps(
     return delivered * payload_bytes * 8 / seconds / 1e6
 
 
-def test_one_station_gets_what_the_timing_leaves():
+def test_throughput_of_one_station_follows_from_the_timing():
     # DIFS 34 + 7.5 slots 67.5 + data 2072 + SIFS 16 + ACK 44 = 2233.5 us on average
     assert throughput_mbps(1, "ofdm6", seconds=2) == pytest.approx(12_000 / 2233.5, rel=0.005)
 
@@ -81,7 +81,7 @@ def test_one_station_gets_what_the_timing_leaves():
         (20, "ofdm54", 26.2925),
     ],
 )
-def test_throughput_is_bianchis(stations, mode, bianchi_mbps):
+def test_throughput_matches_bianchi(stations, mode, bianchi_mbps):
     seconds = {"ofdm6": 6, "ofdm24": 3, "ofdm54": 2}[mode]
     assert throughput_mbps(stations, mode, seconds=seconds) == pytest.approx(bianchi_mbps, rel=0.025)
 
@@ -97,7 +97,7 @@ def test_throughput_is_bianchis(stations, mode, bianchi_mbps):
         (5, "ofdm54", True, 18.5704),
     ],
 )
-def test_throughput_is_that_of_ns3(stations, mode, rts, ns3_mbps):
+def test_throughput_matches_ns3(stations, mode, rts, ns3_mbps):
     measured = throughput_mbps(
         stations,
         mode,
@@ -112,5 +112,5 @@ def test_throughput_is_that_of_ns3(stations, mode, rts, ns3_mbps):
     assert measured == pytest.approx(ns3_mbps, rel=0.025)
 
 
-def test_rts_makes_collisions_cheap():
+def test_rts_reduces_the_cost_of_collisions():
     assert throughput_mbps(10, "ofdm6", seconds=2, rts=True) > 1.05 * throughput_mbps(10, "ofdm6", seconds=2)

@@ -1,4 +1,4 @@
-"""Datagrams to one station, from the host that hands them over to what it hears of them."""
+"""Unicast datagrams, from submission by the host to the reported outcome."""
 
 import pytest
 from netsim_swarm import Swarm
@@ -22,7 +22,7 @@ def only(arrived, kind):
     return found
 
 
-def test_it_arrives_once_and_its_sender_is_told():
+def test_datagram_arrives_once_and_its_outcome_is_reported():
     air = swarm((20.0, 0.0, -10.0))
     send(air, 0, 1, seq=7, payload=b"to one")
     arrived = air.run(8_000)
@@ -34,7 +34,7 @@ def test_it_arrives_once_and_its_sender_is_told():
     assert sum(air.emulator.counters.broadcasts_delivered) == 0
 
 
-def test_results_do_not_hang_on_an_uninvolved_station_far_away():
+def test_results_do_not_depend_on_an_uninvolved_distant_station():
     """Both ends are at the sender's antenna: of the ACK, and of the last measurement frame."""
     times = set()
     for bystander_m in (20.0, 3_000.0):
@@ -52,7 +52,7 @@ def test_results_do_not_hang_on_an_uninvolved_station_far_away():
 
 
 @pytest.mark.parametrize("destination", [0, 3, 65_535])
-def test_nobody_to_send_to_is_said_at_once_and_costs_no_air(destination):
+def test_invalid_destination_is_rejected_at_once_without_airtime(destination):
     air = swarm()
     send(air, 0, destination)
     _, sent = only(air.run(4_000), Sent)
@@ -60,7 +60,7 @@ def test_nobody_to_send_to_is_said_at_once_and_costs_no_air(destination):
     assert air.emulator.take_frames() == []
 
 
-def test_who_does_not_answer_is_given_up_after_the_retry_limit():
+def test_frames_to_an_unresponsive_station_are_dropped_at_the_retry_limit():
     air = swarm(retry_limit=3)
     air.emulator.set_silent(1)
     send(air, 0, 1)
@@ -69,7 +69,7 @@ def test_who_does_not_answer_is_given_up_after_the_retry_limit():
     assert [frame.kind for frame in air.emulator.take_frames()] == ["data"] * 4
 
 
-def test_rts_goes_first_above_its_threshold():
+def test_rts_precedes_frames_above_the_threshold():
     air = swarm(rts_threshold_bytes=164)
     send(air, 0, 1, seq=1, payload=b"x" * 100)  # 164 bytes with all headers
     send(air, 0, 1, seq=2, payload=b"x" * 101)
@@ -85,11 +85,11 @@ def test_a_host_keeps_the_order_of_its_datagrams():
         if seq % 5 == 4:
             air.run(air.now_us + 4_000)
     air.run(air.now_us + 20_000)
-    heard = [item.seq for station, item in air.received if station == 1 and isinstance(item, Delivery)]
-    assert heard == list(range(200))
+    received = [item.seq for station, item in air.received if station == 1 and isinstance(item, Delivery)]
+    assert received == list(range(200))
 
 
-def test_a_station_may_have_a_mode_of_its_own_or_learn_it():
+def test_station_may_override_its_mode_or_adapt_it():
     own = (
         StationConfig(station=0, data_mode="ofdm6"),
         StationConfig(station=1, data_mode="adaptive"),

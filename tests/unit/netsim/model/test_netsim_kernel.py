@@ -33,7 +33,7 @@ def test_cancelled_calls_neither_run_nor_count_as_next():
     assert not ran
 
 
-def test_what_is_done_between_calls_comes_before_each_and_changes_none():
+def test_between_function_runs_before_each_call_and_changes_nothing():
     queue, ran = EventQueue(), []
     for time_ns in (10, 20, 20):
         queue.at(time_ns, ran.append, time_ns)
@@ -47,7 +47,7 @@ def test_what_is_done_between_calls_comes_before_each_and_changes_none():
     assert ran.count("between") == before
 
 
-def test_the_past_cannot_be_scheduled():
+def test_scheduling_in_the_past_is_rejected():
     queue = EventQueue()
     queue.run_until(10)
     with pytest.raises(ValueError, match="is 10 ns"):
@@ -67,13 +67,13 @@ def test_streams_differ_by_model_and_link_and_not_by_order_of_use():
     assert len(set(first.values())) == 3
 
 
-def test_uniforms_are_the_generators_own():
+def test_uniforms_match_the_generator():
     uniforms = Uniforms(np.random.default_rng(3))
     expected = np.random.default_rng(3).random(2 * Uniforms.BLOCK).tolist()
     assert [uniforms.draw() for _ in expected] == expected
 
 
-def test_normals_are_the_generators_own():
+def test_normals_match_the_generator():
     normals = Normals(np.random.default_rng(3))
     single = np.random.default_rng(3)
     expected = [float(single.standard_normal()) for _ in range(2 * Normals.BLOCK)]

@@ -1,4 +1,4 @@
-"""Where the numbers of the air lie: rows for compiled code, tables for Python, and room for more. 5 s."""
+"""Layout of the tables: rows for compiled code, tables for Python, growth. 5 s."""
 
 import numpy as np
 import pytest
@@ -15,27 +15,27 @@ STATIONS, CATEGORIES = 5, 3
 
 
 def numbered():
-    """An air in whose tables every number is another."""
+    """Return a block whose table entries are all different."""
     air = t.new_air(stations=STATIONS, categories=CATEGORIES)
     air[c.NUMBERS :] = np.arange(c.NUMBERS, len(air))
     return air
 
 
 @pytest.mark.parametrize("name", t.Tables._fields)
-def test_compiled_code_finds_the_rows_that_python_does(name):
+def test_compiled_code_and_python_access_the_same_rows(name):
     air = numbered()
     table = getattr(t.tables_of(air), name)
     for row in range(len(table)):
         assert getattr(t, name)(air, row).tobytes() == table[row].tobytes()
 
 
-def test_tables_lie_side_by_side_and_fill_the_memory():
+def test_tables_are_contiguous_and_fill_the_block():
     air = numbered()
     lying = np.concatenate([table.reshape(-1).view(np.int64) for table in t.tables_of(air)])
     assert lying.tolist() == air[c.NUMBERS :].tolist()
 
 
-def test_growing_keeps_every_number_where_it_was_in_its_table():
+def test_growing_keeps_all_table_entries():
     air = numbered()
     more = {"events": 500, "jobs": 40, "signals": 60}
     new = t.grown(air, **more)
@@ -47,7 +47,7 @@ def test_growing_keeps_every_number_where_it_was_in_its_table():
         assert len(after) >= more.get(name, 0)
 
 
-def test_rows_of_signals_are_given_out_once_and_again_when_nobody_needs_them():
+def test_rows_of_signals_are_reused_after_release():
     air = t.new_air(stations=STATIONS, categories=CATEGORIES)
     rows = int(air[c.SIGNAL_ROWS])
     taken = [t.take_signal(air) for _ in range(rows)]
@@ -65,7 +65,7 @@ def test_rows_of_signals_are_given_out_once_and_again_when_nobody_needs_them():
     assert {t.take_signal(air), t.take_signal(air)} == {first, second}
 
 
-def test_events_come_by_time_and_then_in_the_order_of_scheduling():
+def test_events_are_ordered_by_time_and_then_by_scheduling():
     rng = np.random.default_rng(1)
     air = t.new_air(stations=STATIONS, categories=CATEGORIES)
     for at_ns in rng.integers(10, size=60).tolist():
@@ -78,7 +78,7 @@ def test_events_come_by_time_and_then_in_the_order_of_scheduling():
     assert len(order) == 60
 
 
-def test_python_and_the_air_share_one_order_of_events():
+def test_python_calls_and_table_events_have_one_order():
     """A call at the time of a frame's end runs before it or after it, as it was scheduled before or after."""
     air, seen = Air(2), []
     note = lambda _: seen.append(list(air.outcomes))  # noqa: E731
@@ -89,21 +89,21 @@ def test_python_and_the_air_share_one_order_of_events():
     assert seen == [[], [JobOutcome.SENT]]
 
 
-def test_a_first_frame_has_room_however_many_stations_may_have_to_be_told():
+def test_first_frame_has_room_for_any_number_of_stations():
     air = Air(40, access=EDCA)
     air.send(1000, 0, category="be")
     air.run(2_000)
     assert air.outcomes == [JobOutcome.SENT]
 
 
-def test_a_queue_without_a_machine_is_a_queue():
+def test_queue_works_without_an_event_source():
     queue, ran = EventQueue(), []
     queue.at(5, ran.append, "five")
     queue.run_until(10)
     assert (ran, queue.now_ns, queue.machine) == (["five"], 10, None)
 
 
-def test_thousands_of_frames_leave_the_tables_as_large_as_they_were():
+def test_thousands_of_frames_do_not_grow_the_tables():
     air = Air(4)
     for k in range(1500):
         air.send(1000 + 700 * k, k % 4, (k + 1) % 4 if k % 3 else -1)

@@ -63,7 +63,7 @@ REFERENCE = reference()
 
 
 @pytest.mark.parametrize(("mode", "frame_bytes"), REFERENCE)
-def test_errors_are_ns3s(mode, frame_bytes):
+def test_packet_error_rates_match_ns3(mode, frame_bytes):
     """Within 0.1 dB of its tables over the waterfall; of its NIST model, whose formula is ours, 0.05 dB.
 
     ns-3 makes frames below 400 bytes from a table of 32 bytes. That of MCS 7 contradicts its table of 1458:
@@ -111,7 +111,7 @@ def test_the_hazard_of_non_ht_follows_the_formula(name):
 
 
 @pytest.mark.parametrize("name", VHT)
-def test_the_hazard_of_vht_is_what_was_counted(name):
+def test_hazard_of_vht_matches_the_counts(name):
     """In every row up to the last dB; there in all its rows together, each within four standard errors."""
     mode = phy_mode(name, 80)
     hazard = error_model(mode).hazard_per_bit
@@ -126,7 +126,7 @@ def test_the_hazard_of_vht_is_what_was_counted(name):
 
 
 @pytest.mark.parametrize("name", VHT)
-def test_the_counts_reach_from_certain_loss_to_one_frame_in_a_thousand(name):
+def test_counts_range_from_certain_loss_to_one_in_a_thousand(name):
     _, short_bytes, short_frames, short_lost = VHT_COUNTS[name][0]
     _, long_bytes, long_frames, long_lost = VHT_COUNTS[name][-1]
     assert short_bytes == 32
@@ -136,7 +136,7 @@ def test_the_counts_reach_from_certain_loss_to_one_frame_in_a_thousand(name):
 
 
 @pytest.mark.parametrize("name", VHT)
-def test_beyond_the_counts_the_hazard_goes_on(name):
+def test_hazard_is_extrapolated_beyond_the_counts(name):
     """Above, its slope in e-folds per dB goes on growing with the ratio; far below, the decoder guesses."""
     hazard = error_model(phy_mode(name, 80)).hazard_per_bit
     last_db = VHT_COUNTS[name][-1][0]
@@ -196,7 +196,7 @@ def test_with_whole_frames_of_memory_bpsk_at_rate_one_half_meets_its_union_bound
 
 
 @pytest.mark.parametrize("name", ["vht_mcs0", "vht_mcs5"])
-def test_settling_bits_early_costs_a_few_tenths_of_a_decibel(name):
+def test_early_decisions_cost_a_few_tenths_of_a_decibel(name):
     """With the rule's delay more frames are lost than with whole frames of memory, as few as 0.8 dB below."""
     mode = phy_mode(name, 80)
     snr_db = snr_db_at(0.3, mode, 300)
@@ -210,7 +210,7 @@ def test_settling_bits_early_costs_a_few_tenths_of_a_decibel(name):
     assert rate(0.0, 10**6) + 0.08 < rate(0.0, None) < rate(-0.8, 10**6) - 0.08
 
 
-def test_qpsk_is_two_bpsks_of_half_the_power():
+def test_qpsk_equals_two_bpsk_of_half_the_power():
     """The same code at 3.01 dB more: the hazard is the same, on average over 13 points known to 10 % each."""
     bpsk, qpsk = (error_model(phy_mode(f"vht_mcs{i}", 80)) for i in (0, 1))
     ratios = linear(np.arange(-2.0, 1.1, 0.25))
@@ -218,7 +218,7 @@ def test_qpsk_is_two_bpsks_of_half_the_power():
     assert abs(np.mean(logs)) < 4 * 0.1 / math.sqrt(len(logs))
 
 
-def test_the_encoder_gives_the_standards_signal_field():
+def test_encoder_reproduces_the_standards_signal_field():
     """24 bits at 36 Mbit/s and a length of 100, coded: IEEE 802.11-2016, I.1.4.2 and I.1.4.3."""
     signal = "101100010011000000000000"
     coded = "110100011010000100000010001111100111000000000000"
@@ -226,7 +226,7 @@ def test_the_encoder_gives_the_standards_signal_field():
     assert "".join(map(str, encode(bits)[0])) == coded
 
 
-def test_puncturing_sends_what_the_standard_draws():
+def test_puncturing_matches_the_standard():
     """A0 B0 A1; A0 B0 A1 B2; A0 B0 A1 B2 A3 B4: A is at even places, B at odd ones (17.3.5.6, 19.3.11.6)."""
     assert sent_positions((1, 2), 2).tolist() == [0, 1, 2, 3]
     assert sent_positions((2, 3), 4).tolist() == [0, 1, 2, 4, 5, 6]
@@ -236,7 +236,7 @@ def test_puncturing_sends_what_the_standard_draws():
 
 @pytest.mark.parametrize(("width", "apart"), [(20, 4), (40, 6), (80, 9)])
 @pytest.mark.parametrize("name", VHT)
-def test_the_interleaver_permutes_and_parts_neighbours(name, width, apart):
+def test_interleaver_permutes_and_separates_neighbours(name, width, apart):
     """Neighbouring bits go to subcarriers N_ROW / N_BPSCS apart, but where a row of N_COL ends."""
     if name == "vht_mcs9" and width == 20:
         return
@@ -249,7 +249,7 @@ def test_the_interleaver_permutes_and_parts_neighbours(name, width, apart):
     assert np.all(steps[np.arange(steps.size) % columns != columns - 1] == apart)
 
 
-def test_amplitudes_are_the_standards():
+def test_amplitudes_match_the_standard():
     """64-QAM, one axis (table 17-15): -7 is 000, then 001, 011, 010, 110, 111, 101, 100."""
     order = [f"{value:03b}" for value in np.argsort(amplitudes(3))]
     assert order == ["000", "001", "011", "010", "110", "111", "101", "100"]
@@ -272,7 +272,7 @@ def test_without_noise_every_frame_arrives(name, width):
 
 
 @pytest.mark.parametrize("wrong", [4, 6])
-def test_the_decoder_takes_the_nearer_of_two_words_at_the_free_distance(wrong):
+def test_decoder_selects_the_nearer_of_two_words_at_the_free_distance(wrong):
     """One bit more or less changes ten amplitudes of BPSK: with four of them wrong it is put right.
 
     With six wrong the other word is the nearer one.
@@ -282,13 +282,13 @@ def test_the_decoder_takes_the_nearer_of_two_words_at_the_free_distance(wrong):
     bits = link.data(20, rng)
     other = bits.copy()
     other[np.arange(20), rng.integers(0, bits.shape[1] - 6, 20)] ^= 1
-    heard, there = link.transmit(bits), link.transmit(other)
-    for word, toward in zip(heard, there, strict=True):
+    sent, there = link.transmit(bits), link.transmit(other)
+    for word, toward in zip(sent, there, strict=True):
         differing = np.flatnonzero(word != toward)
         assert differing.size == 10
         flipped = rng.choice(differing, wrong, replace=False)
         word[flipped] = toward[flipped]
-    assert np.array_equal(link.receive(heard, linear(60.0), rng), bits if wrong == 4 else other)
+    assert np.array_equal(link.receive(sent, linear(60.0), rng), bits if wrong == 4 else other)
 
 
 @pytest.mark.parametrize(
@@ -306,7 +306,7 @@ def test_a_simulation_of_other_lengths_agrees_with_the_tables(name, frame_bytes,
     assert counted.rate == pytest.approx(0.3, abs=4.0 * math.sqrt(0.21 / counted.frames) + 0.03)
 
 
-def test_the_committed_table_is_what_its_seed_gives():
+def test_committed_table_is_reproduced_by_its_seed():
     assert next(rows(phy_mode("vht_mcs0", 80), seed=1)) == VHT_COUNTS["vht_mcs0"][0]
 
 

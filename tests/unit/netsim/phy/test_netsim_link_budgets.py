@@ -1,7 +1,7 @@
-"""When link budgets are asked for: as a frame begins, of who sends it, and at no other time. 5 s.
+"""Requests for link budgets: only at the begin of a frame, for its sender. 5 s.
 
-A budget holds for a while from the moment on at which it was asked for. Had an event that sends nothing asked
-for it, the frames after it would have the powers of another moment.
+A budget is valid for some time from its request on. If an event without a transmission requested it, later
+frames would have the powers of an earlier time.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ def asked_and_sent(air, until_us):
     return sorted(air.links.asked), sent
 
 
-def test_an_access_whose_frame_is_cancelled_asks_for_nothing():
+def test_access_of_a_cancelled_frame_requests_no_budget():
     air = Air(2)
     jobs = [air.send(1_000 + 10 * k, k, 1 - k) for k in (A, B)]
     air.queue.at(1_020_000, air.stations[B].cancel, jobs[B])
@@ -28,7 +28,7 @@ def test_an_access_whose_frame_is_cancelled_asks_for_nothing():
     assert {source for _, source in sent[::2]} == {A}
 
 
-def test_who_falls_silent_before_its_answer_asks_for_nothing():
+def test_station_silenced_before_its_response_requests_no_budget():
     air = Air(2)
     air.send(1_000, A, B, mode="ofdm24", retry_limit=2)
     silence = lambda _: air.stations[B].silence()  # noqa: E731
@@ -39,7 +39,7 @@ def test_who_falls_silent_before_its_answer_asks_for_nothing():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_whatever_a_busy_channel_makes_of_it_every_frame_asks_once_and_nothing_else_does(seed):
+def test_each_frame_on_a_busy_channel_requests_exactly_one_budget(seed):
     """Queues collide inside and outside of stations, frames expire and are cancelled, TXOPs break off."""
     rng = np.random.default_rng(seed)
     air = Air(3, access=EDCA, powers_dbm={(A, C): -84.0, (C, A): -84.0}, seed=seed)

@@ -1,4 +1,4 @@
-"""What hosts lose on top of the channel, and radios that measure wrongly: nothing else moves. 6 s."""
+"""Losses in hosts and range offsets, and that they change nothing else. 6 s."""
 
 from math import sqrt
 
@@ -15,7 +15,7 @@ CHANNELS = pytest.mark.parametrize("channel", ["ideal", "emulated"])
 
 
 def swarm_of(drop_fraction, *, channel="ideal", offsets_m=None):
-    """After beacons and rangings of everybody, 20 ms apart."""
+    """Run beacons and rangings of all stations, 20 ms apart."""
     swarm = Swarm(FORMATION[:4], channel=channel, drop_fraction=drop_fraction, ftm=FtmConfig(clock_ppm=5.0))
     swarm.emulator.set_range_offsets(offsets_m or {})
     for i in range(ROUNDS):
@@ -42,7 +42,7 @@ def by_key(swarm, kind):
 
 
 @CHANNELS
-def test_the_share_that_is_lost_is_the_one_that_is_asked_for(lossless, channel):
+def test_fraction_of_losses_is_the_configured_one(lossless, channel):
     """Within 4 sigma of the binomial; and two receivers of one broadcast lose independently of each other."""
     share = 0.3
     all_of, some = lossless[channel], swarm_of(share, channel=channel)
@@ -63,8 +63,8 @@ def test_the_share_that_is_lost_is_the_one_that_is_asked_for(lossless, channel):
 
 
 @CHANNELS
-def test_a_loss_changes_nothing_else(lossless, channel):
-    """What still arrives is what would have arrived, to the bit; each lost result tells when it was lost."""
+def test_host_losses_do_not_change_other_results(lossless, channel):
+    """Remaining items are bit-identical to those without losses; each lost result has its time."""
     all_of, some = lossless[channel], swarm_of(0.4, channel=channel)
     before, after = by_key(all_of, Delivery), by_key(some, Delivery)
     assert 0 < len(after) < len(before)
@@ -97,7 +97,7 @@ def test_a_host_may_lose_everything():
 
 
 @CHANNELS
-def test_a_radio_that_measures_wrongly_does_so_when_it_asks_and_only_then(lossless, channel):
+def test_range_offset_applies_only_to_sessions_of_the_initiator(lossless, channel):
     """Station 1's own distances grow by 5 m and station 2's shrink by 0.5 m; others' do not."""
     offsets_m = {1: 5.0, 2: -0.5}
     wrong = swarm_of(0.0, channel=channel, offsets_m=offsets_m)
@@ -117,7 +117,7 @@ def test_a_radio_that_measures_wrongly_does_so_when_it_asks_and_only_then(lossle
         assert np.mean(errors) == pytest.approx(offsets_m.get(station, 0.0), abs=bound_m)
 
 
-def test_offsets_hold_until_others_are_set():
+def test_offsets_are_valid_until_replaced():
     swarm = Swarm(FORMATION[:2], channel="ideal", ftm=FtmConfig(round_trip_std_ps=0.0))
     errors_m = []
     for offsets_m in ({}, {0: 100.0}, {1: 7.0}, {0: -3.0, 1: 1.0}, {}):
@@ -130,7 +130,7 @@ def test_offsets_hold_until_others_are_set():
 
 
 @pytest.mark.parametrize("offsets_m", [{2: 1.0}, {-1: 1.0}, {0: float("nan")}, {0: float("inf")}])
-def test_offsets_that_cannot_be_are_refused(offsets_m):
+def test_invalid_offsets_are_rejected(offsets_m):
     swarm = Swarm(FORMATION[:2])
     with pytest.raises(ValueError, match="range offset"):
         swarm.emulator.set_range_offsets(offsets_m)

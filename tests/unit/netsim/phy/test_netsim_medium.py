@@ -28,7 +28,7 @@ from netsim.phy.modes import phy_mode
 from netsim.phy.propagation import LinkRow, Links, Trajectories
 
 A, B, C = range(3)
-UNHEARD_DBM = -200.0
+UNDETECTED_DBM = -200.0
 MILLISECOND_NS = 1_000_000
 SECOND_NS = 1_000_000_000
 
@@ -61,7 +61,7 @@ class Listener:
 
 
 class Channel:
-    """Stations that have nothing to send: frames begin when they are told to."""
+    """Stations with empty queues; frames are sent at given times."""
 
     def __init__(self, powers_dbm=None, *, stations=3, links=None, seed=1, delay_ns=0, **settings):
         self.queue = EventQueue()
@@ -74,7 +74,7 @@ class Channel:
             links=links or Powers(stations, powers_dbm or {}, delay_ns),
             stations=stations,
             streams=RandomStreams(np.random.SeedSequence(seed)),
-            on_group_frame=self._hear,
+            on_group_frame=self._on_group_frame,
             on_ended=self.ended.append,
         )
         self.listeners = [Listener() for _ in range(stations)]
@@ -92,9 +92,9 @@ class Channel:
         )
         self.queue.at(1_000 * at_us, self.radios.transmit, frame)
 
-    def _hear(self, heard):
-        for station, end_ns in zip(heard.stations, heard.ends_ns, strict=True):
-            self.listeners[station].received.append((heard.source, end_ns / 1_000))
+    def _on_group_frame(self, reception):
+        for station, end_ns in zip(reception.stations, reception.ends_ns, strict=True):
+            self.listeners[station].received.append((reception.source, end_ns / 1_000))
 
     def row(self, station):
         return stations(self.radios.air, station)
@@ -112,7 +112,7 @@ def interferer(duty_cycle, burst_us=1_000.0):
 
 
 @pytest.mark.parametrize("power_dbm", [-50.0, -62.1, -81.9])
-def test_frames_are_sensed_from_their_arrival_to_their_end_whatever_their_power(power_dbm):
+def test_frames_are_sensed_from_arrival_to_end_at_any_power(power_dbm):
     channel = Channel({(A, C): power_dbm}, delay_ns=300)
     channel.send(1000, A)
     channel.queue.run_until(1_100_000)
@@ -130,9 +130,9 @@ def test_a_frame_that_is_too_weak_for_a_preamble_is_sensed_by_its_energy(thresho
     assert channel.listeners[C].received == []
 
 
-def test_weak_frames_that_collide_are_sensed_though_nobody_receives_them():
+def test_colliding_weak_frames_are_sensed_without_being_received():
     # neither is 4 dB over the other, and -70 dBm twice is -67
-    channel = Channel({(A, C): -70.0, (B, C): -70.0, (A, B): UNHEARD_DBM, (B, A): UNHEARD_DBM})
+    channel = Channel({(A, C): -70.0, (B, C): -70.0, (A, B): UNDETECTED_DBM, (B, A): UNDETECTED_DBM})
     channel.send(1000, A)
     channel.send(1100, B)
     channel.queue.run_until(1_110_000)
@@ -149,8 +149,8 @@ def test_weak_frames_that_collide_are_sensed_though_nobody_receives_them():
 #   A  weak  |====================|  1000..2376
 #   B strong     |====|              1008..1168     C takes B; A is sensed on, unless it is under -82 dBm
 @pytest.mark.parametrize(("weak_dbm", "busy_us"), [(-82.5, (1008, 1168)), (-75.0, (1000, 2376))])
-def test_after_a_capture_what_was_given_up_is_still_sensed(weak_dbm, busy_us):
-    channel = Channel({(A, C): weak_dbm, (B, C): -50.0, (A, B): UNHEARD_DBM, (B, A): UNHEARD_DBM})
+def test_aborted_frame_is_still_sensed_after_a_capture(weak_dbm, busy_us):
+    channel = Channel({(A, C): weak_dbm, (B, C): -50.0, (A, B): UNDETECTED_DBM, (B, A): UNDETECTED_DBM})
     channel.send(1000, A, frame_bytes=1014)  # 20 + 4 ceil(8134 / 24) = 1376 us
     channel.send(1008, B)
     channel.queue.run_until(1_200_000)
@@ -160,9 +160,9 @@ def test_after_a_capture_what_was_given_up_is_still_sensed(weak_dbm, busy_us):
 
 
 #   A  |====================|  1000..2376
-#   C        |====|            1100..1260     C answers somebody else and does not receive A any more
+#   C        |====|            1100..1260     C responds to another frame and aborts the reception of A
 @pytest.mark.parametrize(("power_dbm", "busy_us"), [(-82.5, (0, 0)), (-75.0, (1000, 2376))])
-def test_who_sends_while_receiving_senses_the_rest(power_dbm, busy_us):
+def test_station_that_sends_while_receiving_senses_the_rest(power_dbm, busy_us):
     channel = Channel({(A, C): power_dbm})
     channel.send(1000, A, frame_bytes=1014)
     channel.send(1100, C)
@@ -176,7 +176,7 @@ def test_who_sends_while_receiving_senses_the_rest(power_dbm, busy_us):
     ("margin_db", "later_us", "captured"), [(5.1, 16, True), (4.9, 16, False), (5.1, 17, False)]
 )
 def test_capture_takes_five_db_within_sixteen_microseconds(margin_db, later_us, captured):
-    hidden = {(A, C): -70.0, (B, C): -70.0 + margin_db, (A, B): UNHEARD_DBM, (B, A): UNHEARD_DBM}
+    hidden = {(A, C): -70.0, (B, C): -70.0 + margin_db, (A, B): UNDETECTED_DBM, (B, A): UNDETECTED_DBM}
     channel = Channel(hidden)
     channel.send(1000, A)
     channel.send(1000 + later_us, B)
@@ -185,7 +185,7 @@ def test_capture_takes_five_db_within_sixteen_microseconds(margin_db, later_us, 
 
 
 @pytest.mark.parametrize(("power_dbm", "found"), [(-81.9, True), (-82.1, False)])
-def test_preambles_are_found_down_to_the_threshold(power_dbm, found):
+def test_preambles_are_detected_down_to_the_threshold(power_dbm, found):
     channel = Channel({(A, C): power_dbm})
     channel.send(1000, A)
     channel.queue.run_until(MILLISECOND_NS * 2)
@@ -204,7 +204,7 @@ def test_an_interferer_occupies_the_medium_for_its_duty_cycle(duty_cycle):
     assert channel.ended == []
 
 
-def test_duty_cycles_of_none_and_all():
+def test_duty_cycles_of_0_and_1():
     assert Channel(interferers=interferer(0.0)).queue.next_ns() == NEVER_NS
     channel = Channel(interferers=interferer(1.0), delay_ns=500)
     # from the first burst on no receiver senses an idle nanosecond
@@ -241,7 +241,7 @@ def burst_over(channel):
 # the frame of C's choice lies within the burst, overlaps its beginning by half, or has ended before it
 @pytest.mark.parametrize(("before_us", "lost"), [(-10, True), (80, True), (170, False)])
 @pytest.mark.parametrize("interference_dbm", [-50.0, -100.0])
-def test_frames_die_under_a_burst_that_is_strong_enough(before_us, lost, interference_dbm):
+def test_frames_are_lost_under_a_strong_burst(before_us, lost, interference_dbm):
     settings = {"interferers": interferer(0.2, 2_000.0), "seed": 3}
     begin_ns, _ = burst_over(Channel(**settings))
     channel = Channel({("x", B): interference_dbm}, **settings)
@@ -262,7 +262,7 @@ def test_a_burst_is_sensed_by_its_energy_alone_and_with_that_of_others():
     begin_ns, end_ns = burst_over(Channel(**settings))
     # at -64 dBm a frame is not sensed by itself with this threshold of preambles
     settings |= {"cca_preamble_dbm": -60.0}
-    powers = {("x", A): -60.0, ("x", B): -64.0, ("x", C): -64.0, (A, B): -64.0, (A, C): UNHEARD_DBM}
+    powers = {("x", A): -60.0, ("x", B): -64.0, ("x", C): -64.0, (A, B): -64.0, (A, C): UNDETECTED_DBM}
     channel = Channel(powers, **settings)
     channel.send(begin_ns // 1_000 + 100, A, C)
     channel.queue.run_until(begin_ns + 200_000)
@@ -278,7 +278,7 @@ def test_a_burst_is_sensed_by_its_energy_alone_and_with_that_of_others():
 # --- fading
 
 
-def test_frames_have_the_power_that_fading_leaves_them_at_their_beginning():
+def test_frames_have_the_faded_power_of_their_beginning():
     config = RadioConfig(bandwidth_mhz=20, rician_k_db=-10.0, fading_doppler_hz=20.0)
     trajectories = Trajectories(2)
     trajectories.set(0, [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)], [(0.0, 0.0, 0.0)] * 2)
@@ -316,7 +316,7 @@ def bursts_of(settings, seed, until_ns):
 def test_stations_defer_to_an_interferer_that_they_sense(eirp_dbm, sensed):
     """At 10 m 20 dBm arrive with -46.8 dBm, -10 dBm with -76.8 under the threshold.
 
-    Half of the time the medium is busy: of 400 frames that wait for nobody some 200 would begin in a burst.
+    Half of the time the medium is busy: of 400 frames sent without carrier sense, 200 would begin in a burst.
     """
     settings = InterfererConfig(
         pos_ned_m=(0.0, 10.0, 0.0), duty_cycle=0.5, eirp_dbm=eirp_dbm, burst_us=3_000.0
@@ -342,7 +342,7 @@ def test_stations_defer_to_an_interferer_that_they_sense(eirp_dbm, sensed):
 
 
 def saturated_mbps(power_dbm, *, spread_db=0.0, stations=5, seconds=3, seed=1, **settings):
-    """Payload that saturated stations get through to one more, whom all hear with powers about this one."""
+    """Return the payload of saturated stations received by one more, with powers about this one."""
     generator = np.random.default_rng(3)
     powers_dbm = {}
     for i in range(stations + 1):
@@ -383,7 +383,7 @@ def test_weak_stations_share_the_medium_as_well_as_strong_ones(settings):
     assert saturated_mbps(-70.0, spread_db=6.0, **settings) > 0.97 * strong
 
 
-def test_interferers_that_never_pause_leave_nothing_behind():
+def test_continuous_interferers_do_not_accumulate_state():
     swarm = Swarm(
         [(0.0, 0.0, -10.0), (10.0, 0.0, -10.0)],
         interferers=2 * interferer(1.0),

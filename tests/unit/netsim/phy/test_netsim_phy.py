@@ -16,12 +16,12 @@ ALL_MODES = [f"ofdm{rate}" for rate in (6, 9, 12, 18, 24, 36, 48, 54)] + [f"vht_
 @pytest.mark.parametrize(
     ("mode", "rts_us", "short_us"), [("ofdm6", 52, 44), ("ofdm12", 36, 32), ("ofdm24", 28, 28)]
 )
-def test_control_frames_last_as_in_the_standard(mode, rts_us, short_us):
+def test_control_frame_durations_match_the_standard(mode, rts_us, short_us):
     assert phy_mode(mode, 20).duration_ns(20) == 1_000 * rts_us
     assert phy_mode(mode, 20).duration_ns(14) == 1_000 * short_us
 
 
-def test_data_frames_last_preamble_and_whole_symbols():
+def test_data_frame_durations_are_preamble_and_whole_symbols():
     # 364 bytes at 6 Mbit/s: 20 + 4 ceil(2934 / 24)
     assert phy_mode("ofdm6", 20).duration_ns(364) == 512_000
     # VHT at 80 MHz, MCS 0: 40 + 4 ceil((22 + 8 * 52) / 117) with the delimiter's 4 bytes
@@ -47,7 +47,7 @@ def test_vht_mcs_9_does_not_exist_at_20_mhz():
         phy_mode("vht_mcs9", 20)
 
 
-def test_answers_go_at_the_highest_mandatory_rate_not_above_the_frames():
+def test_responses_use_the_highest_mandatory_rate_not_above_the_frames():
     answers = {mode: response_mode(phy_mode(mode, 80)).name for mode in ALL_MODES}
     assert {mode for mode, answer in answers.items() if answer == "ofdm6"} == {"ofdm6", "ofdm9", "vht_mcs0"}
     assert {mode for mode, answer in answers.items() if answer == "ofdm12"} == {
@@ -59,7 +59,7 @@ def test_answers_go_at_the_highest_mandatory_rate_not_above_the_frames():
     assert answers["ofdm24"] == answers["ofdm54"] == answers["vht_mcs9"] == "ofdm24"
 
 
-def test_noise_and_friis_are_the_facts_sheets():
+def test_noise_and_friis_match_reference_values():
     for width, noise_dbm in ((20, -93.99), (40, -90.98), (80, -87.97)):
         # the sheet takes 290 K; so do we
         assert 10 * np.log10(thermal_noise_mw(width, 7.0)) == pytest.approx(noise_dbm, abs=0.03)
@@ -89,7 +89,7 @@ def test_received_power_falls_with_the_exponent_and_follows_the_vehicles():
     )
 
 
-def test_extra_attenuation_comes_and_goes():
+def test_extra_attenuation_is_set_and_restored():
     budget, trajectories = links(extra_attenuation_db=3.0)
     trajectories.set(0, [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)], REST)
     configured_mw = budget.row(0, 0).powers_mw[1]
@@ -99,7 +99,7 @@ def test_extra_attenuation_comes_and_goes():
     assert budget.row(0, 0).powers_mw[1] == configured_mw
 
 
-def test_an_attenuation_that_does_not_change_costs_nothing():
+def test_unchanged_attenuation_keeps_the_cache():
     budget, trajectories = links()
     trajectories.set(0, [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)], REST)
     budget.set_extra_attenuation_db(5.0)
@@ -108,7 +108,7 @@ def test_an_attenuation_that_does_not_change_costs_nothing():
     assert budget.row(0, 0) is row
 
 
-def test_a_budget_from_the_way_does_not_outlive_the_motion():
+def test_budget_of_a_moving_station_expires():
     budget, trajectories = links()
     trajectories.set(0, [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)], [(0.0, 0.0, 0.0), (2500.0, 0.0, 0.0)])
     assert budget.row(0, 2_000_000).delays_ns[1] == 50  # 15 m half-way
@@ -120,8 +120,8 @@ def test_a_budget_from_the_way_does_not_outlive_the_motion():
 
 
 @pytest.mark.parametrize(("later_us", "captured"), [(8, True), (30, False)])
-def test_a_stronger_frame_takes_the_receiver_from_a_preamble_only(later_us, captured):
-    # A and B do not hear each other; at C the later frame is 20 dB stronger
+def test_stronger_frame_captures_only_during_the_preamble(later_us, captured):
+    # A and B do not receive each other; at C the later frame is 20 dB stronger
     hidden = {(A, B): -200.0, (B, A): -200.0, (A, C): -70.0, (B, C): -50.0}
     air = Air(3, powers_dbm=hidden)
     air.send(1000, A)
@@ -133,7 +133,7 @@ def test_a_stronger_frame_takes_the_receiver_from_a_preamble_only(later_us, capt
 
 
 def test_losses_have_the_reason_that_the_ratio_gives():
-    # -91 dBm is 3 dB over the noise: no preamble is found, with or without anybody else on the air
+    # -91 dBm is 3 dB above the noise: no preamble is detected, with or without other transmissions
     air = Air(3, powers_dbm={(A, C): -91.0, (A, B): -200.0, (B, A): -200.0})
     air.send(1000, A)
     air.send(1000, B)
@@ -159,7 +159,7 @@ def test_a_short_overlap_costs_less_than_a_long_one():
     assert survived[0] > survived[1] > survived[2]
 
 
-def test_a_weak_frame_holds_back_as_long_as_it_lasts():
+def test_weak_frame_defers_others_for_its_duration():
     # -64 dBm each: A ends at 1160, B at 1288 (20 + 4 ceil(1622 / 24)), and C waits DIFS after B
     air = Air(4, powers_dbm={(A, C): -64.0, (B, C): -64.0}, backoffs={C: [(0, 15)]})
     air.send(1000, A)
@@ -170,7 +170,7 @@ def test_a_weak_frame_holds_back_as_long_as_it_lasts():
 
 @pytest.mark.parametrize("power_dbm", [-50.0, -70.0])
 @pytest.mark.parametrize(("later_us", "deferred"), [(4, False), (5, True)])
-def test_energy_goes_unnoticed_for_four_microseconds_however_strong(power_dbm, later_us, deferred):
+def test_energy_is_not_sensed_for_four_microseconds(power_dbm, later_us, deferred):
     air = Air(2, powers_dbm={(A, B): power_dbm, (B, A): power_dbm}, backoffs={B: [(0, 15)]})
     air.send(1000, A)
     air.send(1000 + later_us, B)
@@ -178,7 +178,7 @@ def test_energy_goes_unnoticed_for_four_microseconds_however_strong(power_dbm, l
     assert start_us == (1160 + 34 if deferred else 1000 + later_us)
 
 
-def test_nobody_is_heard_beyond_a_delay_of_sifs():
+def test_no_reception_beyond_a_delay_of_sifs():
     """16 us are 4796.7 m."""
     budget, trajectories = links(3, tx_power_dbm=50.0)
     trajectories.set(0, [(0.0, 0.0, 0.0), (4796.0, 0.0, 0.0), (-4797.0, 0.0, 0.0)], REST + REST[:1])
@@ -188,7 +188,7 @@ def test_nobody_is_heard_beyond_a_delay_of_sifs():
     assert (row.powers_mw[2], row.longest_delay_ns) == (0.0, 15_998)
 
 
-def test_whoever_can_sense_counts_for_the_longest_delay():
+def test_longest_delay_includes_all_stations_that_can_sense():
     # 77 dB under the 16 dBm less 46.7 of 1 m: -108 dBm, under the noise of 50 dB less 20
     budget, trajectories = links(noise_figure_db=50.0, cca_preamble_dbm=-100.0)
     trajectories.set(0, [(0.0, 0.0, 0.0), (3000.0, 0.0, 0.0)], REST)
@@ -196,7 +196,7 @@ def test_whoever_can_sense_counts_for_the_longest_delay():
 
 
 @pytest.mark.parametrize("value", [-1e5, -0.1, float("nan"), float("inf")])
-def test_attenuations_that_are_none_are_refused(value):
+def test_invalid_attenuations_are_rejected(value):
     budget, trajectories = links()
     trajectories.set(0, [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0)], REST)
     row = budget.row(0, 0)
@@ -214,7 +214,7 @@ def test_attenuations_that_are_none_are_refused(value):
         ("nlos_duration_s", 0.01, 1e6),
     ],
 )
-def test_settings_have_their_ranges(name, least, most):
+def test_settings_are_range_checked(name, least, most):
     for value in (least, most):
         assert getattr(msgspec.convert({name: value}, RadioConfig), name) == value
     for value in (least - 1e-3, most * 1.01 + 1e-3):

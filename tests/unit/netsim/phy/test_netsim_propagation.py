@@ -53,14 +53,14 @@ def power_dbm(places, attitudes=None, **settings):
     return 10.0 * log10(budget(places, attitudes, **settings)[0].row(0, 0).powers_mw[1])
 
 
-def test_friis_and_a_power_law_of_two_are_one():
+def test_friis_equals_a_power_law_with_exponent_two():
     places = [(0.0, 0.0, 0.0), (30.0, 40.0, -10.0)]
     friis = power_dbm(places, path_loss="friis", path_loss_exponent=3.7)
     assert friis == pytest.approx(power_dbm(places, path_loss="log_distance", path_loss_exponent=2.0))
     assert power_dbm(places, path_loss_exponent=3.0) == pytest.approx(friis - 10.0 * log10(sqrt(2600.0)))
 
 
-def test_the_way_with_arrays_gives_what_the_way_without_them_gives():
+def test_array_and_kernel_budgets_are_equal():
     rng = np.random.default_rng(3)
     places = [tuple(place) for place in rng.uniform(-300.0, 300.0, (9, 3)).tolist()]
     plain, _ = budget(places, path_loss_exponent=2.3)
@@ -73,7 +73,7 @@ def test_the_way_with_arrays_gives_what_the_way_without_them_gives():
 # --- the ground
 
 
-def test_fresnels_coefficients_at_their_landmarks():
+def test_fresnel_coefficients_at_special_angles():
     def at(sine, permittivity):
         place = np.array([[0.0, 0.0, -10.0]])
         angle = {"sine": np.array([[sine]]), "cosine": np.array([[sqrt(1.0 - sine**2)]])}
@@ -141,7 +141,7 @@ def test_far_away_the_power_falls_with_the_fourth_power_of_the_distance():
     )
 
 
-def test_a_landed_station_is_heard_and_its_antenna_is_over_the_ground():
+def test_landed_station_is_received_with_its_antenna_above_ground():
     # both on the ground, where the fields of an antenna at height 0 would cancel altogether
     landed = [(0.0, 0.0, 0.0), (100.0, 0.0, 0.0)]
     lifted = [(0.0, 0.0, -LEAST_HEIGHT_M), (100.0, 0.0, -LEAST_HEIGHT_M)]
@@ -177,7 +177,7 @@ def test_gain_falls_with_elevation_as_a_half_wave_dipoles(elevation_deg):
     assert fall_db == pytest.approx(20 * log10(gain), abs=0.6)
 
 
-def test_crossed_and_end_on_dipoles_are_as_weak_as_real_ones():
+def test_crossed_and_end_on_dipoles_have_realistic_loss():
     north = [REST, (100.0, 0.0, 0.0)]
     loss_db = {
         "crossed": power_dbm(north) - power_dbm(north, [LEVEL, rolled(90.0)], antenna="dipole"),
@@ -284,7 +284,7 @@ def test_links_are_the_same_in_both_directions_and_finite_everywhere(antenna, pa
     assert powers == pytest.approx(powers.T, rel=1e-9)
 
 
-def test_attitudes_count_for_dipoles_alone():
+def test_attitudes_matter_only_for_dipoles():
     north = [REST, (100.0, 0.0, 0.0)]
     for antenna, same in (("isotropic", True), ("dipole", False)):
         links, trajectories = budget(north, [LEVEL, LEVEL], antenna=antenna)
@@ -296,7 +296,7 @@ def test_attitudes_count_for_dipoles_alone():
 # --- stations and interferers
 
 
-def test_a_stations_own_power_is_what_it_sends_with():
+def test_station_power_overrides_the_common_one():
     places = [REST, (10.0, 0.0, 0.0), (0.0, 10.0, 0.0)]
     links, _ = budget(places, tx_power_dbm=10.0, stations=(StationConfig(station=1, tx_power_dbm=23.0),))
     assert links.row(1, 0).powers_mw[0] / links.row(0, 0).powers_mw[1] == pytest.approx(10**1.3)
@@ -341,7 +341,7 @@ def test_attitudes_need_not_be_of_unit_length():
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf, "too large"])
 @pytest.mark.parametrize("which", range(3))
-def test_one_senseless_number_makes_a_motion_impossible(which, wrong):
+def test_one_invalid_number_makes_a_motion_invalid(which, wrong):
     """Wherever it stands: no number, no finite one, or one farther, faster or longer than anything is."""
     limits = (FARTHEST_PLACE_M, FASTEST_M_S, 1.0)
     motion = np.full((4, 3), -limits[0]), np.full((4, 3), limits[1]), np.tile(rolled(30.0), (4, 1))

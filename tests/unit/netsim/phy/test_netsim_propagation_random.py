@@ -56,17 +56,17 @@ def test_shadowing_has_its_deviation_and_gudmundsons_correlation():
     assert correlation[4] == pytest.approx(exp(-1.5), abs=0.06)  # both
 
 
-def test_shadowing_is_reciprocal_and_a_function_of_place():
+def test_shadowing_is_reciprocal_and_a_function_of_position():
     rng = np.random.default_rng(2)
     places = rng.uniform(-100.0, 100.0, (10, 3))
     field = Shadowing(4.0, 20.0, streams())
-    everybody = shadowing_db(field, places)
-    assert everybody == pytest.approx(everybody.T, abs=1e-9)
-    # whoever stands there, and whether it is a station or an interferer
+    matrix_db = shadowing_db(field, places)
+    assert matrix_db == pytest.approx(matrix_db.T, abs=1e-9)
+    # independent of the station, and of whether it is an interferer
     order = rng.permutation(10)
-    assert shadowing_db(field, places[order]) == pytest.approx(everybody[np.ix_(order, order)], abs=1e-9)
+    assert shadowing_db(field, places[order]) == pytest.approx(matrix_db[np.ix_(order, order)], abs=1e-9)
     apart = np.linalg.norm(places[3:] - places[:3, None], axis=2)
-    assert field.between_db(places[:3], places[3:], apart) == pytest.approx(everybody[:3, 3:], abs=1e-9)
+    assert field.between_db(places[:3], places[3:], apart) == pytest.approx(matrix_db[:3, 3:], abs=1e-9)
 
 
 def links_of(places, velocities, **settings):
@@ -77,7 +77,7 @@ def links_of(places, velocities, **settings):
     return links, trajectories
 
 
-def test_a_moving_links_shadowing_follows_its_places_whoever_asks_first():
+def test_shadowing_of_a_moving_link_does_not_depend_on_the_query_order():
     places, velocities = [REST, (60.0, 0.0, 0.0), (0.0, 50.0, 0.0)], [REST, (0.0, 20.0, 0.0), REST]
     settings = {"rician_k_db": None, "shadowing_std_db": 6.0}
     asked_often, _ = links_of(places, velocities, **settings)
@@ -141,7 +141,7 @@ def test_links_fade_independently_of_each_other():
     assert np.abs(correlation).max() < 0.16
 
 
-def test_fading_is_reciprocal_and_the_same_whoever_asks_when_and_how_many_there_are():
+def test_fading_is_reciprocal_and_independent_of_queries_and_stations():
     few, many = fading(stations=3), fading(stations=9)
     for t in range(0, SECOND_NS, SECOND_NS // 7):
         many.gains(8, t)
@@ -151,7 +151,7 @@ def test_fading_is_reciprocal_and_the_same_whoever_asks_when_and_how_many_there_
     assert fading(seed=6).gains(0, 0)[1] != fading(seed=5).gains(0, 0)[1]
 
 
-def test_motion_fades_as_the_doppler_spread_that_it_makes():
+def test_motion_fades_with_its_doppler_spread():
     """Speed / wavelength and the spread at rest add by squares: for 0.5 s at one speed, 0.3 s at another.
 
     The same phase is reached by stations at rest with the mean spread of that time.
@@ -169,7 +169,7 @@ def test_motion_fades_as_the_doppler_spread_that_it_makes():
     assert moving.gains(0, 500_000_000)[1] != pytest.approx(expected, rel=1e-3)
 
 
-def test_it_does_not_matter_how_often_a_motion_is_stated():
+def test_fading_does_not_depend_on_the_update_rate():
     """2 s with a speed of 3 + 2 sin(12.5 t) m/s, stated every 4 ms or once in 2 s.
 
     What remains are the squares of the spread at rest: 5 Hz beside 17 to 87 Hz.
@@ -189,15 +189,15 @@ def test_it_does_not_matter_how_often_a_motion_is_stated():
     assert turns[0] - turns[1] == pytest.approx(excess - 2.0 * (np.hypot(52.13, 5.0) - 52.13), abs=0.25)
 
 
-def test_a_channel_of_no_stations_is_one():
+def test_channel_without_stations_is_valid():
     fading(stations=0).move(0, np.empty((0, 3)), np.empty((0, 3)))
 
 
-def test_without_doppler_the_channel_stands_still_until_somebody_moves():
+def test_channel_without_doppler_is_constant_at_rest():
     model = fading(doppler_hz=0.0, stations=3)
     before = model.gains(0, 0)
     assert model.gains(0, 100 * SECOND_NS).tolist() == before.tolist()
-    # who flies beside each other stands still for each other
+    # stations with equal velocities have no relative motion
     velocities = np.array([(9.0, 0.0, 0.0), (9.0, 0.0, 0.0), REST])
     model.move(100 * SECOND_NS, np.array([REST] * 3), velocities)
     after = model.gains(0, 101 * SECOND_NS)
@@ -222,7 +222,7 @@ def obstruction(fraction, duration_s=2.0, stations=2, seed=5):
 
 
 @pytest.mark.parametrize("fraction", [0.1, 0.5, 0.8])
-def test_lines_of_sight_are_blocked_for_their_share_in_spells_of_their_mean(fraction):
+def test_blockage_has_the_configured_fraction_and_mean_duration(fraction):
     """435 links over 60 s with spells of 0.5 s: some 10^4 spells at a share of 0.1, more above it.
 
     At time 0 as later: the process is stationary from the start, within 4 standard errors of 0.024.
@@ -248,7 +248,7 @@ def test_lines_of_sight_are_blocked_for_their_share_in_spells_of_their_mean(frac
     assert np.mean(at_start) == pytest.approx(fraction, abs=0.1)
 
 
-def test_blockage_is_reciprocal_and_the_same_in_whatever_order_it_is_asked():
+def test_blockage_is_reciprocal_and_independent_of_the_query_order():
     ahead, back = obstruction(0.4, stations=4), obstruction(0.4, stations=7)
     # whole groups of times within what is kept are asked backwards
     times_ns = [group + step for group in range(0, 60 * SECOND_NS, SECOND_NS) for step in (0, KEPT_NS // 2)]
@@ -261,7 +261,7 @@ def test_blockage_is_reciprocal_and_the_same_in_whatever_order_it_is_asked():
     assert len({blocked for blocked, _ in states.values()}) == 2
 
 
-def test_old_switches_are_forgotten_and_change_nothing():
+def test_old_switches_are_removed_without_effect():
     """An hour of 10 ms: 180 000 switches, of which those of the last 100 ms are kept, 10 on average."""
     often, once = obstruction(0.5, 0.01), obstruction(0.5, 0.01)
     for at_ns in range(0, 60 * SECOND_NS, 700_000):
@@ -273,7 +273,7 @@ def test_old_switches_are_forgotten_and_change_nothing():
     assert len(once._pairs[0, 1].switches_ns) < 100
 
 
-def test_shares_of_none_and_all_are_exact():
+def test_fractions_of_0_and_1_are_exact():
     assert obstruction(0.0).blocked(0, 1, 10**15) == (False, NEVER_NS)
     assert obstruction(1.0).blocked(0, 1, 10**15) == (True, NEVER_NS)
     assert obstruction(1e-300).blocked(0, 1, 10**15)[0] is False
@@ -297,7 +297,7 @@ def test_a_blocked_link_loses_power_as_long_as_it_is_blocked():
     assert not never.blocked(0, 1, 0)
 
 
-def test_budgets_and_fading_are_the_same_bits_without_the_compiler():
+def test_budgets_and_fading_are_bit_identical_without_the_compiler():
     """Compiled code and Python round alike, so that a run is the same with NUMBA_DISABLE_JIT=1."""
     rng = np.random.default_rng(7)
     count = 6

@@ -1,8 +1,8 @@
-"""Busy time as a station counts it: the union of what it senses and what it sends, to the nanosecond. 4 s."""
+"""Busy time of a station: the union of sensed and sent signals, to the nanosecond. 4 s."""
 
 import numpy as np
 import pytest
-from netsim_air import UNHEARD_DBM, A, Air, B, C
+from netsim_air import UNDETECTED_DBM, A, Air, B, C
 from netsim_swarm import STEP_US, Swarm
 
 from netsim.model.config import GuestConfig, InterfererConfig
@@ -39,14 +39,14 @@ def surveyed_us(air, station):
     return air.radios.surveyed_ns()[station] / 1_000
 
 
-def test_a_drawn_timeline():
-    """A to B at 100 us, 100 bytes at 6 Mbit/s: C hears B alone, and the ACK alone.
+def test_busy_time_of_a_given_timeline():
+    """A to B at 100 us, 100 bytes at 6 Mbit/s: C receives only B, and so only the ACK.
 
     us    100      260    276      320
     A      [  data  ]                     20 + 4 ceil((22 + 800) / 24) = 160
     B                 SIFS [  ACK  ]      20 + 4 ceil((22 + 112) / 24) = 44
     """
-    air = Air(3, powers_dbm={(A, C): UNHEARD_DBM, (C, A): UNHEARD_DBM})
+    air = Air(3, powers_dbm={(A, C): UNDETECTED_DBM, (C, A): UNDETECTED_DBM})
     air.send(100, A, B)
     for until_us, of_a, of_c in (
         (100, 0, 0), (150, 50, 0), (260, 160, 0), (270, 160, 0), (280, 164, 4), (400, 204, 44),
@@ -56,12 +56,12 @@ def test_a_drawn_timeline():
     assert sent == [(100, 260, A, "data"), (276, 320, B, "ack")]
 
 
-def test_what_nav_alone_reserves_is_not_busy():
-    """C hears A, whose RTS reserves the medium to the end of the ACK, and not B.
+def test_nav_alone_does_not_count_as_busy():
+    """C receives A, whose RTS reserves the medium to the end of the ACK, but not B.
 
     The RTS of 20 bytes at 24 Mbit/s lasts 28 us, the frame 160 us; B's CTS and ACK, and four SIFS, are NAV.
     """
-    air = Air(3, powers_dbm={(B, C): UNHEARD_DBM})
+    air = Air(3, powers_dbm={(B, C): UNDETECTED_DBM})
     air.send(100, A, B, rts=True)
     assert [kind for *_, kind in air.run(1_000)] == ["rts", "cts", "data", "ack"]
     assert surveyed_us(air, C) == 28.0 + 160.0
@@ -69,7 +69,7 @@ def test_what_nav_alone_reserves_is_not_busy():
     assert surveyed_us(air, A) == surveyed_us(air, B) == 28.0 + 28.0 + 160.0 + 44.0
 
 
-def test_sending_into_what_one_senses_counts_once():
+def test_sending_during_a_sensed_signal_counts_once():
     """Within 4 us of its arrival B has not sensed A's frame and sends too; C sends after both."""
     air = Air(3)
     air.send(100, A)
@@ -83,7 +83,7 @@ def test_sending_into_what_one_senses_counts_once():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_it_is_the_union_of_what_is_sensed_and_sent_at_any_time(seed):
+def test_busy_time_is_the_union_of_sensed_and_sent_time(seed):
     """Stations up to 1.4 km apart, some hidden from each other, that collide, answer and reserve."""
     rng = np.random.default_rng(seed)
     count = 6
@@ -117,7 +117,7 @@ def test_it_is_the_union_of_what_is_sensed_and_sent_at_any_time(seed):
     assert min(expected[-1]) > 5_000_000
 
 
-def test_stations_that_hear_everything_count_the_mediums_busy_time():
+def test_stations_in_range_of_all_count_the_mediums_busy_time():
     """In one place there is no flight time, and surveys are equal to it to the nanosecond."""
     swarm = Swarm([HERE] * 5)
     rng = np.random.default_rng(3)
@@ -135,7 +135,7 @@ def test_stations_that_hear_everything_count_the_mediums_busy_time():
     assert 0.1 < swarm.surveys[-1][1].busy_ns / swarm.surveys[-1][1].ended_ns < 0.9
 
 
-def test_interferers_are_busy_time():
+def test_interferers_count_as_busy_time():
     """Bursts and frames arrive 10 to 17 ns late, which moves the ends of busy periods by as much."""
     swarm = Swarm(
         [HERE, (4.0, 0.0, -20.0)],
@@ -150,7 +150,7 @@ def test_interferers_are_busy_time():
     assert swarm.emulator._channel.surveyed_ns() == pytest.approx([busy_ns] * 2, abs=1_400 * 17)
 
 
-def test_a_survey_ends_the_arrivals_of_each_vehicle_that_has_some():
+def test_survey_is_the_last_item_of_each_vehicle():
     """Station 2 is a guest, which gets none; station 1 gets nothing else in the second interval, so none."""
     swarm = Swarm([HERE, HERE, HERE], guests=(GuestConfig(name="ground", pos_ned_m=HERE),))
     emulator, still = swarm.emulator, np.zeros((3, 3))
@@ -164,8 +164,8 @@ def test_a_survey_ends_the_arrivals_of_each_vehicle_that_has_some():
         return {station: [type(item).__name__ for item in items] for station, items in arrived.items()}
 
     first = advance(STEP_US, Broadcast(seq=1, at_us=100, payload=b"all"))
-    (heard, survey), (heard_by_guest,) = first[1], first[2]
-    assert (len(first), heard.payload, heard_by_guest.payload) == (2, b"all", b"all")
+    (delivery, survey), (guest_delivery,) = first[1], first[2]
+    assert (len(first), delivery.payload, guest_delivery.payload) == (2, b"all", b"all")
     # 64 bytes of headers and 3 at 24 Mbit/s
     assert survey == Survey(ended_ns=4_000_000, busy_ns=20_000 + 4_000 * 6)
     second = advance(2 * STEP_US, Unicast(seq=2, at_us=5_000, destination=2, payload=b"one"))

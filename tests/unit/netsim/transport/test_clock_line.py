@@ -1,4 +1,4 @@
-"""The line between time master and emulator: whole messages whatever the pieces, and an end that is told."""
+"""Stream between time master and emulator: complete messages from any pieces, and detection of its end."""
 
 import socket
 import struct
@@ -30,7 +30,7 @@ def ends():
         yield pair
 
 
-def test_what_is_asked_and_answered_comes_whole_and_in_order(ends):
+def test_requests_and_replies_arrive_complete_and_in_order(ends):
     master, emulator = time_masters_end(ends[0]), emulators_end(ends[1])
     asked = [
         advance(4_000, senders=(0, 1), silent=(7,), extra_attenuation_db=3.0, range_offsets_m=((0, 5.0),)),
@@ -44,7 +44,7 @@ def test_what_is_asked_and_answered_comes_whole_and_in_order(ends):
     assert master.receive() == done
 
 
-def test_a_message_may_come_in_any_pieces(ends):
+def test_message_may_arrive_in_any_pieces(ends):
     sender, emulator = ends[0], emulators_end(ends[1])
     message = advance(4_000, stations=STATIONS)
     body = msgspec.msgpack.encode(message)
@@ -58,21 +58,21 @@ def test_a_message_may_come_in_any_pieces(ends):
         thread.join(10.0)
 
 
-def test_who_hangs_up_is_noticed_at_once_and_may_be_spoken_to(ends):
+def test_closed_connection_is_detected_and_sending_is_ignored(ends):
     master, emulator = time_masters_end(ends[0]), emulators_end(ends[1])
     emulator.close()
     master.send(advance(4_000))
     assert master.receive() is None
 
 
-def test_half_a_message_before_the_end_is_none(ends):
+def test_incomplete_message_at_the_end_is_ignored(ends):
     emulator = emulators_end(ends[1])
     ends[0].sendall(struct.pack("<I", 10) + b"abc")
     ends[0].close()
     assert emulator.receive() is None
 
 
-def test_an_answer_that_is_late_is_a_time_out_and_can_be_waited_for_again(ends):
+def test_late_reply_times_out_and_can_be_received_later(ends):
     master, emulator = IntervalStream(ends[0], Advanced, limit_s=0.05), emulators_end(ends[1])
     with pytest.raises(TimeoutError):
         master.receive()
@@ -82,7 +82,7 @@ def test_an_answer_that_is_late_is_a_time_out_and_can_be_waited_for_again(ends):
 
 
 @pytest.mark.parametrize("body", [b"", b"\xff", b"\x90", msgspec.msgpack.encode([4_000, -1])])
-def test_what_is_no_message_is_an_error(ends, body):
+def test_invalid_message_is_an_error(ends, body):
     ends[0].sendall(struct.pack("<I", len(body)) + body)
     with pytest.raises(msgspec.DecodeError):
         emulators_end(ends[1]).receive()

@@ -1,4 +1,4 @@
-"""Wire messages: what is sent is what arrives, and hostile bytes are None."""
+"""Wire messages: round trips, and invalid bytes decode to None."""
 
 import struct
 
@@ -70,7 +70,7 @@ def test_round_trip(message):
 
 
 @pytest.mark.parametrize("message", MESSAGES, ids=lambda message: type(message).__name__)
-def test_another_version_is_none(message):
+def test_other_version_decodes_to_none(message):
     assert decode(type(message), encode(msgspec.structs.replace(message, version=VERSION + 1))) is None
 
 
@@ -79,7 +79,7 @@ def test_another_version_is_none(message):
     [m for m in MESSAGES if not isinstance(m, Ack | DirectoryRequest)],
     ids=lambda message: type(message).__name__,
 )
-def test_every_cut_is_none(message):
+def test_truncated_messages_decode_to_none(message):
     whole = encode(message)
     assert all(decode(type(message), whole[:n]) is None for n in range(len(whole)))
 
@@ -90,14 +90,14 @@ def test_random_bytes_never_raise(data, kind):
     assert message is None or encode(message)
 
 
-def test_a_batch_that_does_not_say_whether_more_follow_is_the_only_one():
-    """What stations in no lockstep say, since before there were others."""
+def test_batch_without_the_more_field_is_the_last():
+    """Encoding of stations outside the lockstep, without the later field."""
     for kind in (TxBatch, RxBatch):
         batch = decode(kind, msgspec.msgpack.encode([VERSION, 3, 4000, []]))
         assert (batch.station, batch.items, batch.more) == (3, (), False)
 
 
-def test_out_of_range_fields_are_none():
+def test_out_of_range_fields_decode_to_none():
     raw = msgspec.msgpack.encode([VERSION, 3, 4000, [["b", 1, 4100, b"x" * 2000]]])
     assert decode(TxBatch, raw) is None
     raw = msgspec.msgpack.encode([VERSION, -3, 4000, []])
@@ -105,13 +105,13 @@ def test_out_of_range_fields_are_none():
 
 
 @pytest.mark.parametrize("item", [["b", 2**63, 4100, b""], ["b", 1, 2**53 + 1, b""], ["f", 2**63, 4100, 1]])
-def test_numbers_that_would_not_fit_the_logs_are_none(item):
+def test_numbers_that_exceed_the_logs_decode_to_none(item):
     assert decode(TxBatch, msgspec.msgpack.encode([VERSION, 3, 4000, [item]])) is None
     fits = [item[0], min(item[1], 2**63 - 1), min(item[2], 2**53), item[3]]
     assert decode(TxBatch, msgspec.msgpack.encode([VERSION, 3, 4000, [fits]])) is not None
 
 
-def test_rows_are_little_endian_doubles_row_after_row():
+def test_rows_are_little_endian_float64_in_row_order():
     matrix = np.array([[1.0, -2.0, 3.5], [4.0, 5.0, -0.0]])
     for each in (matrix, np.asfortranarray(matrix), matrix.astype(">f8")):
         assert pack_rows(each) == struct.pack("<6d", 1.0, -2.0, 3.5, 4.0, 5.0, -0.0)
@@ -124,5 +124,5 @@ def test_rows_round_trip_to_the_last_bit(rows):
 
 
 @pytest.mark.parametrize("size", [0, 1, 8, 23, 47, 49, 72])
-def test_rows_of_another_number_are_none(size):
+def test_rows_of_wrong_length_decode_to_none(size):
     assert unpack_rows(bytes(size), stations=2, columns=3) is None
