@@ -1,5 +1,5 @@
-"""What makes docs/results: validation and benchmarks of vehicle, radio and antenna, the article's figures.
+"""Studies that generate the report pages: validations, benchmarks, the co-design study and the article.
 
-Each folder is one study with its own command line over `common`. Flying needs none of them, and no package of
-coflight imports them.
+Each folder is one study with its own command line; `common` holds the shared parts. No package of coflight
+imports a study, and flights do not need them.
 """

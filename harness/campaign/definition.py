@@ -31,6 +31,7 @@ from msgspec.structs import force_setattr, replace
 
 from harness.campaign.store import CampaignError
 from harness.campaign.values import flat, plain, spread, toml_text
+from harness.scenario import packaged
 from harness.scenario.scenario import Scenario, ScenarioError
 from harness.scenario.scenario import load as load_scenario
 from harness.scenario.validation_errors import explain
@@ -182,7 +183,7 @@ def load(path: str | Path, overrides: Sequence[str] = (), keep: Iterable[str] = 
 
     Raises CampaignError with one line that names the file and the error.
     """
-    path = Path(path)
+    path = packaged.find(path)
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:

@@ -395,7 +395,7 @@ class Processes:
         return error
 
     def _take(self, wall_limit_s: float) -> Message | None:
-        received = self._supervisor.hear(wall_limit_s)
+        received = self._supervisor.receive(wall_limit_s)
         if received is None:
             return None
         name, message = received

@@ -309,7 +309,7 @@ class Supervisor:
         self._received.put((child.name, exited))
         child.gone.set()
 
-    def hear(self, timeout_s: float) -> NamedMessage | None:
+    def receive(self, timeout_s: float) -> NamedMessage | None:
         """Return the oldest message in the queue; None if none arrives within ``timeout_s``."""
         try:
             return self._received.get(timeout=max(0.0, timeout_s))

@@ -166,6 +166,11 @@ def _columns(name: str, values: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any
         yield f"{name}.{label}", values[:, k]
 
 
+def column_names(name: str, layout: np.dtype[Any]) -> list[str]:
+    """Return the names of the columns that a field of that layout becomes."""
+    return [column for column, _ in _columns(name, np.empty(0, [(name, layout)])[name])]
+
+
 def _array(values: NDArray[Any]) -> pa.Array:
     if values.dtype.kind == "S":  # short names, such as a frame's kind
         return pa.array(np.char.decode(values, "ascii").tolist(), pa.string()).dictionary_encode()

@@ -7,10 +7,12 @@ import hashlib
 import platform
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 from msgspec import Struct
 from numpy.typing import NDArray
 
@@ -18,7 +20,7 @@ from foundation.records.record_log import read
 from harness.launch.profiling import KindProfile
 from harness.records.flight import Flight
 from harness.records.run_folder import RunFolder
-from harness.records.tables import flight_of, write_tables
+from harness.records.tables import flight_of, read_flight, write_tables
 from harness.records.versions import DISTRIBUTIONS, versions
 from harness.report import antenna_report, figures
 from harness.report.analysis import figure_patterns
@@ -68,6 +70,19 @@ class RunOutcome(Struct, frozen=True, kw_only=True):
     """Profile by kind of process, if requested"""
 
 
+class Drawn(NamedTuple):
+    """What the figures of a run show."""
+
+    whole: Flight
+    window: Flight
+    """From when the formation was reached."""
+    error: FormationError | None
+    antenna: Aperture
+    occupancy: tuple[NDArray[np.int64], NDArray[np.float64]]
+    """Times in us, and the fraction of the interval before each in which the channel was busy."""
+    ftm_error_m: NDArray[np.float64]
+
+
 def finish(
     folder: RunFolder, scenario: Scenario, outcome: RunOutcome, *, draw: bool = True
 ) -> dict[str, Any]:
@@ -82,7 +97,7 @@ def finish(
     sessions = read(folder.raw_sessions, SESSION_LOG)
     hashes = {name: _sha256(folder.path / name) for name in LOGS}
     whole = flight_of(records, plan, start_us=start_us)
-    window = _window(whole, outcome)
+    window = _window(whole, outcome.formed_us)
     error = formation_error(window) if len(window) else None
     antenna = antenna_report.measure(window, scenario)
     antenna_report.write(folder, antenna, scenario.antenna)
@@ -109,7 +124,11 @@ def finish(
     if outcome.profile:
         summary["profile"] = msgspec.to_builtins(outcome.profile)
     _write_json(folder.summary, summary)
-    written = _draw(folder, scenario, whole, window, error, antenna, sessions) if draw else []
+    air = read(folder.raw_air, AIR_RECORD)
+    drawn = Drawn(
+        whole, window, error, antenna, _occupancy(air["time_us"], air["busy_ns"]), _ftm_error_m(sessions)
+    )
+    written = _draw(folder, scenario, drawn) if draw else []
     _write_json(folder.manifest, _manifest(scenario, outcome, hashes, written, antenna))
     for raw in sorted(folder.raw.glob("*.bin")):
         raw.unlink()
@@ -117,9 +136,26 @@ def finish(
     return summary
 
 
-def _window(whole: Flight, outcome: RunOutcome) -> Flight:
+def draw_again(folder: RunFolder, scenario: Scenario, *, formed_us: int | None) -> list[str]:
+    """Draw the figures of a run that was reported, from its tables; returns their names.
+
+    Patterns are computed again. Raises OSError, and KeyError or ValueError for tables of another scenario.
+    """
+    whole = read_flight(folder, scenario)
+    window = _window(whole, formed_us)
+    error = formation_error(window) if len(window) else None
+    air, sessions = pq.read_table(folder.air), pq.read_table(folder.ftm)
+    completed = sessions.filter(pc.equal(sessions["status"], "ok"))
+    error_m = completed["distance_m"].to_numpy() - completed["true_distance_m"].to_numpy()
+    occupancy = _occupancy(air["time_us"].to_numpy(), air["busy_ns"].to_numpy())
+    drawn = Drawn(whole, window, error, antenna_report.measure(window, scenario), occupancy, error_m)
+    folder.figures.mkdir(exist_ok=True)
+    return _draw(folder, scenario, drawn)
+
+
+def _window(whole: Flight, formed_us: int | None) -> Flight:
     """Return the part of the flight after the formation was reached."""
-    begin_us = outcome.formed_us if outcome.formed_us is not None else np.iinfo(np.int64).max
+    begin_us = formed_us if formed_us is not None else np.iinfo(np.int64).max
     return whole.at(np.flatnonzero(whole.time_us >= begin_us))
 
 
@@ -232,17 +268,10 @@ def _write_json(path: Path, content: dict[str, Any]) -> None:
     path.write_bytes(msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n")
 
 
-def _draw(
-    folder: RunFolder,
-    scenario: Scenario,
-    whole: Flight,
-    window: Flight,
-    error: FormationError | None,
-    antenna: Aperture,
-    sessions: NDArray[Any],
-) -> list[str]:
+def _draw(folder: RunFolder, scenario: Scenario, drawn: Drawn) -> list[str]:
     """Draw every figure for which the run has data; returns their names."""
     at = folder.figures
+    whole, window, error, antenna, (time_us, busy_fraction), error_m = drawn
     if len(whole):
         figures.save_tracks(at / "tracks.png", whole)
     if error is not None:
@@ -254,23 +283,20 @@ def _draw(
         figures.save_patterns(
             at / "patterns.png", *figure_patterns(gains, places_ned_m, heading_rad, scenario.antenna)
         )
-    time_us, busy_fraction = _occupancy(read(folder.raw_air, AIR_RECORD))
     if len(time_us):
         figures.save_channel_occupancy(at / "channel.png", time_us, busy_fraction)
-    error_m = _ftm_error_m(sessions)
     if len(error_m):
         figures.save_ftm_errors(at / "ftm_error.png", error_m)
     return sorted(path.name for path in at.glob("*.png"))
 
 
-def _occupancy(log: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return busy fractions in intervals of one second (or of the run, if it is shorter than two)."""
-    if len(log) < 2:
+def _occupancy(
+    time_us: NDArray[np.int64], busy_ns: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return ends and busy fractions of intervals of 1 s (of the run, if it is shorter than two)."""
+    if len(time_us) < 2:
         return np.empty(0, dtype=np.int64), np.empty(0)
-    rows = np.unique(
-        np.searchsorted(log["time_us"], np.arange(log["time_us"][0], log["time_us"][-1] + 1, 1_000_000))
-    )
+    rows = np.unique(np.searchsorted(time_us, np.arange(time_us[0], time_us[-1] + 1, 1_000_000)))
     if len(rows) < 2:
-        rows = np.array([0, len(log) - 1])
-    time_us, busy_ns = log["time_us"][rows], log["busy_ns"][rows]
-    return time_us[1:], np.diff(busy_ns) / (np.diff(time_us) * 1e3)
+        rows = np.array([0, len(time_us) - 1])
+    return time_us[rows][1:], np.diff(busy_ns[rows]) / (np.diff(time_us[rows]) * 1e3)

@@ -35,12 +35,15 @@ class FormationConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     """The ``[formation]`` table; settings of other shapes than ``shape`` are ignored."""
 
     shape: Literal["grid", "line", "ring", "file"] = "grid"
+    """Shape of the formation; ``file`` takes the places from ``file`` or ``points_m``."""
     columns: Annotated[int, Meta(ge=1, le=254)] = 4
     """Elements of a grid along the broadside axis."""
     rows: Annotated[int, Meta(ge=1, le=254)] = 2
     """Elements of a grid along the end-fire axis."""
     broadside_spacing_lambda: Spacing = 0.85
+    """Of a grid: spacing of the columns, wavelengths."""
     endfire_spacing_lambda: Spacing = 0.25
+    """Of a grid: spacing of the rows, wavelengths."""
     spacing_m: Spacing = 5.0
     """Spacing of a line, which is along the broadside axis."""
     radius_m: Spacing = 10.0
@@ -51,6 +54,7 @@ class FormationConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     points_m: tuple[tuple[Coordinate, Coordinate, Coordinate], ...] = ()
     """Contents of the file, or instead of a file: x, y, z of each place."""
     height_m: Annotated[float, Meta(ge=LOWEST_M, le=500.0)] = 10.0
+    """Height of the antenna frame's origin above the site, metres."""
     heading_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
     """Compass direction of the end-fire axis, the direction of the main lobe."""
     motion: AnyMotion | None = None

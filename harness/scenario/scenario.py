@@ -35,7 +35,7 @@ from autopilot.parameters.config import (
     VehiclePorts,
 )
 from autopilot.parameters.parameter_file import ParameterFileError
-from harness.scenario import autopilot_settings, element_file, formation_shape
+from harness.scenario import autopilot_settings, element_file, formation_shape, packaged
 from harness.scenario.element_file import ElementFileError
 from harness.scenario.formation_shape import FormationConfig, FormationFileError
 from harness.scenario.validation_errors import explain
@@ -60,6 +60,7 @@ class RunConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The ``[run]`` table: duration, seed, timing and recording of a run."""
 
     seed: Annotated[int, Meta(ge=0, le=2**63 - 1)] = 1
+    """Seed of all random streams of the run."""
     duration_s: Annotated[float, Meta(ge=0.0, le=MOST_TIME_S)] = 60.0
     """Simulated time in formation."""
     reach_timeout_s: Annotated[float, Meta(gt=0.0, le=MOST_TIME_S)] = 120.0
@@ -67,6 +68,7 @@ class RunConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     step_us: Annotated[int, Meta(ge=4_000, le=4_000)] = 4_000
     """Step of physics and lockstep: 250 Hz, the rate of PX4's simulator interface."""
     on_vehicle_loss: Literal["continue", "end"] = "continue"
+    """Whether the run continues with the other vehicles or ends when a vehicle is lost."""
     silence_limit_s: Annotated[float, Meta(gt=0.0, le=120.0)] = 5.0
     """Wall time after which a running vehicle that does not answer is given up."""
     record_rate_hz: Annotated[float, Meta(ge=0.001, le=250.0)] = 25.0
@@ -90,15 +92,18 @@ class PortsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     host: str = "127.0.0.1"
     """Address of simulator and radio; the addresses of the vehicles' links are in ``[links]``."""
     simulator_tcp: Port = 4560
+    """Simulator: TCP port that vehicle 0 connects to."""
     simulator_link: Literal["unix", "tcp"] = "unix"
     """Connection of coflight's own vehicles to the simulator. "unix": a Unix socket of the run, on Linux
     only; a message takes a third of the time of "tcp", which can be captured on the loopback interface. PX4s
     and vehicles started by hand always use TCP."""
     gcs_local_udp: Port = 18570
+    """Local UDP port of the ground station link."""
     gcs_remote_udp: Port = 14550
     """Port of the ground station, common to all vehicles. 0: vehicles send only to stations that have sent to
     them."""
     companion_local_udp: Port = 14580
+    """Local UDP port of the companion link."""
     companion_remote_udp: Port = 14540
     """Vehicle i sends to this port plus i, unless that is the ground station's port or bound by a vehicle of
     the swarm: with PX4's numbers 14550 for vehicle 10, and 14580 for vehicle 40 and so on. Those vehicles
@@ -156,20 +161,35 @@ class Scenario(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """All settings of a run; runs with equal scenarios have equal logs."""
 
     name: Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
+    """Name of the scenario; without it the file's name."""
     agents: Annotated[int, Meta(ge=1, le=254)] = 8
+    """Number of UAVs."""
     run: RunConfig = RunConfig()
+    """Duration, seed and records."""
     formation: FormationConfig = FormationConfig()
+    """Places of the formation and its motion."""
     site: Site = Site()
+    """Geographic origin."""
     environment: EnvironmentConfig = EnvironmentConfig()
+    """Air density and ground effect."""
     wind: WindConfig = WindConfig()
+    """Wind, turbulence and gusts."""
     faults: tuple[AnyFault, ...] = ()
+    """Faults by time: tables ``[[faults]]``."""
     sensors: SensorsConfig = SensorsConfig()
+    """Error models of the sensors."""
     autopilot: AutopilotConfig = AutopilotConfig()
+    """Parameters, geofence, mission and PX4."""
     links: LinksConfig = LinksConfig()
+    """Addresses of the MAVLink links."""
     onboard: OnboardConfig = OnboardConfig()
+    """The on-board application."""
     radio: RadioConfig = RadioConfig()
+    """The 802.11 channel."""
     antenna: AntennaConfig = AntennaConfig()
+    """Elements, feeds and solver of the antenna."""
     ports: PortsConfig = PortsConfig()
+    """TCP and UDP ports."""
 
     def __post_init__(self) -> None:
         """Check what no single field can."""
@@ -290,11 +310,11 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
 
     Raises ScenarioError with one line that names the file or override, the field's path and the error.
     """
-    path = Path(path)
+    path = packaged.find(path)
     try:
         table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise ScenarioError(f"{path}: no such scenario file") from None
+        raise ScenarioError(f"{path}: no such scenario file; {_packaged()}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError(f"{path}: cannot be read: {error}") from None
     except tomllib.TOMLDecodeError as error:
@@ -328,6 +348,11 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Scenario:
         return msgspec.structs.replace(scenario, autopilot=autopilot, links=links)
     except ValueError as error:  # contents of the files conflict with other settings
         raise ScenarioError(f"{path}: {error}") from None
+
+
+def _packaged() -> str:
+    """Name the scenarios that come with coflight, for an error's line."""
+    return f"scenarios by name: {', '.join(name for name in packaged.names() if '/' not in name)}"
 
 
 def _override(table: dict[str, Any], override: str) -> None:

@@ -39,6 +39,7 @@ from harness.simulator.motion_start import START_NAME, agreed, start_us
 from harness.simulator.truth_record import AIR_RECORD, EVENT_KINDS, TRUTH_RECORD
 from harness.world import esc
 from harness.world.faults import MOST_ATTENUATION_DB, AnyFault, Faults, kind
+from harness.world.physics.interface import Physics
 from harness.world.physics.model import IRIS
 from harness.world.physics.truth import Truth
 from harness.world.physics.world import World
@@ -115,7 +116,7 @@ class Simulation:
         """Commanded attenuation of every radio link; None: the scenario's value."""
         with contextlib.ExitStack() as stack:  # closes everything if a part cannot be opened
             keep = stack.enter_context
-            self._world = keep(
+            self._world: Physics = keep(
                 World(
                     model=IRIS,
                     spawn_pos_ned_m=spawn_ned_m,

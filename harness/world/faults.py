@@ -48,6 +48,7 @@ class Fault(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_f
     """One of the scenario's ``[[faults]]``; its ``kind`` is that of a class below, such as ``gps_loss``."""
 
     uav: Annotated[int, Meta(ge=0)] | Literal["all"]
+    """Number of the vehicle, from 0; "all" for every vehicle."""
     start_s: Start = 0.0
     """Simulated time since the run's start, or since the injection into a run."""
     duration_s: Duration | None = None
@@ -62,6 +63,7 @@ class GpsBias(Fault, frozen=True, kw_only=True):
     """Fixes have an offset, as under spoofing."""
 
     offset_ned_m: tuple[PositionOffset, PositionOffset, PositionOffset]
+    """Position error, metres, NED."""
     rate_m_s: Annotated[float, Meta(gt=0.0, le=100.0)] | None = None
     """Rate at which the offset grows from zero to its length; the velocity has this error meanwhile. None:
     the position steps, and the velocity has no error."""
@@ -71,7 +73,9 @@ class GpsNoise(Fault, frozen=True, kw_only=True):
     """White noise in addition to the receiver's own, per axis and fix; the reported accuracy is unchanged."""
 
     position_std_m: Annotated[float, Meta(ge=0.0, le=1000.0)] = 0.0
+    """Standard deviation of the position, metres."""
     velocity_std_m_s: Annotated[float, Meta(ge=0.0, le=50.0)] = 0.0
+    """Standard deviation of the velocity, m/s."""
 
     def __post_init__(self) -> None:
         """Check what no single field can."""
@@ -83,18 +87,21 @@ class AccelBias(Fault, frozen=True, kw_only=True):
     """The accelerometer's bias jumps."""
 
     offset_frd_m_s2: tuple[AccelOffset, AccelOffset, AccelOffset]
+    """Added to the measured acceleration, m/s^2, FRD."""
 
 
 class GyroBias(Fault, frozen=True, kw_only=True):
     """The gyroscope's bias jumps."""
 
     offset_frd_rad_s: tuple[GyroOffset, GyroOffset, GyroOffset]
+    """Added to the measured angular rate, rad/s, FRD."""
 
 
 class MagBias(Fault, frozen=True, kw_only=True):
     """Offset of the magnetometer, as by a magnet or a current."""
 
     offset_frd_gauss: tuple[MagOffset, MagOffset, MagOffset]
+    """Added to the measured field, gauss, FRD."""
 
 
 class MagYaw(Fault, frozen=True, kw_only=True):
@@ -128,12 +135,14 @@ class MotorStop(Fault, frozen=True, kw_only=True):
     """A motor has no current: its rotor runs down and stops."""
 
     motor: Motor
+    """In PX4's order: front right, back left, front left, back right."""
 
 
 class RadioAttenuation(Fault, frozen=True, kw_only=True):
     """All links, also guests', are attenuated; 200 dB block them. Interferers keep their power."""
 
     uav: Annotated[int, Meta(ge=0)] | Literal["all"] = "all"
+    """Always "all": the channel is common to all stations."""
     attenuation_db: Annotated[float, Meta(ge=0.0, le=300.0)]
     """In addition to the run's attenuation of every link."""
 

@@ -1,1 +1,1 @@
-"""How right the antenna's solvers are, measured: against closed forms, NEC2 twice, and reference numbers."""
+"""Validation of the antenna solvers against closed forms, two NEC2 programs and reference results."""

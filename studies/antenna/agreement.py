@@ -1,4 +1,4 @@
-"""The batch solver beside NEC2 on random formations, and nec2c beside PyNEC."""
+"""Comparison of the batch solver with NEC2 on random formations, and of nec2c with PyNEC."""
 
 import math
 from pathlib import Path
@@ -21,24 +21,24 @@ from studies.common.report import Check, ReportTable, Section
 from studies.common.runner import Job, Results
 
 SEEN_DBI = -20.0
-"""Patterns are compared where NEC2 has more than this."""
+"""Patterns are compared where NEC2's gain is higher than this."""
 LIMITS_DB = {
     Accuracy.SMALL_ELEMENTS: (0.01, 0.1),
     Accuracy.FAINT_ELEMENTS: (0.01, 0.1),
     Accuracy.LARGE_ELEMENTS: (0.05, 0.3),
 }
-"""Of the maximum, or directivity, and of the pattern, by the class that the batch solver claims."""
+"""Limits of the maximum or directivity, and of the pattern, by the accuracy class of the batch solver."""
 UNCLAIMED_DB = (math.inf, math.inf)
-"""Of the classes that claim nothing."""
+"""Limits of classes without an accuracy claim."""
 WITNESS_LIMITS_DB = (0.005, 0.05)
-"""Of nec2c less PyNEC: the same equations, but nec2c prints five digits."""
+"""Limits of nec2c less PyNEC: the same equations, but nec2c prints five digits."""
 COLUMNS = (
     "formations", "compared", "drawn again", "touch", "maximum: rms dB", "greatest dB",
     "directivity: greatest dB", "pattern: median dB", "greatest dB", "average gain", "of NEC2",
 )  # fmt: skip
-"""Of a table whose rows are `cells`."""
+"""Columns of a table with rows from `cells`."""
 AT_A_TIME = 20
-"""Formations of a job."""
+"""Formations in a job."""
 SHORT: dict[str, Any] = {}
 LONG: dict[str, Any] = {"element_length_m": 5.0, "element_radius_m": 0.001, "segments": 11}
 LOOP: dict[str, Any] = {
@@ -62,20 +62,20 @@ class AgreementCase(Struct, frozen=True, kw_only=True):
     name: str
     config: AntennaConfig
     required: bool = False
-    """Whether it is one that must hold with the full number of formations"""
+    """Whether it is checked with the full number of formations"""
     columns: int = 4
     rows: int = 2
     height_m: float = 0.0
     sigma_m: float = 0.5
     tilt_deg: float = 10.0
     least_apart_m: float = 0.0
-    """Wires of two elements that come nearer have the formation drawn again."""
+    """A formation with wires of two elements nearer than this is drawn again."""
     by_directivity: bool = False
-    """Judge directivity instead of the maximum: where NEC2's two programs do not agree on the power."""
+    """Check directivity instead of the maximum, because NEC2's two programs disagree about the power."""
 
 
 class Lot(Struct, frozen=True, kw_only=True):
-    """Some formations of a case, by a solver named in its case or by nec2c, beside NEC2 of PyNEC."""
+    """Some formations of a case, solved by ``solver`` and by PyNEC."""
 
     case: AgreementCase
     solver: str
@@ -84,7 +84,7 @@ class Lot(Struct, frozen=True, kw_only=True):
 
 
 class Compared(Struct, frozen=True, kw_only=True):
-    """What came out of one or more lots, one number for each formation that both solved."""
+    """Results of one or more lots, one number for each formation that both solvers solved."""
 
     limits_db: tuple[float, float]
     maximum_db: tuple[float, ...]
@@ -92,15 +92,15 @@ class Compared(Struct, frozen=True, kw_only=True):
     pattern_db: tuple[float, ...]
     """Total gain less NEC2's in the direction of the greatest difference, where NEC2 has `SEEN_DBI`."""
     directivity_db: tuple[float, ...]
-    """Maximum gain over average gain, less NEC2's: without what either solver's power balance lacks."""
+    """Maximum gain over average gain, less NEC2's: free of the power balance errors of both solvers."""
     average_gain: tuple[float, ...]
     nec2_average_gain: tuple[float, ...]
     redrawn: int
-    """Formations thrown away since wires came too near."""
+    """Formations rejected because of too small wire distances."""
     touching: int
-    """Formations that both found to touch."""
+    """Formations that both solvers report as touching."""
     disagreeing: int
-    """Formations that one alone found to touch."""
+    """Formations that only one solver reports as touching."""
 
 
 def _case(name: str, shape: dict[str, Any], wavelength_m: float, **fields: Any) -> AgreementCase:  # noqa: ANN401
@@ -143,11 +143,11 @@ WITNESSED = (
           height_m=10.0, least_apart_m=0.35),
     _case("loops of 1 m, 10 m", LOOP, 10.0, least_apart_m=0.35),
 )  # fmt: skip
-"""Cases for nec2c; real ground too, which the batch solver does not know."""
+"""Cases for nec2c, including real ground, which the batch solver does not support."""
 
 
 def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:
-    """Lots of all cases."""
+    """Return the lots of all cases."""
     return {
         "batch": [
             (compare, Lot(case=case, solver="batch", number=first, count=min(AT_A_TIME, count - first)))
@@ -163,7 +163,7 @@ def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:
 
 
 def compare(lot: Lot) -> Compared | None:
-    """Draw formations and solve them twice; None where one of the solvers is not installed."""
+    """Draw formations and solve them with both solvers; None if one is not installed."""
     ours = witness(_by(lot.case.config, lot.solver))
     nec2 = witness(_by(lot.case.config, "nec2"))
     if ours is None or nec2 is None:
@@ -179,7 +179,7 @@ def _by(config: AntennaConfig, solver: str) -> AntennaConfig:
 
 
 def formations(case: AgreementCase, *, seed: int, count: int) -> tuple[list[Snapshot], int]:
-    """Draw formations whose wires are as far apart as the case wants, and count those that were not."""
+    """Return random formations with the required wire distance, and the number of rejected ones."""
     element, wavelength_m = case.config.element(), case.config.wavelength_m
     places_m = grid(case.columns * case.rows, case.columns, 0.85 * wavelength_m, 0.25 * wavelength_m)
     places_m[:, 2] = case.height_m
@@ -197,7 +197,7 @@ def formations(case: AgreementCase, *, seed: int, count: int) -> tuple[list[Snap
 
 
 def least_apart_m(snapshot: Snapshot, element: Element) -> float:
-    """Least distance between the wires of two elements."""
+    """Return the least distance between the wires of two elements."""
     wires_m = placed_wires_m(snapshot, element)
     return min(least_distance_m(wires_m[i], wires_m[j]) for i in range(len(wires_m)) for j in range(i))
 
@@ -209,7 +209,7 @@ def differences(
     *,
     redrawn: int,
 ) -> Compared:
-    """Compare results formation by formation."""
+    """Return the differences of the results, formation by formation."""
     maximum_db, pattern_db, directivity_db = [], [], []
     averages, nec2_averages = [], []
     touching = disagreeing = 0
@@ -233,12 +233,12 @@ def differences(
 
 
 def greatest_difference_db(gain_dbi: Array, nec2_dbi: Array) -> float:
-    """Of two patterns on one grid, where NEC2's has `SEEN_DBI`."""
+    """Return the greatest difference of two patterns on one grid, where NEC2's gain exceeds `SEEN_DBI`."""
     return worst((gain_dbi - nec2_dbi)[nec2_dbi > SEEN_DBI].tolist())
 
 
 def together(lots: list[Compared]) -> Compared:
-    """One of all lots of a case, of which there is one at least."""
+    """Return the combined results of all lots of a case, at least one."""
     return Compared(
         limits_db=lots[0].limits_db,
         maximum_db=tuple(value for lot in lots for value in lot.maximum_db),
@@ -253,7 +253,7 @@ def together(lots: list[Compared]) -> Compared:
 
 
 def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
-    """Bound every case's greatest difference."""
+    """Check the greatest difference of every case."""
     checks: list[Check] = []
     rows: dict[str, list[tuple[str, ...]]] = {"batch": [], "nec2c": []}
     drawn: list[tuple[str, Compared]] = []
@@ -262,9 +262,7 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
         lots: dict[str, list[Compared]] = {}
         for (_, lot), found in zip(jobs(plan)[solver], results[solver], strict=True):
             if found is None:
-                absent.add(
-                    "nec2 (PyNEC), without which nothing is compared" if solver == "batch" else "nec2c"
-                )
+                absent.add("nec2 (PyNEC), which all comparisons require" if solver == "batch" else "nec2c")
             else:
                 lots.setdefault(lot.case.name, []).append(found)
         for case in cases:
@@ -280,23 +278,23 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
             images / "antenna-agreement.png",
             [(name, (of.maximum_db, of.pattern_db), of.limits_db) for name, of in drawn],
         )
-        figures = (("antenna-agreement.png", "how many formations differ by how much from NEC2"),)
+        figures = (("antenna-agreement.png", "distribution of the formations' differences from NEC2"),)
     return Section(
         title="Batch against NEC2",
         conditions=(
-            "Both solvers get the same random formations: eight elements, 4x2 where nothing else is said, "
-            "each displaced by a Gaussian error of 0.5 m on every axis and turned by one of 10 degrees "
-            "about x and about y, in free space or 10 m over perfect ground, and fed by the ideal phases. "
-            "Differences are those of the refined maximum, and of the total gain on a grid of 5 degrees in "
-            f"the direction where it is greatest among those in which NEC2 has more than {SEEN_DBI:g} dBi. "
-            "Long dipoles have 11 segments and 1 mm radius; formations whose wires come nearer to each "
-            "other than 0.35 m (short dipoles with errors of 1 m and more: 0.15 m) are drawn again and "
-            "counted. Limits follow from the accuracy that the batch solver claims for its element. "
-            "Directivity is the maximum over the average gain: where it agrees better than the maximum, "
-            "one of the solvers does not balance its power, and the average gains tell which. Dipoles of "
-            "0.05 m at 20 m are judged by directivity: PyNEC and nec2c themselves do not agree on the power "
-            "that they take, by 0.007 dB for the ideal array (see above), and by more under known limits, "
-            "where the reason stands.\n"
+            "Both solvers compute the same random formations: eight elements, 4x2 unless stated otherwise, "
+            "each displaced by a Gaussian error of 0.5 m on every axis and turned by a Gaussian error of "
+            "10 degrees about x and about y, in free space or 10 m over perfect ground, and fed with the "
+            "ideal phases. Compared are the refined maximum, and the total gain on a grid of 5 degrees in "
+            f"the direction of the greatest difference, where NEC2's gain is above {SEEN_DBI:g} dBi. Long "
+            "dipoles have 11 segments and 1 mm radius; formations with wires nearer to each other than "
+            "0.35 m (short dipoles with errors of 1 m and more: 0.15 m) are drawn again and counted. The "
+            "limits follow from the accuracy class of the batch solver for the element. Directivity is the "
+            "maximum over the average gain: where it agrees better than the maximum, one of the solvers "
+            "has a power balance error, and the average gains show which one. Dipoles of 0.05 m at 20 m "
+            "are compared by directivity, because PyNEC and nec2c disagree about their input power, by "
+            "0.007 dB for the ideal array (see above) and by more under known limits, where the reason is "
+            "given.\n"
             + said_missing(absent)
         ),
         checks=tuple(checks),
@@ -312,7 +310,7 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
 
 
 def requirements(name: str, of: Compared, *, by_directivity: bool = False) -> list[Check]:
-    """What one case must keep to."""
+    """Return the checks of one case."""
     judged, values_db = ("directivity", of.directivity_db) if by_directivity else ("maximum", of.maximum_db)
     return [
         difference(f"{name}: {judged}", worst(values_db), of.limits_db[0], "dB"),
@@ -326,7 +324,7 @@ def requirements(name: str, of: Compared, *, by_directivity: bool = False) -> li
 
 
 def cells(name: str, of: Compared) -> tuple[str, ...]:
-    """Give one row of a table; without a formation that both solved, few of it."""
+    """Return one row of a table; most cells are empty if no formation was solved by both."""
     averages = (f"{min(values):.4f} to {max(values):.4f}" if values else "" for values in
                 (of.average_gain, of.nec2_average_gain))  # fmt: skip
     if not of.maximum_db:

@@ -1,4 +1,4 @@
-"""What the antenna's subjects share: checks against an expected value, and solvers that may not be there."""
+"""Shared parts of the antenna's subjects: checks against an expected value, optional solvers."""
 
 import math
 from collections.abc import Iterable
@@ -10,17 +10,17 @@ from studies.common.report import Check
 
 
 def deviation(name: str, value: float, expected: float, tolerance: float, unit: str) -> Check:
-    """How far a value is from the expected one, and may be either way."""
+    """Return a check of the deviation of a value from the expected one, in either direction."""
     return difference(f"{name}, less {expected:.5g}", value - expected, tolerance, unit)
 
 
 def difference(name: str, value: float, tolerance: float, unit: str) -> Check:
-    """Give a number that would be 0."""
+    """Return a check of a value whose expected value is 0."""
     return Check(name=name, value=value, unit=unit, at_least=-tolerance, at_most=tolerance)
 
 
 def worst(values: Iterable[float]) -> float:
-    """The one farthest from 0; not-a-number if one is, or there are none, so that no requirement is met."""
+    """Return the value with the largest magnitude; NaN, which fails checks, if one is NaN or none exists."""
     numbers = list(values)
     if not numbers or any(math.isnan(value) for value in numbers):
         return math.nan
@@ -28,7 +28,7 @@ def worst(values: Iterable[float]) -> float:
 
 
 def witness(config: AntennaConfig) -> Backend | None:
-    """The solver that ``config`` names, None where what it needs is not installed."""
+    """Return the solver that ``config`` selects, None if it is not installed."""
     try:
         return make_backend(config)
     except BackendUnavailable:
@@ -36,15 +36,15 @@ def witness(config: AntennaConfig) -> Backend | None:
 
 
 def said_missing(names: Iterable[str]) -> str:
-    """Paragraph about witnesses that were not there; empty if all were."""
+    """Return a paragraph with the missing solvers; empty if all are installed."""
     absent = sorted(set(names))
     if not absent:
         return ""
-    return f"\n**Not installed here, so without a row: {', '.join(absent)}.**\n"
+    return f"\n**Not installed, therefore without a row: {', '.join(absent)}.**\n"
 
 
 def row(*cells: object) -> tuple[str, ...]:
-    """Cells as text: decibels and other reals with four decimals, None as nothing."""
+    """Format table cells: floats with four decimals, None as an empty text."""
     return tuple(
         "" if cell is None else f"{cell:.4f}" if isinstance(cell, float) else str(cell) for cell in cells
     )

@@ -1,4 +1,4 @@
-"""The command line of the antenna's validation: see `studies.common.command_line`."""
+"""Command line of the antenna's validation: see `studies.common.command_line`."""
 
 import csv
 import sys
@@ -12,7 +12,7 @@ from rich.console import Console
 
 from studies.antenna import agreement, ideal, limits, sensitivity, speed
 from studies.antenna.plan import QUICK_ANTENNA, AntennaPlan
-from studies.common.command_line import Page, chosen, run_with_progress, tell
+from studies.common.command_line import Page, chosen, report_and_exit, run_with_progress
 from studies.common.report import Section
 from studies.common.runner import Subject
 
@@ -23,17 +23,17 @@ SUBJECTS: dict[str, Subject[AntennaPlan]] = {
     "limits": Subject(limits.jobs, limits.judge),
     "speed": Subject(speed.jobs, speed.judge),
 }
-"""In the page's order."""
+"""In the order of the page."""
 ALONE = ("speed",)
-"""Measured when nothing else runs."""
-INTRODUCTION = """The batch solver beside NEC2, in PyNEC and in the program nec2c, and all of them beside
-closed forms and reference numbers. Every number comes from
+"""Subjects that are measured while no other subject runs."""
+INTRODUCTION = """The batch solver compared with NEC2, in PyNEC and in the program nec2c, and all three
+compared with closed forms and reference results. All numbers are produced by
 
     python scripts/validate_antenna.py
 
-which computes everything again and takes some minutes on two cores; with `--out docs` it writes this page,
-its figures and `antenna-validation.csv`, the checks in full. All formations follow from their seeds: the same
-sources give the same numbers, but for the speed.
+which repeats all computations in some minutes on two cores; with `--out docs` it writes this page, its
+figures and `antenna-validation.csv`, the checks with all digits. All formations are determined by their
+seeds: the same sources give the same numbers, except for the speed.
 """
 PAGE = Page(file_name="antenna-validation.md", title="Validation of the antenna", introduction=INTRODUCTION)
 TABLE = "antenna-validation.csv"
@@ -48,15 +48,15 @@ def validate_antenna(
         str, typer.Option(help=f"Some of {', '.join(SUBJECTS)}.", metavar="NAME,NAME")
     ] = ",".join(SUBJECTS),
     seconds: Annotated[
-        float | None, typer.Option(help="Of the benchmark, about.", min=0.0, max=3_600.0)
+        float | None, typer.Option(help="Approximate length of the benchmark.", min=0.0, max=3_600.0)
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="The numbers alone on stdout.")] = False,  # noqa: FBT002
+    json: Annotated[bool, typer.Option("--json", help="Print only the numbers, as JSON.")] = False,  # noqa: FBT002
     out: Annotated[
         Path | None,
-        typer.Option(help=f"Folder for {PAGE.file_name}, {TABLE} and images/; none writes nothing."),
+        typer.Option(help=f"Folder for {PAGE.file_name}, {TABLE} and images/; by default none."),
     ] = None,
 ) -> None:
-    """Measure how right the antenna's solvers are: against NEC2, closed forms and reference numbers."""
+    """Compare the antenna solvers with NEC2, closed forms and reference results."""
     messages = Console(stderr=True, highlight=False)
     names = chosen("validate_antenna", only, SUBJECTS, messages)
     plan = QUICK_ANTENNA if quick else AntennaPlan()
@@ -64,18 +64,18 @@ def validate_antenna(
         plan = replace(plan, benchmark_s=seconds)
     judged: dict[str, Section] = {}
     for alone in (False, True):
-        wanted = {name: one for name, one in SUBJECTS.items() if name in names and (name in ALONE) == alone}
-        if wanted:
-            found = run_with_progress(plan, wanted, out=out, messages=messages)
-            judged |= dict(zip(wanted, found, strict=True))
+        subjects = {name: one for name, one in SUBJECTS.items() if name in names and (name in ALONE) == alone}
+        if subjects:
+            found = run_with_progress(plan, subjects, out=out, messages=messages)
+            judged |= dict(zip(subjects, found, strict=True))
     sections = [judged[name] for name in SUBJECTS if name in judged]
     if out is not None:
         write_table(out / TABLE, sections)
-    tell(sections, page=PAGE, out=out, json=json, stdout=sys.stdout, px4=False)
+    report_and_exit(sections, page=PAGE, out=out, json=json, stdout=sys.stdout, px4=False)
 
 
 def write_table(path: Path, sections: Sequence[Section]) -> None:
-    """Write all checks with all digits."""
+    """Write all checks as CSV with all digits."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("w", encoding="utf-8", newline="") as file:
         table = csv.writer(file, lineterminator="\n")

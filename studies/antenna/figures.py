@@ -1,4 +1,4 @@
-"""Figures of the antenna's validation: drawn from numbers with matplotlib's objects alone. PNG files."""
+"""Figures of the antenna's validation as PNG files, drawn with matplotlib's object interface."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,7 +19,7 @@ def save_agreement(
     path: Path,
     cases: Sequence[tuple[str, tuple[Sequence[float], Sequence[float]], tuple[float, float]]],
 ) -> None:
-    """Cumulative shares of formations by difference: (case, of maximum and pattern, their limits), dB."""
+    """Plot cumulative shares of formations over the difference: (case, (maximum, pattern), limits), dB."""
     figure = Figure(figsize=(10.0, 4.2), layout="constrained")
     panels = figure.subplots(1, 2, sharey=True)
     for panel, (axes, title) in enumerate(zip(panels, ("Maximum gain", "Pattern, greatest"), strict=True)):
@@ -44,10 +44,10 @@ def save_sensitivity(
     densities: Sequence[tuple[float, str, Sequence[float]]],
     ideal_dbi: float,
 ) -> None:
-    """Gain over deviation, and densities of the maximum gain.
+    """Plot gain over deviation, and densities of the maximum gain.
 
-    ``curve`` and ``points`` are (sigma in wavelengths, mean dBi, deviation dB), the points the reference's;
-    ``densities`` are (sigma in wavelengths, title, gains in dBi); those of one sigma have one colour.
+    ``curve`` and ``points`` are (sigma in wavelengths, mean dBi, deviation dB), the points of the reference;
+    ``densities`` are (sigma in wavelengths, title, gains in dBi), with one colour for each sigma.
     """
     figure = Figure(figsize=(10.0, 4.4), layout="constrained")
     left, right = figure.subplots(1, 2)
@@ -69,7 +69,7 @@ def save_sensitivity(
         alike = [(title, gains) for at, title, gains in densities if round(at, 9) == group]
         for k, (title, gains_dbi) in enumerate(alike):
             density = gain_density(np.array(gains_dbi))
-            # they ought to lie on each other: the first broad, the others dashed over it
+            # they should coincide: the first is broad, the others are dashed
             look = {"color": f"C{i}", "linewidth": 3.5, "alpha": 0.6} if k == 0 else {"color": "black"}
             dashes = DASHES[min(k, len(DASHES) - 1)]
             right.plot(density.gain_dbi, density.kernel_per_db, dashes, label=f"{title}: {group:g}", **look)
@@ -81,7 +81,7 @@ def save_sensitivity(
 
 
 def save_convergence(path: Path, curves: Mapping[str, Sequence[tuple[int, float]]]) -> None:
-    """Maximum gain over segments, (segments, dBi) by title, each less that of the most segments."""
+    """Plot maximum gain over segments, (segments, dBi) by title, less the gain with the most segments."""
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     axes = figure.subplots()
     for i, (title, points) in enumerate(curves.items()):

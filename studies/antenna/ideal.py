@@ -1,4 +1,4 @@
-"""The undisturbed array: NEC2 twice and the batch solver beside closed forms and reference numbers."""
+"""The ideal array: two NEC2 programs and the batch solver, closed forms and reference results."""
 
 import math
 from collections.abc import Sequence
@@ -33,15 +33,15 @@ GRID_DEG = 2.0
 NEC2_DBI, EXACT_DBI, TOLERANCE_DB = 13.26, 13.280, 0.01
 POINTING_DEG = 0.2
 AZIMUTH_DEG, ELEVATION_DEG, WIDTH_TOLERANCE_DEG = 15.4, 87.2, 0.3
-"""About 15 and 87: the widths of the closed form."""
+"""Widths of the closed form, about 15 and 87 degrees"""
 SIDE_LOBE_DBI, SIDE_LOBE_TOLERANCE_DB = 4.9, 0.05
 DEEP_NULL_DBI = -50.0
-"""Isolated rows a quarter wavelength apart and fed in quadrature send nothing to -y."""
+"""Uncoupled rows a quarter wavelength apart, fed in quadrature, do not radiate to -y."""
 LONG_DBI = {20.0: (13.40, 0.005), 10.0: (13.60, 0.005), 5.0: (15.6, 0.05)}
 """Dipoles of 5 m by wavelength: reference and its rounding."""
 LONG_RADII_M = (0.001, 0.003)
 REFERENCE_RADIUS_M = 0.003
-"""The reference states none; with this one, found by trial, all three of its numbers come out."""
+"""The reference states no radius; this one, found by trial, reproduces its three values."""
 LAYOUTS = {"4x2": 4, "2x4": 2}
 """Columns of eight places, 0.85 wavelengths apart; rows 0.25."""
 POLICIES = ("end_fire", "hansen_woodyard", "best_step", "optimum")
@@ -54,13 +54,13 @@ REFERENCE_DBI = {
     ("2x4", "best_step"): 12.399, ("2x4", "optimum"): 14.128,
 }  # fmt: skip
 ROUNDING_DB = 0.0006
-"""Of a reference with three decimals."""
+"""Rounding of a reference with three decimals."""
 WIRES_DB = 0.003
-"""Between NEC2's directivity of short dipoles, which have some length, and the closed form."""
+"""Difference allowed between NEC2's directivity of short dipoles of finite length and the closed form."""
 
 
 class Solved(Struct, frozen=True, kw_only=True):
-    """One ideal array by one solver; the pattern itself where it is to be drawn."""
+    """Result of a solver for an ideal array; with the pattern if it is drawn."""
 
     max_gain_dbi: float
     theta_deg: float
@@ -79,25 +79,25 @@ class Solved(Struct, frozen=True, kw_only=True):
 
 
 def places(columns: int, wavelength_m: float) -> Array:
-    """(8, 3) places of an ideal formation."""
+    """Return the places (8, 3) of an ideal formation."""
     return grid(8, columns, 0.85 * wavelength_m, 0.25 * wavelength_m)
 
 
 def short_config(wavelength_m: float, solver: str) -> AntennaConfig:
-    """Give the deck of 13.26 dBi: 0.05 m, 0.2 mm, nine segments."""
+    """Return the configuration with 13.26 dBi: 0.05 m, 0.2 mm, nine segments."""
     return AntennaConfig(wavelength_m=wavelength_m, backend=solver, grid_deg=GRID_DEG)  # type: ignore[arg-type]
 
 
 def long_config(wavelength_m: float, radius_m: float, solver: str) -> AntennaConfig:
-    """Dipoles of 5 m."""
+    """Return the configuration of dipoles of 5 m."""
     return AntennaConfig(
         wavelength_m=wavelength_m, backend=solver, grid_deg=GRID_DEG,  # type: ignore[arg-type]
         element_length_m=5.0, element_radius_m=radius_m, segments=11,
     )  # fmt: skip
 
 
-def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:  # noqa: ARG001  # one shape
-    """All arrays; they are the same however much is computed."""
+def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:  # noqa: ARG001  # common signature
+    """Return the jobs of all arrays, which do not depend on the plan."""
     return {
         "short": [(_solve_ideal, short_config(w, s)) for w, s in product(WAVELENGTHS_M, SOLVERS)],
         "long": [(_solve_ideal, long_config(*one)) for one in product(LONG_DBI, LONG_RADII_M, SOLVERS)],
@@ -109,9 +109,9 @@ def _solve_ideal(config: AntennaConfig) -> Solved | None:
     return solve(ideal(places(4, config.wavelength_m), config), config)
 
 
-def _solve_policy(wanted: tuple[str, str, str]) -> Solved | None:
-    """Short dipoles at 10 m with one policy's voltages; the optimum's are those for wires."""
-    layout, policy, solver = wanted
+def _solve_policy(setting: tuple[str, str, str]) -> Solved | None:
+    """Solve short dipoles at 10 m with the voltages of a policy; the optimum includes mutual coupling."""
+    layout, policy, solver = setting
     config = AntennaConfig(backend=solver)  # type: ignore[arg-type]
     places_m = places(LAYOUTS[layout], config.wavelength_m)
     if policy == "optimum":
@@ -123,7 +123,7 @@ def _solve_policy(wanted: tuple[str, str, str]) -> Solved | None:
 
 
 def solve(snapshot: Snapshot, config: AntennaConfig) -> Solved | None:
-    """Solve one array that does not touch; None where the solver is not installed."""
+    """Solve one array without touching elements; None if the solver is not installed."""
     solver = witness(config)
     if solver is None:
         return None
@@ -134,7 +134,7 @@ def solve(snapshot: Snapshot, config: AntennaConfig) -> Solved | None:
 
 
 def summary(pattern: Pattern, *, keep: bool) -> Solved:
-    """Measure a pattern; what there is not is not-a-number, which meets no requirement."""
+    """Return the features of a pattern; a missing one is NaN, which fails every check."""
     found = features(pattern)
 
     def number(value: float | None) -> float:
@@ -148,8 +148,8 @@ def summary(pattern: Pattern, *, keep: bool) -> Solved:
     )  # fmt: skip
 
 
-def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:  # noqa: ARG001  # one shape
-    """Compare all of it."""
+def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:  # noqa: ARG001  # common signature
+    """Compare all arrays with their references."""
     short = dict(zip(product(WAVELENGTHS_M, SOLVERS), results["short"], strict=True))
     long = dict(zip(product(LONG_DBI, LONG_RADII_M, SOLVERS), results["long"], strict=True))
     policies = dict(zip(product(LAYOUTS, POLICIES, SOLVERS), results["policies"], strict=True))
@@ -160,17 +160,18 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section: 
     drawn = {s: short[10.0, s].pattern for s in ("nec2", "batch") if short[10.0, s] is not None}
     if images is not None and drawn:
         patterns_figure(drawn).savefig(images / "antenna-ideal.png", format="png", dpi=80)
-        figures = (("antenna-ideal.png", "the ideal formation's pattern by both solvers"),)
+        figures = (("antenna-ideal.png", "pattern of the ideal formation by both solvers"),)
     absent = [s for _, s in short if short[10.0, s] is None]
     return Section(
         title="The ideal array",
         conditions=(
-            "Eight upright dipoles, four columns 0.85 wavelengths apart along x and two rows 0.25 apart "
-            "along y, fed with exp(-j k y) in free space. Short dipoles are 0.05 m long, of 0.2 mm radius "
-            "and nine segments. Exact is the closed form for Hertzian dipoles. NEC2's segments cost short "
-            "dipoles 0.018 dB, which is its average gain (radiated over input power): gain over average "
-            f"gain is directivity. Widths and lobes are read off a grid of {GRID_DEG:g} degrees. Reference "
-            "numbers are those of other programs over PyNEC 2.3.4 and nec2c 1.3.\n" + said_missing(absent)
+            "Eight upright dipoles in free space, four columns 0.85 wavelengths apart along x and two rows "
+            "0.25 wavelengths apart along y, fed with exp(-j k y). Short dipoles have a length of 0.05 m, a "
+            "radius of 0.2 mm and nine segments. Exact is the closed form for Hertzian dipoles. NEC2's "
+            "segmentation reduces the gain of short dipoles by 0.018 dB, its average gain (radiated over "
+            "input power); directivity is gain over average gain. Widths and lobes are taken from a grid of "
+            f"{GRID_DEG:g} degrees. The reference values are from other programs, with PyNEC 2.3.4 and "
+            "nec2c 1.3.\n" + said_missing(absent)
         ),
         checks=(*checks, *more, *last),
         tables=(table, wires, feeds),
@@ -204,7 +205,7 @@ def _of_short_dipoles(short: dict[tuple[float, str], Solved | None]) -> tuple[li
 
 
 def _shape(name: str, found: Sequence[Solved]) -> list[Check]:
-    """What must be alike at all wavelengths; the worst of them."""
+    """Return the checks of features that are equal at all wavelengths; the worst value counts."""
     return [
         difference(
             f"{name}: {what}, less {expected:g}, at worst",
@@ -235,7 +236,7 @@ def _numbers(name: str, wavelength_m: float, of: Solved) -> tuple[str, ...]:
 
 
 def from_main_lobe_deg(found: Solved) -> float:
-    """Angle between the maximum and +y, by the chord."""
+    """Return the angle between the maximum and +y, from the chord."""
 
     def unit(theta_deg: float, phi_deg: float) -> Array:
         theta, phi = math.radians(theta_deg), math.radians(phi_deg)
@@ -260,10 +261,9 @@ def _of_long_dipoles(
         average = None if solved[0] is None else solved[0].average_gain
         rows.append(row(f"{wavelength_m:g}", f"{1e3 * radius_m:g}", f"{reference_dbi:g}", *gains, average))
     return checks, ReportTable(
-        caption="Dipoles of 5 m, 11 segments, maximum in dBi; equal voltages no longer give equal currents. "
-        f"The reference does not say its wire's radius; {1e3 * REFERENCE_RADIUS_M:g} mm was chosen since all "
-        "of its numbers come out with it, so that they are a check of the solvers together, but not of each "
-        "alone:",
+        caption="Dipoles of 5 m, 11 segments, maximum in dBi; equal voltages do not cause equal currents. "
+        f"The reference does not state its wire radius; {1e3 * REFERENCE_RADIUS_M:g} mm was chosen because "
+        "it reproduces all its values, so these check the solvers in common but not individually:",
         columns=("wavelength m", "radius mm", "reference", *SOLVERS, "average gain of nec2"),
         rows=tuple(rows),
     )

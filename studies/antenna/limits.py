@@ -1,4 +1,4 @@
-"""Where the solvers end: segments that do not suffice, wires that nearly touch, power out of balance."""
+"""Limits of the solvers: too few segments, wires that nearly touch, power balance errors."""
 
 import math
 from pathlib import Path
@@ -26,22 +26,22 @@ SHORT_SEGMENTS = (5, 9, 15, 21, 31)
 REFINED = ((5.0, 9, 21), (5.0, 21, 41), (10.0, 9, 21), (20.0, 9, 21))
 """Wavelength and numbers of segments of random formations that NEC2 solves twice."""
 UNCONVERGED_DB = 0.3
-"""From 9 to 21 segments patterns of 5 m dipoles at 5 m move by more than batch may be from NEC2."""
+"""Least change of the patterns of 5 m dipoles at 5 m from 9 to 21 segments: the limit of batch."""
 FOLLOWS_DB = 0.05
-"""Of the batch solver against NEC2 of the same segments."""
+"""Limit of batch less NEC2 with the same segments."""
 DIRECTIVITY_DB = 0.005
 LEAST_APART_M, SEED = 0.35, 5
 NEAR_M = (0.5, 0.2, 0.15, 0.1, 0.05, 0.02, 0.01, 0.005, 0.002)
 """Distances of two short dipoles side by side."""
 BALANCED_M = 0.15
-"""From here on at least the power of two that are fed in phase is in balance."""
+"""Distance from which the power of two dipoles fed in phase must balance."""
 BALANCE = 0.01
 TOUCHING = ("side by side, 0.3 mm", "one on the other", "crossing", "end to end", "through the ground")
-"""Arrangements of two short dipoles without a pattern."""
+"""Arrangements of two short dipoles that have no pattern."""
 
 
 class LimitAnswer(Struct, frozen=True, kw_only=True):
-    """What a solver made of an array: gain, or which elements touch."""
+    """Result of a solver for an array: gain, or the elements that touch."""
 
     max_gain_dbi: float = math.nan
     average_gain: float = math.nan
@@ -50,14 +50,14 @@ class LimitAnswer(Struct, frozen=True, kw_only=True):
 
     @property
     def directivity_dbi(self) -> float:
-        """Gain over average gain; not-a-number when no power is radiated."""
+        """Gain over average gain; NaN if no power is radiated."""
         if not self.average_gain > 0.0:
             return math.nan
         return self.max_gain_dbi - 10.0 * math.log10(self.average_gain)
 
 
 def long_config(wavelength_m: float, segments: int, solver: str) -> AntennaConfig:
-    """Dipoles of 5 m and 1 mm radius."""
+    """Return the configuration of dipoles of 5 m length and 1 mm radius."""
     return _config(
         solver, wavelength_m=wavelength_m, element_length_m=5.0, element_radius_m=0.001, segments=segments
     )
@@ -68,14 +68,14 @@ def _config(solver: str, **fields: Any) -> AntennaConfig:  # noqa: ANN401
 
 
 def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:
-    """Random formations, and arrays that are the same however much is computed."""
+    """Return the jobs: random formations, and arrays that do not depend on the plan."""
     return {
         "long": [
             (solve_ideal, long_config(wavelength_m, segments, solver))
             for wavelength_m in LONG_WAVELENGTHS_M for solver in ("nec2", "batch") for segments in SEGMENTS
         ],
         "refined": [
-            (solve_refined, (*wanted, plan.other_formations)) for wanted in REFINED
+            (solve_refined, (*setting, plan.other_formations)) for setting in REFINED
         ],
         "short": [(solve_ideal, _config("nec2", segments=segments)) for segments in SHORT_SEGMENTS],
         "near": [(solve_near, (solver, apart_m)) for apart_m in NEAR_M for solver in SOLVERS],
@@ -87,12 +87,12 @@ def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:
 
 def solve_ideal(config: AntennaConfig) -> LimitAnswer | None:
     """Solve the ideal array."""
-    return answer(ideal(places(4, config.wavelength_m), config), config)
+    return solve(ideal(places(4, config.wavelength_m), config), config)
 
 
-def solve_refined(wanted: tuple[float, int, int, int]) -> Compared | None:
-    """Let NEC2 solve random formations of 5 m dipoles with few segments and with many."""
-    wavelength_m, few, many, count = wanted
+def solve_refined(setting: tuple[float, int, int, int]) -> Compared | None:
+    """Solve random formations of 5 m dipoles by NEC2 with few and with many segments."""
+    wavelength_m, few, many, count = setting
     configs = [long_config(wavelength_m, segments, "nec2") for segments in (few, many)]
     coarse, fine = (witness(config) for config in configs)
     if coarse is None or fine is None:
@@ -103,17 +103,17 @@ def solve_refined(wanted: tuple[float, int, int, int]) -> Compared | None:
     return differences(*found, (math.inf, math.inf), redrawn=redrawn)
 
 
-def solve_near(wanted: tuple[str, float]) -> LimitAnswer | None:
+def solve_near(setting: tuple[str, float]) -> LimitAnswer | None:
     """Solve two upright short dipoles fed in phase, at a distance along x."""
-    solver, apart_m = wanted
-    return answer(
+    solver, apart_m = setting
+    return solve(
         upright(np.array([[0.0, 0.0, 0.0], [apart_m, 0.0, 0.0]]), np.ones(2, complex)), _config(solver)
     )
 
 
-def solve_touching(wanted: tuple[str, str]) -> LimitAnswer | None:
-    """Solve two dipoles that touch, or one that is in the ground."""
-    solver, name = wanted
+def solve_touching(setting: tuple[str, str]) -> LimitAnswer | None:
+    """Solve two dipoles that touch, or of which one is in the ground."""
+    solver, name = setting
     axes = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
     second_m, height_m, fields = (0.0003, 0.0, 0.0), 0.0, {}
     if name == "one on the other":
@@ -125,31 +125,31 @@ def solve_touching(wanted: tuple[str, str]) -> LimitAnswer | None:
     elif name == "through the ground":
         second_m, height_m, fields = (5.0, 0.0, 0.0), 0.02, {"ground": "perfect"}
     centres_m = np.array([(0.0, 0.0, height_m), second_m + np.array([0.0, 0.0, height_m])])
-    return answer(Snapshot(centres_m, along(axes), np.ones(2, complex)), _config(solver, **fields))
+    return solve(Snapshot(centres_m, along(axes), np.ones(2, complex)), _config(solver, **fields))
 
 
-def answer(snapshot: Snapshot, config: AntennaConfig) -> LimitAnswer | None:
-    """Solve one array; None where the solver is not installed."""
+def solve(snapshot: Snapshot, config: AntennaConfig) -> LimitAnswer | None:
+    """Solve one array; None if the solver is not installed."""
     solver = witness(config)
     if solver is None:
         return None
     (found,) = solver.patterns([snapshot])
     if isinstance(found, Pattern):
         return LimitAnswer(max_gain_dbi=found.max_gain_dbi, average_gain=found.average_gain)
-    assert isinstance(found, ElementsTouch)  # noqa: S101  there is no third result
+    assert isinstance(found, ElementsTouch)  # noqa: S101  no other result
     return LimitAnswer(refusal=str(found), touching=(found.first, found.second))
 
 
 def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
-    """Bound what is known, and show the rest."""
-    asked = jobs(plan)
+    """Check the known limits, and list the other results."""
+    requested = jobs(plan)
     long = {
         (c.wavelength_m, c.backend, c.segments): a
-        for (_, c), a in zip(asked["long"], results["long"], strict=True)
+        for (_, c), a in zip(requested["long"], results["long"], strict=True)
     }
-    short = {c.segments: a for (_, c), a in zip(asked["short"], results["short"], strict=True)}
-    two = {key: a for (_, key), a in zip(asked["near"], results["near"], strict=True)}
-    touching = {key: a for (_, key), a in zip(asked["touching"], results["touching"], strict=True)}
+    short = {c.segments: a for (_, c), a in zip(requested["short"], results["short"], strict=True)}
+    two = {key: a for (_, key), a in zip(requested["near"], results["near"], strict=True)}
+    touching = {key: a for (_, key), a in zip(requested["touching"], results["touching"], strict=True)}
     checks, table = _of_segments(long)
     further, refined = _of_refinement(results["refined"])
     more, balance = _of_balance(short)
@@ -174,13 +174,12 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
     return Section(
         title="Known limits",
         conditions=(
-            "The ideal array of 5 m dipoles (1 mm radius) with more and more segments, of short dipoles "
-            "likewise; short dipoles that are smaller and smaller against the wavelength; two of them, fed "
-            "in phase, that come nearer and nearer, and two of an array that do; loops too wide for their "
-            "places; and arrangements without a pattern, which every solver must refuse by the same two "
-            "elements. A lossless array "
-            "radiates what it takes, so its average gain is 1 but for the solver's error.\n"
-            + said_missing(s for s in SOLVERS if two[s, NEAR_M[0]] is None)
+            "The ideal array of 5 m dipoles (1 mm radius) and of short dipoles with an increasing number "
+            "of segments; short dipoles of decreasing size relative to the wavelength; two short dipoles, "
+            "fed in phase, at decreasing distance, by themselves and in an array; loops too wide for their "
+            "places; and arrangements without a pattern, which every solver must reject with the same two "
+            "elements. A lossless array radiates its input power, so its average gain is 1 up to the "
+            "solver's error.\n" + said_missing(s for s in SOLVERS if two[s, NEAR_M[0]] is None)
         ),
         checks=(*checks, *further, *more, *faint, *close, *meeting, *last),
         tables=(table, refined, balance, powers, distances, *crowds, refusals),
@@ -227,8 +226,8 @@ def _of_refinement(results: list[Compared | None]) -> tuple[list[Check], ReportT
             )
     return checks, ReportTable(
         caption="Random formations of dipoles of 5 m (0.5 m, 10 degrees), NEC2 with more segments less NEC2 "
-        "with fewer. One reference gives 0.94 dB from 9 to 21 segments at 5 m, and does not say of what; it "
-        "is the pattern that moves so far, not the maximum:",
+        "with fewer. One reference states 0.94 dB from 9 to 21 segments at 5 m, but not of which quantity; "
+        "the pattern changes by that much, the maximum does not:",
         columns=("wavelength m", "segments", "formations", "maximum: greatest dB", "pattern: median dB",
                  "greatest dB"),
         rows=tuple(rows),
@@ -245,7 +244,7 @@ def _of_balance(short: dict[int, LimitAnswer | None]) -> tuple[list[Check], Repo
         )
     ] if found else []  # fmt: skip
     return checks, ReportTable(
-        caption="Short dipoles at 10 m by NEC2: what segments cost is in the average gain, and nowhere else:",
+        caption="Short dipoles at 10 m by NEC2: the number of segments affects the average gain only:",
         columns=("segments", "maximum dBi", "average gain", "directivity dBi"),
         rows=tuple(
             (str(n), f"{one.max_gain_dbi:.4f}", f"{one.average_gain:.5f}", f"{one.directivity_dbi:.4f}")
@@ -293,5 +292,7 @@ def _of_touching(touching: dict[tuple[str, str], LimitAnswer | None]) -> tuple[l
             (name, "; ".join(f"{solver}: {one.refusal or 'a pattern'}" for solver, one in found.items()))
         )
     return checks, ReportTable(
-        caption="What is said of them:", columns=("two short dipoles", "error"), rows=tuple(rows)
+        caption="Errors of the rejected arrangements:",
+        columns=("two short dipoles", "error"),
+        rows=tuple(rows),
     )

@@ -1,4 +1,4 @@
-"""Elements that nearly meet: two of eight short dipoles, and loops too wide for their places."""
+"""Elements that nearly touch: two of eight short dipoles, and loops too wide for their places."""
 
 import numpy as np
 from msgspec import Struct
@@ -28,26 +28,26 @@ from studies.common.runner import Job, Results
 APART_M = (0.5, 0.3, 0.2, 0.15, 0.1, 0.08, 0.05, 0.03)
 """Distances of two short dipoles' centres, at 10 m."""
 FULLY_M = 0.05
-"""From here on, a dipole's length, all of the batch solver's class is asked for; nearer, directivity."""
+"""One dipole length; from it on the batch solver's full accuracy is required, below it only directivity."""
 OTHERS = ("batch", "nec2c")
 MOVED, BESIDE = 1, 4
 STEEPEST = 0.3
-"""Height of one over the other, of the distance along the horizon."""
+"""Largest height difference of the two as a fraction of their horizontal distance."""
 SEED = 3
 ROUND_M = (5.0, 10.0, 12.0)
-"""Of loops of twelve sides, at 10 m."""
+"""Circumferences of loops with twelve sides, at 10 m."""
 WIDE_LOOP_DB = LIMITS_DB[Accuracy.LARGE_ELEMENTS][0]
 
 
 class Pairs(Struct, frozen=True, kw_only=True):
-    """The same formations, two of whose elements are near each other, by all solvers."""
+    """Formations with two elements near each other, solved by all solvers."""
 
     others: dict[str, Compared]
-    """Less NEC2 of PyNEC, those that are installed; what they refuse counts as touching"""
+    """Installed solvers less PyNEC; rejected formations count as touching"""
 
 
 def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:
-    """One for each distance and each loop."""
+    """Return one job for each distance and each loop."""
     return {
         "pairs": [(solve_pairs, (apart_m, plan.other_formations)) for apart_m in APART_M],
         "loops": [
@@ -64,7 +64,7 @@ def _loops(round_m: float) -> AgreementCase:
 
 
 def pairs(apart_m: float, count: int) -> list[Snapshot]:
-    """Random formations of short dipoles (0.5 m, 10 degrees), one of which stands beside another."""
+    """Return random formations of short dipoles (0.5 m, 10 degrees) with one element moved near another."""
     snapshots, _ = formations(AgreementCase(name="pairs", config=AntennaConfig()), seed=SEED, count=count)
     rng = np.random.default_rng(SEED)
     found = []
@@ -76,12 +76,12 @@ def pairs(apart_m: float, count: int) -> list[Snapshot]:
     return found
 
 
-def solve_pairs(wanted: tuple[float, int]) -> Pairs | None:
-    """Solve such formations; None without PyNEC."""
+def solve_pairs(setting: tuple[float, int]) -> Pairs | None:
+    """Solve formations of `pairs`; None without PyNEC."""
     nec2 = witness(AntennaConfig(backend="nec2"))
     if nec2 is None:
         return None
-    snapshots = pairs(*wanted)
+    snapshots = pairs(*setting)
     expected, others = nec2.patterns(snapshots), {}
     for name in OTHERS:
         solver = witness(AntennaConfig(backend=name))  # type: ignore[arg-type]
@@ -92,7 +92,7 @@ def solve_pairs(wanted: tuple[float, int]) -> Pairs | None:
 
 
 def judge(results: Results) -> tuple[list[Check], list[ReportTable]]:
-    """Bound what is solved, and that all refuse the same."""
+    """Check the solved formations, and that all solvers reject the same ones."""
     found = {m: one for m, one in zip(APART_M, results["pairs"], strict=True) if one is not None}
     checks: list[Check] = []
     rows = []
@@ -106,12 +106,12 @@ def judge(results: Results) -> tuple[list[Check], list[ReportTable]]:
     least, most = CREDIBLE
     tables = [
         ReportTable(
-            caption="Eight short dipoles at 10 m, in random formations (0.5 m, 10 degrees), the second of "
-            "which is moved beside the fifth; less PyNEC. Their near fields exchange far more than they "
-            "radiate, and the thin wires' equations no longer balance: a solution that radiates less than "
-            f"{least:g} or more than {most:g} of what is fed in is refused by every solver, and counted "
-            "under touch. Of what is left the solvers agree, whatever its power, but for the last digits of "
-            f"the power itself where the dipoles are nearer than their length of {1e3 * FULLY_M:g} mm:",
+            caption="Eight short dipoles at 10 m in random formations (0.5 m, 10 degrees), with the second "
+            "dipole moved near the fifth; less PyNEC. Their near fields exchange far more power than they "
+            "radiate, and the thin-wire equations lose their power balance: every solver rejects a "
+            f"solution that radiates less than {least:g} or more than {most:g} of the input power; it is "
+            "counted under touch. For all other formations the solvers agree, except for the last digits "
+            f"of the power if the dipoles are nearer than their length of {1e3 * FULLY_M:g} mm:",
             columns=COLUMNS, rows=tuple(rows),
         )
     ] if rows else []  # fmt: skip
@@ -121,10 +121,10 @@ def judge(results: Results) -> tuple[list[Check], list[ReportTable]]:
         checks.append(difference(title, worst(one.maximum_db), WIDE_LOOP_DB, "dB"))
     if loops:
         caption = (
-            "Loops of 12 sides at 10 m, whose rows are 2.5 m apart, less PyNEC. Those of a wavelength "
-            "round reach past each other, and have more currents than the batch solver keeps; it claims "
-            "nothing for loops of more than a tenth of a wavelength. The maximum is required to be that of "
-            "large elements all the same:"
+            "Loops of 12 sides at 10 m in rows 2.5 m apart, less PyNEC. Loops with a circumference of one "
+            "wavelength overlap and have more current modes than the batch solver represents; it claims no "
+            "accuracy for loops of more than a tenth of a wavelength. The limit of the maximum is still that "
+            "of large elements:"
         )
         named = tuple(cells(_loops(round_m).name, one) for round_m, one in loops)
         tables.append(ReportTable(caption=caption, columns=COLUMNS, rows=named))

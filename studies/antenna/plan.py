@@ -1,21 +1,21 @@
-"""How much the antenna's validation computes."""
+"""Number of formations in the antenna's validation."""
 
 from msgspec import Struct
 
 
 class AntennaPlan(Struct, frozen=True, kw_only=True):
-    """How much is computed."""
+    """Number of formations, and length of the benchmark."""
 
     formations: int = 300
-    """Random ones in each comparison of the batch solver with NEC2 that is required"""
+    """Random formations in each required comparison of the batch solver with NEC2"""
     other_formations: int = 60
-    """In each of the further ones"""
+    """Random formations in each further comparison"""
     witness_formations: int = 12
-    """In each comparison of nec2c with PyNEC"""
+    """Random formations in each comparison of nec2c with PyNEC"""
     samples: int = 1_000
     """Random formations of each deviation and wavelength"""
     curve_samples: int = 500
-    """Of each point of the curve of gain over deviation"""
+    """Random formations of each point of the curve of gain over deviation"""
     benchmark_s: float = 30.0
 
 

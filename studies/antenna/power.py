@@ -1,4 +1,4 @@
-"""The power of very small dipoles: where NEC2's own arithmetic no longer tells what they radiate."""
+"""Input power of very small dipoles, which NEC2's arithmetic does not resolve."""
 
 import math
 from itertools import product
@@ -19,34 +19,34 @@ from studies.common.runner import Job
 
 PROGRAMS = ("nec2", "nec2c")
 SIZES = ((10.0, 9), (20.0, 3), (20.0, 9), (20.0, 21), (40.0, 3), (40.0, 9))
-"""Wavelength, and segments of a dipole of 0.05 m."""
+"""(Wavelength, number of segments) of a dipole of 0.05 m."""
 USUAL_SEGMENTS = 9
 FAINTEST = (40.0, 9)
 DIRECTIVITY_DB = 0.005
 STEADY = 0.001
-"""Of the batch solver's average gain, from formation to formation and from wavelength to wavelength."""
+"""Largest range of the batch solver's average gain over formations and wavelengths."""
 SEED = 1
 
 
 class Balance(Struct, frozen=True, kw_only=True):
-    """The same random formations by all solvers."""
+    """Random formations solved by all solvers."""
 
     resistance_of_reactance: float
-    """Of the input impedance of one dipole, by the batch solver"""
+    """Ratio for the input impedance of one dipole, by the batch solver"""
     programs: dict[str, Compared]
-    """NEC2's programs less the batch solver, those that are installed"""
+    """Installed NEC2 programs less the batch solver"""
     batch: Compared
-    """The batch solver less itself, for its average gains"""
+    """The batch solver less itself; contains its average gains"""
 
 
 def jobs(plan: AntennaPlan) -> list[Job]:
-    """One for each wavelength and number of segments."""
+    """Return one job for each wavelength and number of segments."""
     return [(solve, (*size, plan.other_formations)) for size in SIZES]
 
 
-def solve(wanted: tuple[float, int, int]) -> Balance:
-    """Solve formations of short dipoles (0.5 m, 10 degrees) with every solver there is."""
-    wavelength_m, segments, count = wanted
+def solve(setting: tuple[float, int, int]) -> Balance:
+    """Solve formations of short dipoles (0.5 m, 10 degrees) with all installed solvers."""
+    wavelength_m, segments, count = setting
     config = AntennaConfig(wavelength_m=wavelength_m, segments=segments)
     snapshots, redrawn = formations(AgreementCase(name="power", config=config), seed=SEED, count=count)
     alone = ports(upright(np.zeros((1, 3)), np.ones(1, complex)), config)
@@ -68,7 +68,7 @@ def solve(wanted: tuple[float, int, int]) -> Balance:
 
 
 def judge(results: list[Balance | None]) -> tuple[list[Check], ReportTable]:
-    """Bound directivity everywhere; that the maximum is not bounded is bounded too."""
+    """Check directivity everywhere, and that the maximum of the smallest dipoles exceeds its limit."""
     found = {size: one for size, one in zip(SIZES, results, strict=True) if one is not None}
     checks = []
     for name in PROGRAMS:
@@ -106,14 +106,14 @@ def _table(found: dict[tuple[float, int], Balance]) -> ReportTable:
         ))  # fmt: skip
     return ReportTable(
         caption="Random formations of dipoles of 0.05 m (0.5 m, 10 degrees). A dipole far smaller than the "
-        "wavelength is all but a capacitor: the power that it takes is in a small resistance beside a great "
-        "reactance, whose ratio falls with the cube of the wavelength. NEC2's current on a segment, constant "
-        "and sine and cosine, loses digits besides as constant and cosine become alike, with the square of "
-        "the segment's part of the wavelength. So both of NEC2's programs scatter, each by itself, about as "
-        "the fifth power of the wavelength and the square of the number of segments; the batch solver does "
-        "this arithmetic once for each kind of element, and couples elements by moments of their currents. "
-        "The field is right in all: directivity, the gain over the average gain, agrees, and is what can be "
-        "compared there:",
+        "wavelength is nearly a capacitor: its input power is determined by a small resistance in series "
+        "with a large reactance, and their ratio decreases with the cube of the wavelength. In addition "
+        "NEC2's basis of constant, sine and cosine on a segment loses digits, because constant and cosine "
+        "become equal with the square of the segment length over the wavelength. The average gains of both "
+        "NEC2 programs therefore scatter independently, about as the fifth power of the wavelength and the "
+        "square of the number of segments. The batch solver does this arithmetic once for each kind of "
+        "element, and couples elements by moments of their currents. The field is correct in all solvers: "
+        "directivity, the gain over the average gain, agrees, and is the quantity to compare:",
         columns=("wavelength m", "segments", "resistance/reactance", "solver", "formations", "average gain",
                  "deviation", "maximum less batch: greatest dB", "directivity: greatest dB"),
         rows=tuple(rows),

@@ -1,4 +1,4 @@
-"""What position errors leave of the maximum gain: random formations beside reference statistics."""
+"""Maximum gain with position errors: random formations compared with reference statistics."""
 
 import csv
 import math
@@ -19,11 +19,11 @@ from studies.antenna.plan import AntennaPlan
 from studies.common.report import Check, ReportTable, Section
 from studies.common.runner import Job, Results
 
-REFERENCE = Path(__file__).parents[2] / "tests" / "reference" / "antenna_sensitivity.csv"
+REFERENCE = Path(__file__).parents[2] / "studies" / "reference" / "antenna_sensitivity.csv"
 TOLERANCE_DB = 0.05
 STANDARD_ERRORS = 2.0
 GRID_DEG = 2.0
-"""The reference's."""
+"""Grid of the reference"""
 GRIDS_DEG = (2.0, 5.0, 10.0)
 CURVE_LAMBDA = tuple(np.geomspace(0.005, 0.5, 17).tolist())
 """Deviations of the curve."""
@@ -32,13 +32,13 @@ DRAWN_SIGMA_M = (0.5, 1.0)
 """Deviations whose densities are drawn."""
 SEED = 11
 SAME_DB = 0.02
-"""Between equal formations at other wavelengths: their dipoles are not of the same size in wavelengths."""
+"""Between equal formations at other wavelengths, because their dipoles differ in size over wavelength."""
 FEEDS_DBI = {
     "phases for places": 12.62,
     "phases for true positions": 12.35,
     "optimum for true positions": 13.45,
 }
-"""Mean at 10 m and 0.5 m, by what the feeds are made of."""
+"""Mean at 10 m and 0.5 m, by feeding policy."""
 _FEEDS = {
     "phases for places": AntennaConfig(grid_deg=GRID_DEG),
     "phases for true positions": AntennaConfig(grid_deg=GRID_DEG, feeds_for="truth"),
@@ -47,7 +47,7 @@ _FEEDS = {
 
 
 class SensitivityReference(Struct, frozen=True, kw_only=True):
-    """One row: 1000 formations by NEC2, the maximum of a grid of 2 degrees."""
+    """One row of the reference: 1000 formations by NEC2, maximum on a grid of 2 degrees."""
 
     wavelength_m: float
     sigma_m: float
@@ -55,8 +55,8 @@ class SensitivityReference(Struct, frozen=True, kw_only=True):
     std_db: float
 
 
-class Wanted(Struct, frozen=True, kw_only=True):
-    """Random formations of one kind; all kinds of one seed have the same draws, scaled."""
+class Draw(Struct, frozen=True, kw_only=True):
+    """One kind of random formations; all kinds use the same draws, scaled."""
 
     config: AntennaConfig
     sigma_m: float
@@ -90,37 +90,37 @@ def reference_rows() -> tuple[SensitivityReference, ...]:
 
 
 def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:
-    """Every row of the reference, every way to feed, every point of the curve, and every grid."""
+    """Return the jobs of every reference row, every feeding policy, every point of the curve, every grid."""
     return {
         "table": [
-            (draw, Wanted(
+            (draw, Draw(
                 config=AntennaConfig(wavelength_m=one.wavelength_m, grid_deg=GRID_DEG),
                 sigma_m=one.sigma_m, samples=plan.samples,
             ))
             for one in reference_rows()
         ],
         "feeds": [
-            (draw, Wanted(config=config, sigma_m=0.5, samples=plan.samples)) for config in _FEEDS.values()
+            (draw, Draw(config=config, sigma_m=0.5, samples=plan.samples)) for config in _FEEDS.values()
         ],
         "curve": [
-            (draw, Wanted(config=AntennaConfig(), sigma_m=10.0 * at, samples=plan.curve_samples))
+            (draw, Draw(config=AntennaConfig(), sigma_m=10.0 * at, samples=plan.curve_samples))
             for at in CURVE_LAMBDA
         ],
         "grids": [
-            (draw, Wanted(config=AntennaConfig(grid_deg=step), sigma_m=0.5, samples=plan.samples))
+            (draw, Draw(config=AntennaConfig(grid_deg=step), sigma_m=0.5, samples=plan.samples))
             for step in GRIDS_DEG
         ],
     }  # fmt: skip
 
 
-def draw(wanted: Wanted) -> Gains:
+def draw(kind: Draw) -> Gains:
     """Solve random formations with the batch solver, some at a time."""
-    config = wanted.config
+    config = kind.config
     solver = make_backend(config)
-    source = draws(places(4, config.wavelength_m), config, Disorder(sigma_m=wanted.sigma_m, seed=SEED))
+    source = draws(places(4, config.wavelength_m), config, Disorder(sigma_m=kind.sigma_m, seed=SEED))
     refined, on_grid, touching = [], [], 0
-    for first in range(0, wanted.samples, AT_A_TIME):
-        for pattern in solver.patterns(list(islice(source, min(AT_A_TIME, wanted.samples - first)))):
+    for first in range(0, kind.samples, AT_A_TIME):
+        for pattern in solver.patterns(list(islice(source, min(AT_A_TIME, kind.samples - first)))):
             if isinstance(pattern, ElementsTouch):
                 touching += 1
                 continue
@@ -143,7 +143,7 @@ def moments(gains_dbi: Array) -> Moments:
 
 
 def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
-    """Compare moments with the reference's, and formations with each other."""
+    """Compare moments with those of the reference, and formations with each other."""
     rows, checks, cells = reference_rows(), [], []
     tables: list[Gains] = results["table"]
     for one, gains in zip(rows, tables, strict=True):
@@ -193,11 +193,12 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
         conditions=(
             "Short dipoles, 4x2, upright, displaced by independent Gaussian errors of σ on each axis; "
             f"{plan.samples} formations in each row by the batch solver, fed for the ideal places. The "
-            "reference has 1000 by NEC2, and takes the maximum of a grid of 2 degrees, which is up to 0.06 "
-            "dB below the true one; it is compared with ours on the same grid, and the refined maximum "
-            f"stands beside it. Required is the same mean and deviation within {TOLERANCE_DB:g} dB and "
-            f"{STANDARD_ERRORS:g} of our standard errors. All rows have the same draws, scaled by σ: rows "
-            "of one σ/wavelength have the same formation in wavelengths, and must give the same gain.\n"
+            "reference has 1000 formations by NEC2 and uses the maximum on a grid of 2 degrees, which is "
+            "up to 0.06 dB below the true one; it is compared with ours on the same grid, and the table "
+            "also contains our refined maximum. Mean and deviation must agree within the sum of "
+            f"{TOLERANCE_DB:g} dB and {STANDARD_ERRORS:g} of our standard errors. All rows use the same "
+            "draws, scaled by σ: rows with the same σ/wavelength have the same formations in wavelengths "
+            "and must have the same gain.\n"
         ),
         checks=tuple(checks),
         tables=(
@@ -207,8 +208,8 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
                 rows=tuple(cells),
             ),
             ReportTable(
-                caption="What the feeds are made of, wavelength 10 m, σ 0.5 m, grid of 2 degrees, dBi: "
-                "phases remade for true positions no longer share their error with the array, and gain less:",
+                caption="Feeding policies, wavelength 10 m, σ 0.5 m, grid of 2 degrees, dBi: phases for the "
+                "true positions do not share the array's error, and have less gain:",
                 columns=("feeds", "reference", "mean", "deviation", "standard error of the mean"),
                 rows=tuple(
                     (name, f"{FEEDS_DBI[name]:g}", f"{of.mean_dbi:.3f}", f"{of.std_db:.3f}",
@@ -223,7 +224,7 @@ def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:
 
 
 def compared(name: str, ours: Moments, reference: SensitivityReference) -> list[Check]:
-    """Mean and deviation against one row of the reference."""
+    """Return the checks of mean and deviation against one row of the reference."""
     mean_bound_db = TOLERANCE_DB + STANDARD_ERRORS * ours.mean_error_db
     std_bound_db = TOLERANCE_DB + STANDARD_ERRORS * ours.std_error_db
     mean_db, std_db = ours.mean_dbi - reference.mean_max_gain_dbi, ours.std_db - reference.std_db
@@ -234,7 +235,7 @@ def compared(name: str, ours: Moments, reference: SensitivityReference) -> list[
 
 
 def alike_db(rows: tuple[SensitivityReference, ...], gains: list[Gains]) -> float:
-    """Greatest difference between the same draws of rows whose σ/wavelength is the same, refined."""
+    """Return the greatest difference of a draw's refined gain between rows with the same σ/wavelength."""
     groups: dict[float, list[Array]] = {}
     for one, of in zip(rows, gains, strict=True):
         groups.setdefault(round(one.sigma_m / one.wavelength_m, 9), []).append(np.array(of.refined))
@@ -253,7 +254,7 @@ def _grids(results: list[Gains]) -> ReportTable:
         lost_db = np.array(gains.refined) - np.array(gains.on_grid)
         rows.append((f"{step_deg:g}", f"{lost_db.mean():.4f}", f"{lost_db.max():.4f}"))
     return ReportTable(
-        caption="What a grid alone would lose of the maximum, wavelength 10 m, σ 0.5 m, dB:",
+        caption="Loss of the maximum on a grid without refinement, wavelength 10 m, σ 0.5 m, dB:",
         columns=("grid °", "on average", "at most"),
         rows=tuple(rows),
     )

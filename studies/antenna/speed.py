@@ -1,4 +1,4 @@
-"""What a pattern costs by both solvers: the laboratory's benchmark, as it is, and what is asked of it."""
+"""Time of a pattern by both solvers: the benchmark of `antenna.lab`, and its requirements."""
 
 import math
 import os
@@ -14,17 +14,17 @@ from studies.common.report import Check, ReportTable, Section
 from studies.common.runner import Job, Results
 
 LEAST = {"speedup_short_dipole": 200.0, "speedup_5m_dipole": 40.0, "speedup_two_cores": 1.7}
-"""Asked of fields of the benchmark."""
+"""Smallest allowed values of fields of the benchmark."""
 
 
 def jobs(plan: AntennaPlan) -> dict[str, list[Job]]:
-    """One: nothing else may run beside it."""
+    """Return one job, because nothing else may run at the same time."""
     return {"benchmark": [(measure, plan.benchmark_s)]}
 
 
 def measure(seconds: float) -> dict[str, Any] | None:
-    """Give the benchmark's fields; None without PyNEC."""
-    from antenna.lab.benchmark import benchmark  # noqa: PLC0415  compiles
+    """Return the fields of the benchmark; None without PyNEC."""
+    from antenna.lab.benchmark import benchmark  # noqa: PLC0415  compiles kernels
 
     try:
         fields: dict[str, Any] = msgspec.to_builtins(benchmark(seconds), str_keys=True)
@@ -33,31 +33,31 @@ def measure(seconds: float) -> dict[str, Any] | None:
     return fields
 
 
-def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:  # noqa: ARG001  # one shape
-    """Bound three of its numbers, and list all."""
+def judge(plan: AntennaPlan, results: Results, images: Path | None) -> Section:  # noqa: ARG001  # common signature
+    """Check three fields, and list all."""
     (fields,) = results["benchmark"]
     cores = len(os.sched_getaffinity(0))
     return Section(
         title="Speed",
         conditions=(
-            f"`antenna_lab.py benchmark --seconds {plan.benchmark_s:g}`, with nothing else of this "
-            f"validation beside it, on {cores} core{'s' if cores > 1 else ''}: both solvers make the "
+            f"`antenna_lab.py benchmark --seconds {plan.benchmark_s:g}`, without other parts of this "
+            f"validation running, on {cores} core{'s' if cores > 1 else ''}: both solvers compute the "
             "patterns of the same random formations of eight dipoles on a grid of 5 degrees with a refined "
-            "maximum, in turns, one core each; the batch solver then with two threads by the clock on the "
-            "wall. docs/antenna.md says what is counted.\n"
-            + said_missing([] if fields is not None else ["nec2 (PyNEC), without which nothing is compared"])
+            "maximum, in turn, on one core each; then the batch solver runs with two threads, measured in "
+            "wall time. docs/concepts/antenna.md describes the fields.\n"
+            + said_missing([] if fields is not None else ["nec2 (PyNEC), which all comparisons require"])
         ),
         checks=() if fields is None else requirements(fields),
         tables=() if fields is None else (
             ReportTable(
-                caption="All that it measured:", columns=("field", "value"), rows=tuple(flat(fields))
+                caption="All fields:", columns=("field", "value"), rows=tuple(flat(fields))
             ),
         ),
     )  # fmt: skip
 
 
 def requirements(fields: dict[str, Any]) -> tuple[Check, ...]:
-    """Speed-ups that are asked for; one that the benchmark does not have is not met."""
+    """Return the checks of the required speed-ups; a missing field fails."""
     return tuple(
         Check(name=name, value=float(fields.get(name, math.nan)), unit="", at_least=least)
         for name, least in LEAST.items()
@@ -65,7 +65,7 @@ def requirements(fields: dict[str, Any]) -> tuple[Check, ...]:
 
 
 def flat(fields: dict[str, Any], under: str = "") -> list[tuple[str, str]]:
-    """Names and values of a nested dict, one line each."""
+    """Return names and values of a nested dict, one row each."""
     rows = []
     for name, value in fields.items():
         if isinstance(value, dict):

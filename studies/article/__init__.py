@@ -1,1 +1,1 @@
-"""The article's results flown again: its statements, each beside what came out."""
+"""Reproduction of the article: its statements compared with our flights; generates docs/article.md."""

@@ -1,4 +1,4 @@
-"""Numbers out of the campaigns' tables and series: one `Cell` for each change, wavelength and wind."""
+"""Values from the campaigns' tables and series: one `Cell` for each change, wavelength and wind."""
 
 import csv
 import io
@@ -29,32 +29,32 @@ Key = tuple[str, float, float]
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class OneFlight:
-    """Numbers of one flight; None, or no gains, where it has none."""
+    """Values of one flight; None, or no gains, if missing."""
 
     seed: int
     completed: bool = True
     collided: bool = False
     """Two UAVs touched."""
     max_gain_dbi: Array = field(default_factory=lambda: np.empty(0))
-    """(K,) of its instants in formation that have a pattern."""
+    """(K,) at the instants in formation that have a pattern."""
     missing: int = 0
-    """Instants without one: antennas touched."""
+    """Instants without a pattern, because antennas touched."""
     ideal_dbi: float | None = None
     shape_m: float | None = None
-    """Rms distance from the best laid shape."""
+    """Rms distance from the desired shape after the best alignment."""
     shape_horizontal_m: float | None = None
     vehicles: int = 0
     busy_fraction: float | None = None
-    """Of the channel."""
+    """Of the channel time."""
     ftm_requested: int = 0
     ftm_completed: int = 0
     ftm_error_std_m: float | None = None
-    """Of the measured distances."""
+    """Standard deviation of the measured distances' errors."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Cell:
-    """Flights of all seeds of one case in one wind at one wavelength; None where no flight has a number."""
+    """Flights of all seeds of one case, wind and wavelength; a value is None if no flight has it."""
 
     case: str
     wavelength_m: float
@@ -62,77 +62,77 @@ class Cell:
     runs: tuple[OneFlight, ...]
 
     def of(self, seeds: Collection[int]) -> "Cell":
-        """Give the same of some of its seeds."""
+        """Return the cell with some of its seeds."""
         return replace(self, runs=tuple(each for each in self.runs if each.seed in seeds))
 
     @property
     def flights(self) -> int:
-        """How many were asked for."""
+        """Number of planned flights."""
         return len(self.runs)
 
     @property
     def completed(self) -> int:
-        """How many ended as flights do."""
+        """Number of completed flights."""
         return sum(each.completed for each in self.runs)
 
     @property
     def collided(self) -> int:
-        """In how many two UAVs touched."""
+        """Number of flights in which two UAVs touched."""
         return sum(each.collided for each in self.runs)
 
     @cached_property
     def max_gain_dbi(self) -> Array:
-        """(K,) of all instants of all flights in formation that have a pattern."""
+        """(K,) at all instants in formation of all flights that have a pattern."""
         return np.concatenate([np.empty(0), *(each.max_gain_dbi for each in self.runs)])
 
     @property
     def missing(self) -> int:
-        """Instants without a pattern."""
+        """Number of instants without a pattern."""
         return sum(each.missing for each in self.runs)
 
     @property
     def ideal_dbi(self) -> float | None:
-        """Maximum gain of the formation in its places, by the flights' own summaries."""
+        """Maximum gain of the formation in its places, from the flights' summaries."""
         return next((each.ideal_dbi for each in self.runs if each.ideal_dbi is not None), None)
 
     @property
     def shape_m(self) -> float | None:
-        """Rms over the flights of the distance from the best laid shape."""
+        """Distance from the desired shape after the best alignment, rms over the flights."""
         return _rms([each.shape_m for each in self.runs if each.shape_m is not None])
 
     @property
     def shape_horizontal_m(self) -> float | None:
-        """Its horizontal part."""
+        """Horizontal part of `shape_m`."""
         return _rms([each.shape_horizontal_m for each in self.runs if each.shape_horizontal_m is not None])
 
     @property
     def vehicles(self) -> int:
-        """Of a flight."""
+        """Number of vehicles of a flight."""
         return max((each.vehicles for each in self.runs), default=0)
 
     @property
     def busy_fraction(self) -> float | None:
-        """Of the channel, mean of the flights."""
+        """Busy fraction of the channel, mean of the flights."""
         return _mean([each.busy_fraction for each in self.runs if each.busy_fraction is not None])
 
     @property
     def ftm_requested(self) -> int:
-        """Ranging sessions that were asked for."""
+        """Number of requested ranging sessions."""
         return sum(each.ftm_requested for each in self.runs)
 
     @property
     def ftm_completed(self) -> int:
-        """Those that gave a distance."""
+        """Number of sessions that returned a distance."""
         return sum(each.ftm_completed for each in self.runs)
 
     @property
     def ftm_error_std_m(self) -> float | None:
-        """Of the measured distances, rms over the flights."""
+        """Standard deviation of the distance errors, rms over the flights."""
         return _rms([each.ftm_error_std_m for each in self.runs if each.ftm_error_std_m is not None])
 
     @cached_property
     def statistics(self) -> GainStatistics | None:
-        """Of the maximum gain; None without a pattern."""
+        """Statistics of the maximum gain; None without a pattern."""
         return gain_statistics(self.max_gain_dbi) if len(self.max_gain_dbi) else None
 
     @property
@@ -143,7 +143,7 @@ class Cell:
 
     @cached_property
     def peak_per_db(self) -> float | None:
-        """Highest probability density of the maximum gain; infinite where all gains are alike."""
+        """Highest probability density of the maximum gain; infinite if all gains are equal."""
         if not len(self.max_gain_dbi):
             return None
         kernel_per_db = gain_density(self.max_gain_dbi).kernel_per_db
@@ -151,13 +151,13 @@ class Cell:
 
     @property
     def sigma_m(self) -> float | None:
-        """Of independent errors on each horizontal axis that leave this shape error."""
+        """Standard deviation of independent errors on each horizontal axis with this shape error."""
         shape_m = self.shape_horizontal_m
         return None if shape_m is None or self.vehicles < 2 else per_axis_sigma_m(shape_m, self.vehicles)
 
 
 def read_cells(table: Table) -> dict[Key, Cell]:
-    """Gather the runs of a table that has one row for each seed."""
+    """Return the cells of a table that has one row for each seed."""
     rows: dict[Key, list[int]] = {}
     for row, run in enumerate(table.runs):
         swept = dict(zip(table.rows.column_names[1:], run.swept, strict=False))
@@ -208,7 +208,7 @@ def _mean(values: Sequence[float]) -> float | None:
 
 
 def csv_text(cells: Iterable[Cell]) -> str:
-    """Write cells as CSV, a row each; empty where there is no number."""
+    """Return the cells as CSV, one row each; missing values are empty."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(CSV_COLUMNS)
@@ -218,7 +218,7 @@ def csv_text(cells: Iterable[Cell]) -> str:
 
 
 def csv_row(cell: Cell) -> Mapping[str, Any]:
-    """Give what a row says, by column."""
+    """Return the values of a row by column."""
     found = cell.statistics
     quantiles = {q: None if found is None else found.quantiles_dbi[q] for q in (0.05, 0.5, 0.95)}
     values = (

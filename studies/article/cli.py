@@ -1,7 +1,7 @@
-"""The command line of the reproduction: fly what is missing, measure, judge, write the page.
+"""Command line of the reproduction: fly the missing flights, evaluate the statements, write the page.
 
-Exit status: 0 all flights have ended as flights do, 1 some failed or the cluster did, 2 bad input, 130 broken
-off: the same command goes on. What a verdict says is a result, and no failure. An error is one line.
+Exit status: 0 all flights completed, 1 some flights or the cluster failed, 2 bad input, 130 interrupted; the
+same command then continues. A negative verdict is a result, not a failure. An error is one line.
 """
 
 import math
@@ -34,7 +34,7 @@ from studies.article.retained_flights import figure_flights, figure_patterns_of,
 from studies.article.setup_findings import IDEAL_DBI
 from studies.article.statements import StatementVerdict, count, judge_all
 from studies.common.command_line import WIDTH, progress_lines
-from studies.common.report import Section, markdown, show, write
+from studies.common.report import Section, figures_folder, figures_link, markdown, show, write
 from studies.common.standard_output import keep_stdout
 
 FINE, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
@@ -47,7 +47,7 @@ article_app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 @article_app.command()
 def article(
     quick: Annotated[  # noqa: FBT002
-        bool, typer.Option("--quick", help="Few and short flights at 5, 10 and 20 m: minutes.")
+        bool, typer.Option("--quick", help="Few and short flights at 5, 10 and 20 m; takes minutes.")
     ] = False,
     seeds: Annotated[
         int | None, typer.Option(help="Flights of each wavelength in each wind.", min=1, max=1000)
@@ -56,20 +56,20 @@ def article(
         float | None, typer.Option(help="Simulated seconds in formation.", min=6.0, max=600.0)
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(help="Processes that fly; default one per processor.", min=1, max=1024)
+        int | None, typer.Option(help="Worker processes; default one for each processor.", min=1, max=1024)
     ] = None,
     runs: Annotated[
         Path | None,
-        typer.Option(help=f"Folder in which flights are kept; default {RUNS}, or {QUICK_RUNS} with --quick."),
+        typer.Option(help=f"Folder of finished flights; default {RUNS}, or {QUICK_RUNS} with --quick."),
     ] = None,
-    retry: Annotated[bool, typer.Option("--retry", help="Fly those again that failed.")] = False,  # noqa: FBT002
+    retry: Annotated[bool, typer.Option("--retry", help="Repeat failed flights.")] = False,  # noqa: FBT002
     json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,  # noqa: FBT002
     out: Annotated[
         Path | None,
-        typer.Option(help=f"Folder for {page.FILE_NAME}, {page.CSV_NAME} and images/; none writes no page."),
+        typer.Option(help=f"Folder for {page.FILE_NAME}, {page.CSV_NAME} and images/; by default no page."),
     ] = None,
 ) -> None:
-    """Fly the article's formation, and set each of its statements beside what came out."""
+    """Fly the article's formation and compare each of its statements with the results."""
     messages = Console(stderr=True, highlight=False)
     plan = QUICK if quick else ArticlePlan()
     plan = replace(plan, seeds=seeds or plan.seeds, duration_s=duration or plan.duration_s)
@@ -84,11 +84,11 @@ def article(
             sections = page.sections(results)
             if out is not None:
                 _write(results, sections, out, quick=quick)
-            _tell(results, sections, out, json=json, stdout=stdout)
+            _print(results, sections, out, json=json, stdout=stdout)
     except KeyboardInterrupt:
-        messages.print("broken off: the same command goes on from here")
+        messages.print("interrupted: the same command continues from here")
         raise typer.Exit(INTERRUPTED) from None
-    except Exception as error:  # noqa: BLE001  every end has its status and its line
+    except Exception as error:  # noqa: BLE001  every error has a status and a line
         status, line = _ending(error)
         messages.print(f"{PROGRAM}: {line}", soft_wrap=True, markup=False)
         raise typer.Exit(status) from None
@@ -108,14 +108,14 @@ def _ending(error: Exception) -> tuple[int, str]:
 def _fly(
     plans: Mapping[str, Campaign], folder: Path, *, workers: int, retry: bool, messages: Console
 ) -> dict[str, Table]:
-    """Fly all campaigns into one folder, so that what they share is flown once."""
+    """Fly all campaigns into one folder, so that common flights are flown once."""
     tables = {}
     for name, campaign in plans.items():
         runs = expand(campaign, state=sources_state())
         missing = known(campaign, runs, Store(folder), retry=retry)[1]
         total = len({each.digest for each in runs})
         messages.print(
-            f"{name}: {total} flights, {len(missing)} of them to be flown; into {folder}",
+            f"{name}: {total} flights, {len(missing)} of them missing; stored in {folder}",
             soft_wrap=True,
             markup=False,
         )
@@ -128,7 +128,7 @@ def _fly(
 
 
 def _measure(plan: ArticlePlan, tables: Mapping[str, Table], messages: Console) -> page.Results:
-    """Take everything that the statements need out of the tables, and judge them."""
+    """Collect the evidence from the tables and judge all statements."""
     cells = {
         key: cell for name, table in tables.items() if name != KEPT for key, cell in read_cells(table).items()
     }
@@ -172,7 +172,7 @@ def _measure(plan: ArticlePlan, tables: Mapping[str, Table], messages: Console) 
 
 def _write(results: page.Results, sections: Sequence[Section], out: Path, *, quick: bool) -> None:
     """Write page, figures and CSV; raises OSError."""
-    images, evidence = out / "images", results.evidence
+    images, evidence = figures_folder(out), results.evidence
     images.mkdir(parents=True, exist_ok=True)
     figures.save_densities(images / page.FIGURE3, evidence.cells, evidence.winds_n, IDEAL_DBI)
     figures.save_wind(images / page.WIND_FIGURE, evidence.cells, IDEAL_DBI)
@@ -183,10 +183,11 @@ def _write(results: page.Results, sections: Sequence[Section], out: Path, *, qui
         figures.save_patterns(images / page.MEANS, results.figure, mean=True)
     (out / page.CSV_NAME).write_text(csv_text(evidence.cells.values()), encoding="utf-8")
     introduction = page.introduction(results, quick=quick)
-    write(out / page.FILE_NAME, markdown(sections, title=page.TITLE, introduction=introduction))
+    text = markdown(sections, title=page.TITLE, introduction=introduction, figures=figures_link(out))
+    write(out / page.FILE_NAME, text)
 
 
-def _tell(
+def _print(
     results: page.Results, sections: Sequence[Section], out: Path | None, *, json: bool, stdout: TextIO
 ) -> None:
     if not json:

@@ -1,6 +1,6 @@
 """Statements on the pattern in 5 N at 10 m, the article's figure 4.
 
-Numbers are of the flight that is shown, as the article's are; verdicts of all kept flights of that pattern.
+Numbers are of the flight in the figure, as in the article; verdicts use all retained flights of that pattern.
 """
 
 from msgspec.structs import replace
@@ -19,28 +19,28 @@ ADEQUATE_DBI = 0.0
 REGION_DB = 1.0
 REMAINS = 0.5
 LOSSLESS_DB = 0.1
-"""Powers over all directions that differ by less are the same."""
+"""Powers over all directions that differ by less count as equal."""
 
 
 def lobe_loses_area(evidence: Evidence) -> Finding:
-    """Solid angles of the main lobe, above the ideal's outline and its own."""
+    """Measure the solid angles of the main lobe, relative to the ideal and to its own maximum."""
     ideal, median, mean = (evidence.pattern(name) for name in (IDEAL, MEDIAN, FLOWN))
     share = median.effective_lobe_sr / ideal.lobe_sr
     shares = evidence.pattern_estimate(lambda of: of[MEDIAN].effective_lobe_sr / of[IDEAL].lobe_sr)
     return by_margins(
         {"share": replace(shares, value=LOBE_SHARE - shares.value)}, unit="",
-        found=f"{median.effective_lobe_sr:.3f} sr of {ideal.lobe_sr:.3f} sr, {share:.1%}; of the flight's "
-        f"mean {mean.effective_lobe_sr / ideal.lobe_sr:.1%}; within half of its own maximum "
+        found=f"{median.effective_lobe_sr:.3f} sr of {ideal.lobe_sr:.3f} sr, {share:.1%}; flight's "
+        f"mean {mean.effective_lobe_sr / ideal.lobe_sr:.1%}; above half of its own maximum "
         f"{median.lobe_sr / ideal.lobe_sr:.1%}; {_over(shares)} {shares.text()}",
         why=f"The maximum is {median.max_gain_dbi:.2f} dBi, ideally {ideal.max_gain_dbi:.2f} dBi. "
-        f"Tilted vehicles in their places keep "
-        f"{evidence.pattern(IN_PLACE).effective_lobe_sr / ideal.lobe_sr:.1%}, upright ones where they flew "
-        f"{evidence.pattern(UPRIGHT).effective_lobe_sr / ideal.lobe_sr:.1%}.",
+        "Tilted vehicles in their places have "
+        f"{evidence.pattern(IN_PLACE).effective_lobe_sr / ideal.lobe_sr:.1%}, upright ones at flown "
+        f"positions {evidence.pattern(UPRIGHT).effective_lobe_sr / ideal.lobe_sr:.1%}.",
     )  # fmt: skip
 
 
 def lower_throughout(evidence: Evidence) -> Finding:
-    """Share of the directions with less gain than ideal."""
+    """Measure the share of directions with less than the ideal gain."""
     ideal, median, mean = (evidence.pattern(name) for name in (IDEAL, MEDIAN, FLOWN))
     shares = evidence.pattern_estimate(lambda of: of[MEDIAN].lower_share)
     return by_margins(
@@ -50,7 +50,7 @@ def lower_throughout(evidence: Evidence) -> Finding:
         why=f"Over all directions the mean gain is {median.mean_dbi:.2f} dBi as flown and "
         f"{ideal.mean_dbi:.2f} dBi ideally"
         + (
-            ": what some directions lose others have to gain."
+            ": a loss in some directions is a gain in others."
             if abs(median.mean_dbi - ideal.mean_dbi) <= LOSSLESS_DB
             else "."
         ),
@@ -58,23 +58,23 @@ def lower_throughout(evidence: Evidence) -> Finding:
 
 
 def symmetry_lost(evidence: Evidence) -> Finding:
-    """Difference from the mirror image."""
+    """Measure the difference from the mirror image."""
     ideal, median, mean = (evidence.pattern(name) for name in (IDEAL, MEDIAN, FLOWN))
     flown = evidence.pattern_estimate(lambda of: of[MEDIAN].asymmetry_db)
     ideally = evidence.pattern_estimate(lambda of: of[IDEAL].asymmetry_db)
     words = []
     if ideally.value > SYMMETRIC_DB:
-        words.append("The ideal pattern is not symmetric itself.")
+        words.append("The ideal pattern is not symmetric.")
     if flown.value < ASYMMETRY_DB:
-        words.append(f"The flown one differs from its mirror image by less than {ASYMMETRY_DB:g} dB.")
+        words.append(f"The flown pattern differs from its mirror image by less than {ASYMMETRY_DB:g} dB.")
     return by_margins(
         {
             "flown": replace(flown, value=flown.value - ASYMMETRY_DB),
             "ideal": replace(ideally, value=SYMMETRIC_DB - ideally.value),
         },
         found=f"{median.asymmetry_db:.2f} dB rms, in the flight's mean {mean.asymmetry_db:.2f} dB, ideal "
-        f"{ideal.asymmetry_db:.2f} dB; of that mean the vehicles make "
-        f"{evidence.pattern(UPRIGHT).asymmetry_db:.2f} dB upright where they flew, and "
+        f"{ideal.asymmetry_db:.2f} dB; in that mean "
+        f"{evidence.pattern(UPRIGHT).asymmetry_db:.2f} dB with vehicles upright at flown positions, and "
         f"{evidence.pattern(IN_PLACE).asymmetry_db:.2f} dB tilted in their places; {_over(flown)} "
         f"{flown.text(2)} dB",
         why=" ".join(words),
@@ -82,19 +82,19 @@ def symmetry_lost(evidence: Evidence) -> Finding:
 
 
 def region_is_adequate(evidence: Evidence) -> Finding:
-    """Ideal gain in the article's region."""
+    """Measure the ideal gain in the article's region."""
     ideal = evidence.pattern(IDEAL)
     return Finding(
-        found=f"up to {ideal.region_max_dbi:.2f} dBi, {ideal.region_dbi:.2f} dBi in the mean",
+        found=f"up to {ideal.region_max_dbi:.2f} dBi, mean {ideal.region_dbi:.2f} dBi",
         agrees=ideal.region_max_dbi >= ADEQUATE_DBI,
-        why="Upright dipoles radiate little towards their ends. "
-        f"On the article's scale of colours, from {COLOUR_FLOOR_DBI:g} to {COLOUR_TOP_DBI:g} dB, the region "
+        why="Upright dipoles radiate little along their axis. "
+        f"On the article's colour scale, from {COLOUR_FLOOR_DBI:g} to {COLOUR_TOP_DBI:g} dB, the region "
         f"reaches {(ideal.region_max_dbi - COLOUR_FLOOR_DBI) / (COLOUR_TOP_DBI - COLOUR_FLOOR_DBI):.0%}.",
     )  # fmt: skip
 
 
 def region_is_reduced(evidence: Evidence) -> Finding:
-    """Flown gain in the article's region."""
+    """Measure the flown gain in the article's region."""
     readings = [evidence.pattern(name) for name in (IDEAL, MEDIAN, FLOWN)]
     ideal, median, mean = (each.region_dbi for each in readings)
     colours = [each.region_colour_db for each in readings]
@@ -110,15 +110,15 @@ def region_is_reduced(evidence: Evidence) -> Finding:
         f"flight's mean, and in {shares[2]:.0%}; {_over(at_median)} the difference from ideal is "
         f"{_negative(at_median).text(2)} dB and {_negative(in_mean).text(2)} dB",
         why=f"The region has {ideal:.2f} dBi ideally, {median:.2f} dBi at the median instant and {mean:.2f} "
-        "dBi in the flight's mean. These are means of power. By decibels, as the colours have it, the region "
-        f"has {colours[0]:.2f}, {colours[1]:.2f} and {colours[2]:.2f} dB. Of the mean, tilted vehicles in "
-        f"their places have {evidence.pattern(IN_PLACE).region_dbi:.2f} dBi, upright ones where they flew "
-        f"{evidence.pattern(UPRIGHT).region_dbi:.2f} dBi.",
+        "dBi in the flight's mean. These are means of power. The means of the decibels, as in the colours, "
+        f"are {colours[0]:.2f}, {colours[1]:.2f} and {colours[2]:.2f} dB. In the flight's mean, tilted "
+        f"vehicles in their places have {evidence.pattern(IN_PLACE).region_dbi:.2f} dBi, upright ones at "
+        f"flown positions {evidence.pattern(UPRIGHT).region_dbi:.2f} dBi.",
     )  # fmt: skip
 
 
 def region_by_tilt(evidence: Evidence) -> Finding:
-    """What is left of the deficit when the vehicles are set upright."""
+    """Measure the remaining deficit with upright vehicles."""
     ideal, flown, upright, tilted = (
         evidence.pattern(name).region_dbi for name in (IDEAL, FLOWN, UPRIGHT, IN_PLACE)
     )
@@ -130,10 +130,10 @@ def region_by_tilt(evidence: Evidence) -> Finding:
         )
     )
     return by_margins(
-        {"deficit": deficit, "what upright vehicles leave of it": remains},
-        found=f"flight's mean {_lower(ideal - flown)}; upright where they flew {_lower(ideal - upright)}; "
+        {"deficit": deficit, "remainder with upright vehicles": remains},
+        found=f"flight's mean {_lower(ideal - flown)}; upright at flown positions {_lower(ideal - upright)}; "
         f"tilted in their places {_lower(ideal - tilted)}",
-        why="Positions take part in it." if deficit.value > 0.0 else "There is no deficit.",
+        why="Position errors contribute to it." if deficit.value > 0.0 else "There is no deficit.",
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""The article's figures 3 and 4 from our flights, and two that explain them. PNG files."""
+"""The article's figures 3 and 4 from our flights, and further figures that explain them, as PNG files."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -18,20 +18,20 @@ from studies.article.retained_flights import FLOWN, FigurePatterns
 
 DPI = 130
 COLOURS = {5.0: "#D55E00", 7.5: "#E69F00", 10.0: "#009E73", 15.0: "#56B4E9", 20.0: "#0072B2"}
-"""Of Okabe and Ito's palette, which colour-blind eyes tell apart."""
+"""Palette of Okabe and Ito, suitable for colour vision deficiency"""
 TAILS = 0.002
-"""Part of the gains on either side that the axis need not show."""
+"""Share of the gains at either end that is outside the axis range"""
 
 
 def save_densities(path: Path, cells: Mapping[Key, Cell], winds_n: Sequence[float], ideal_dbi: float) -> None:
-    """Figure 3: densities of the maximum gain by wavelength, a panel for each wind, the strongest on top."""
+    """Plot figure 3: densities of the maximum gain by wavelength, a panel for each wind."""
     panels = {f"{wind_n:g} N": _of(cells, ARTICLE, wind_n) for wind_n in sorted(winds_n, reverse=True)}
     heights = [1.0 if wind_n > 0.0 else 0.6 for wind_n in sorted(winds_n, reverse=True)]
     _save_panels(path, panels, heights, ideal_dbi)
 
 
 def save_changes(path: Path, cells: Mapping[Key, Cell], wind_n: float, ideal_dbi: float) -> None:
-    """Densities in one wind, a panel for each change of the scenario that was flown."""
+    """Plot densities in one wind, a panel for each flown change of the scenario."""
     panels = {name: _of(cells, name, wind_n) for name in (ARTICLE, *CHANGES)}
     _save_panels(path, {name: found for name, found in panels.items() if found}, None, ideal_dbi)
 
@@ -70,7 +70,7 @@ def _draw_density(axes: Axes, cell: Cell) -> None:
     label = f"λ = {cell.wavelength_m:g} m"
     if found is not None:
         label += f": {found.mean_dbi:.2f} ± {found.std_db:.2f}"
-    if len(density.gain_dbi) == 0:  # all alike: a line, since a density would be infinite
+    if len(density.gain_dbi) == 0:  # equal gains: a line, because the density is infinite
         axes.axvline(float(cell.max_gain_dbi[0]), color=colour, label=label)
         return
     axes.plot(density.gain_dbi, density.kernel_per_db, color=colour, linewidth=1.4, label=label)
@@ -78,7 +78,7 @@ def _draw_density(axes: Axes, cell: Cell) -> None:
 
 
 def save_patterns(path: Path, patterns: FigurePatterns, *, mean: bool = False) -> None:
-    """Figure 4: the ideal pattern beside that of the median instant or the flight's mean.
+    """Plot figure 4: the ideal pattern and that of the median instant, or the flight's mean.
 
     The region in which the article finds less gain has a dashed border.
     """
@@ -95,7 +95,7 @@ def save_patterns(path: Path, patterns: FigurePatterns, *, mean: bool = False) -
 
 
 def save_wind(path: Path, cells: Mapping[Key, Cell], ideal_dbi: float) -> None:
-    """Mean and deviation of the maximum gain against wind, by wavelength."""
+    """Plot mean and deviation of the maximum gain against wind, by wavelength."""
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     of_article = [cell for cell in cells.values() if cell.case == ARTICLE and len(cell.max_gain_dbi)]
@@ -118,7 +118,7 @@ def save_wind(path: Path, cells: Mapping[Key, Cell], ideal_dbi: float) -> None:
 
 
 def save_sigma(path: Path, drawn: Mapping[tuple[float, float], Drawn], cells: Iterable[Cell]) -> None:
-    """Mean maximum gain against position error by wavelength: random formations with ± σ, and all flights."""
+    """Plot mean maximum gain against position error: random formations with ± σ, and all flights."""
     figure = Figure(figsize=(8.0, 4.2), layout="constrained")
     axes = figure.subplots()
     sigmas_lambda, means, stds = (
@@ -144,7 +144,7 @@ def save_sigma(path: Path, drawn: Mapping[tuple[float, float], Drawn], cells: It
             color=COLOURS.get(cell.wavelength_m, "0.4"), markersize=5, linewidth=0.8,
         )  # fmt: skip
         shown.add(cell.case)
-    for case in (case for case in markers if case in shown):  # the colours are the wavelengths'
+    for case in (case for case in markers if case in shown):  # colours are used for wavelengths
         axes.plot([], [], markers[case], color="0.4", label=case)
     for wavelength_m, colour in COLOURS.items():
         axes.plot([], [], color=colour, label=f"λ = {wavelength_m:g} m")

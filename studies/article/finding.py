@@ -1,11 +1,11 @@
-"""What measuring a statement gives."""
+"""Result of the measurement of a statement."""
 
 from collections.abc import Mapping
 
 from msgspec import Struct
 from msgspec.structs import replace
 
-from studies.article.comparison import TOLD_APART, ComparedEstimate, holds
+from studies.article.comparison import DECIDED_ERRORS, ComparedEstimate, holds
 
 
 class Finding(Struct, frozen=True, kw_only=True):
@@ -13,26 +13,26 @@ class Finding(Struct, frozen=True, kw_only=True):
 
     found: str
     agrees: bool | None
-    """None: the flights are too few, or differ too much, to tell."""
+    """None if undecided: too few flights, or too large differences between them."""
     why: str = ""
-    """Why not, backed by numbers; read where it does not agree."""
+    """Reason with numbers, used if it does not agree"""
 
 
 def by_margins(
     margins: Mapping[str, ComparedEstimate], *, found: str, why: str = "", unit: str = " dB", digits: int = 3
 ) -> Finding:
-    """Judge by how far numbers are inside their bounds, each by its name; negative ones are outside.
+    """Return a finding from margins by name, the distances inside the bounds; negative margins are outside.
 
-    ``why`` is read where the statement does not hold, after the numbers that are outside.
+    ``why`` follows the numbers that are outside if the statement does not hold.
     """
     agrees = holds(margins.values())
     blamed = {name: margin for name, margin in margins.items() if margin.positive is agrees}
     if agrees is None:
         single = any(margin.error is None for margin in blamed.values())
         said = (
-            "One flight, or one pair of them, has no standard error; inside the criterion by"
+            "A single flight or pair of flights has no standard error; inside the criterion by"
             if single
-            else f"Within {TOLD_APART:g} standard errors of the criterion, inside it by"
+            else f"Within {DECIDED_ERRORS:g} standard errors of the criterion, inside it by"
         )
         return Finding(found=found, agrees=None, why=f"{said} {_listed(blamed, unit, digits)}.")
     if agrees:

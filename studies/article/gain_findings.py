@@ -12,15 +12,15 @@ from studies.article.plan import ARTICLE, CHANGES, FIGURE_WAVELENGTH_M, MEANINGS
 
 SHORT_M = 5.0
 FLAT_PER_DB = 1.0
-"""A Gaussian of 0.4 dB deviation has this peak."""
+"""Peak of a Gaussian density with 0.4 dB deviation."""
 FLAT_OF_LONG = 0.5
 CALM_WITHIN_DB = 0.3
 ALIKE_WITHIN_DB = 0.3
-_FLAT, _NOT_FLAT = "Flights met the criterion with:", "They did not with:"
+_FLAT, _NOT_FLAT = "Flights that meet the criterion:", "Flights that do not:"
 
 
 def short_is_lowest(evidence: Evidence) -> Finding:
-    """Means by wavelength in every wind."""
+    """Compare the means of the wavelengths in every wind."""
     shortest_m, *longer_m = evidence.wavelengths_m
     if not longer_m:
         raise Missing("only one wavelength was flown")
@@ -41,35 +41,35 @@ def short_is_lowest(evidence: Evidence) -> Finding:
 
 
 def near_flat(evidence: Evidence) -> Finding:
-    """Peaks of the densities of 5 and 10 m in 5 N, and what position error makes them flat."""
+    """Compare the peaks of the densities of 5 and 10 m in 5 N, with the position errors that flatten them."""
     wind_n = evidence.strongest_n
     keys = [(ARTICLE, each, wind_n) for each in (SHORT_M, FIGURE_WAVELENGTH_M)]
     short, long = (evidence.estimate([key], peak_per_db) for key in keys)
     margins = {
-        f"λ {SHORT_M:g} m beside {FLAT_PER_DB:g} per dB": evidence.estimate(
+        f"λ {SHORT_M:g} m, limit {FLAT_PER_DB:g} per dB": evidence.estimate(
             keys[:1], lambda short: FLAT_PER_DB - peak_per_db(short)
         ),
-        f"beside λ {FIGURE_WAVELENGTH_M:g} m": evidence.estimate(
+        f"relative to λ {FIGURE_WAVELENGTH_M:g} m": evidence.estimate(
             keys, lambda short, long: FLAT_OF_LONG * peak_per_db(long) - peak_per_db(short)
         ),
     }
     gains = evidence.gains(SHORT_M, wind_n)
     return by_margins(
         margins, unit=" per dB", digits=1,
-        found=f"peak {short.text(1)} per dB, of λ = {FIGURE_WAVELENGTH_M:g} m {long.text(1)}; λ = "
+        found=f"peak {short.text(1)} per dB, at λ = {FIGURE_WAVELENGTH_M:g} m {long.text(1)}; λ = "
         f"{SHORT_M:g} m: {gains.mean_dbi:.2f} ± {gains.std_db:.2f} dBi (deviation of all instants)",
-        why=f"Our UAVs hold their places to σ = {evidence.sigma_m(SHORT_M, wind_n):.2f} m on each horizontal "
-        f"axis. {_implied_text(evidence.drawn)} {_flat_changes_text(evidence)}",
+        why=f"Our UAVs have a position error of σ = {evidence.sigma_m(SHORT_M, wind_n):.2f} m on each "
+        f"horizontal axis. {_implied_text(evidence.drawn)} {_flat_changes_text(evidence)}",
     )  # fmt: skip
 
 
 def is_flat(short_per_db: float, long_per_db: float) -> bool:
-    """Whether a density with this peak is nearly flat beside one with that."""
+    """Return whether a density with peak ``short_per_db`` is nearly flat relative to ``long_per_db``."""
     return short_per_db <= min(FLAT_PER_DB, FLAT_OF_LONG * long_per_db)
 
 
 def implied_sigmas_m(drawn: Mapping[tuple[float, float], Drawn]) -> list[float]:
-    """Errors among those drawn with which both hold: 5 m nearly flat, and 10 m and more alike."""
+    """Return the drawn errors for which 5 m is nearly flat and the means of 10 m and more agree."""
     found = []
     for sigma_m in sorted({sigma_m for sigma_m, _ in drawn}):
         at = {wavelength_m: each for (sigma, wavelength_m), each in drawn.items() if sigma == sigma_m}
@@ -81,7 +81,7 @@ def implied_sigmas_m(drawn: Mapping[tuple[float, float], Drawn]) -> list[float]:
 
 
 def flat_from_m(drawn: Mapping[tuple[float, float], Drawn]) -> float | None:
-    """Least error among those drawn with which the density of 5 m is nearly flat; None: with none."""
+    """Return the smallest drawn error for which the density of 5 m is nearly flat; None if there is none."""
     flat = [
         sigma_m
         for sigma_m, wavelength_m in drawn
@@ -94,16 +94,16 @@ def flat_from_m(drawn: Mapping[tuple[float, float], Drawn]) -> float | None:
 def _implied_text(drawn: Mapping[tuple[float, float], Drawn]) -> str:
     least_m, both_m = flat_from_m(drawn), implied_sigmas_m(drawn)
     if least_m is None:
-        return "No error that was drawn gives so flat a density."
-    both = f"σ = {listed(both_m)} m" if both_m else "no σ that was drawn"
+        return "No drawn error leads to such a flat density."
+    both = f"σ = {listed(both_m)} m" if both_m else "no drawn σ"
     return (
-        f"Of the random formations those of σ = {least_m:g} m are the first with so flat a density; 10 m and "
-        f"more are alike as well for {both}."
+        f"The smallest error of random formations with such a flat density is σ = {least_m:g} m; the means "
+        f"of 10 m and more also agree for {both}."
     )
 
 
 def _flat_changes_text(evidence: Evidence) -> str:
-    """Which of the flown changes makes it flat."""
+    """Return the flown changes that flatten the density, and those that do not."""
     flat: list[str] = []
     others: list[str] = []
     for name in CHANGES:
@@ -122,7 +122,7 @@ def _flat_changes_text(evidence: Evidence) -> str:
 
 
 def falls_with_wind(evidence: Evidence) -> Finding:
-    """Means by wind at every wavelength."""
+    """Compare the means of the winds at every wavelength."""
     margins = {
         f"λ {each:g} m, {low:g} to {high:g} N": evidence.estimate(
             [(ARTICLE, each, low), (ARTICLE, each, high)], lambda low, high: mean_dbi(low) - mean_dbi(high)
@@ -134,7 +134,7 @@ def falls_with_wind(evidence: Evidence) -> Finding:
 
 
 def flattens_with_wind(evidence: Evidence) -> Finding:
-    """Deviations and peaks by wind at every wavelength."""
+    """Compare deviations and peaks of the winds at every wavelength."""
     winds_n = _several_winds(evidence)
     weakest_n, strongest_n = winds_n[0], winds_n[-1]
     deviations: dict[str, ComparedEstimate] = {}
@@ -155,7 +155,7 @@ def flattens_with_wind(evidence: Evidence) -> Finding:
 
 
 def calm_is_ideal(evidence: Evidence) -> Finding:
-    """What the formation loses without wind."""
+    """Measure the loss without wind."""
     losses: dict[str, ComparedEstimate] = {}
     margins: dict[str, ComparedEstimate] = {}
     for each in evidence.wavelengths_m:
@@ -168,13 +168,13 @@ def calm_is_ideal(evidence: Evidence) -> Finding:
             [key], lambda calm, ideal=ideal_dbi: CALM_WITHIN_DB - abs(ideal - mean_dbi(calm))
         )
     return by_margins(
-        margins, found=f"less than ideal without wind, dB: {estimates_text(losses)}",
+        margins, found=f"loss from the ideal gain without wind, dB: {estimates_text(losses)}",
         why=_calm_text(evidence, losses),
     )  # fmt: skip
 
 
 def _calm_text(evidence: Evidence, losses: Mapping[str, ComparedEstimate]) -> str:
-    """Position errors cost gain; a mean above the ideal is not theirs."""
+    """Return the reason for losses, the position errors, and the wavelengths with a mean above the ideal."""
     above = [name for name, loss in losses.items() if loss.value < -CALM_WITHIN_DB]
     below = [name for name, loss in losses.items() if loss.value > CALM_WITHIN_DB]
     words = []
@@ -197,7 +197,7 @@ def _several_winds(evidence: Evidence) -> list[float]:
 
 
 def _by_wind(evidence: Evidence, what: Callable[[Cell], float], name: str, digits: int) -> str:
-    """Say a number by wavelength, of every wind, rising."""
+    """Return a measure by wavelength in every wind, as text."""
     words = []
     for each in evidence.wavelengths_m:
         found = [evidence.estimate([(ARTICLE, each, wind_n)], what).value for wind_n in evidence.winds_n]
@@ -206,10 +206,10 @@ def _by_wind(evidence: Evidence, what: Callable[[Cell], float], name: str, digit
 
 
 def estimates_text(estimates: Mapping[str, ComparedEstimate], digits: int = 3) -> str:
-    """Say estimates with their standard errors, each by its name."""
+    """Format estimates with their standard errors by name."""
     return ", ".join(f"{name} {estimate.text(digits)}" for name, estimate in estimates.items())
 
 
 def listed(values: Iterable[float]) -> str:
-    """Say numbers."""
+    """Format numbers as a list."""
     return ", ".join(f"{value:g}" for value in values)

@@ -1,6 +1,6 @@
-"""The article's array without a flight: ideal by every solver, leaning, and with random position errors.
+"""The article's array without a flight: ideal by every solver, tilted, and with random position errors.
 
-Places, elements, grid and solver are those of the scenario that is flown.
+Places, elements, grid and solver are those of the flown scenario.
 """
 
 import contextlib
@@ -29,9 +29,9 @@ from studies.article.plan import SCENARIO, WAVELENGTH
 from studies.article.snapshots import upright_array
 
 WIND_PHIS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)
-"""Towards which wind blows where its direction is gone through."""
+"""Wind directions of the sweep; the wind blows towards phi."""
 SIGMAS_M = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6, 0.8, 1.0, 1.4)
-"""On each axis, independent and Gaussian."""
+"""Standard deviations of independent Gaussian errors on each axis."""
 WAVELENGTHS_M = (5.0, 10.0, 15.0, 20.0)
 Solver = Literal["batch", "nec2", "nec2c"]
 BACKENDS: tuple[Solver, ...] = ("batch", "nec2", "nec2c")
@@ -46,21 +46,21 @@ class Drawn:
     peak_per_db: float
     """Highest probability density."""
     mean_gain: float
-    """Of the linear gain."""
+    """Mean linear gain."""
     mean_gain_error: float
     """Its standard error."""
     axis_gain: float
-    """Mean linear gain towards the ideal maximum, wherever a formation's own is."""
+    """Mean linear gain in the direction of the ideal maximum."""
 
 
 def array_of(wavelength_m: float, scenario: Path = SCENARIO) -> tuple[Snapshot, AntennaConfig]:
-    """All vehicles of a scenario upright in their places at a wavelength, and the antenna's settings."""
+    """Return the array of all vehicles upright in their places at a wavelength, and its configuration."""
     loaded = load(scenario, (f"{WAVELENGTH}={float(wavelength_m)!r}",))
     return upright_array(loaded), loaded.antenna
 
 
 def frequency_mhz(wavelength_m: float, scenario: Path = SCENARIO) -> float:
-    """Frequency that the array's deck tells a solver at a wavelength."""
+    """Return the frequency in the array's deck at a wavelength, MHz."""
     snapshot, config = array_of(wavelength_m, scenario)
     deck = write_deck(snapshot, config.element(), config.wavelength_m)
     card = next(line.split() for line in deck.splitlines() if line.startswith("FR "))
@@ -68,7 +68,7 @@ def frequency_mhz(wavelength_m: float, scenario: Path = SCENARIO) -> float:
 
 
 def ideal_gains(wavelengths_m: Sequence[float], scenario: Path = SCENARIO) -> dict[str, dict[float, Pattern]]:
-    """Solve the article's formation in its places by every solver there is; by its name and wavelength."""
+    """Solve the article's formation in its places by all installed solvers; by solver and wavelength."""
     found: dict[str, dict[float, Pattern]] = {}
     arrays = {wavelength_m: array_of(wavelength_m, scenario) for wavelength_m in wavelengths_m}
     for name in BACKENDS:
@@ -93,7 +93,7 @@ def tilted(
     """Solve the formation in its places, all vehicles leaning against a wind that blows towards phi."""
     upright, config = array_of(wavelength_m, scenario)
     phi = np.radians(wind_phi_deg)
-    turn = Rotation.from_rotvec(tilt_rad * np.array([np.sin(phi), -np.cos(phi), 0.0]))  # its top goes upwind
+    turn = Rotation.from_rotvec(tilt_rad * np.array([np.sin(phi), -np.cos(phi), 0.0]))  # its top moves upwind
     leaning = Snapshot(upright.centres_m, turn.as_matrix() @ upright.rotations, upright.voltages)
     return _solve(structs.replace(config, grid_deg=grid_deg), leaning)
 
@@ -108,7 +108,7 @@ def draw(
 ) -> dict[tuple[float, float], Drawn]:
     """Draw and solve ``samples`` formations for each error and wavelength, by (sigma_m, wavelength_m).
 
-    The vehicles are upright. ``done`` is told how many of the pairs are through, and of how many.
+    The vehicles are upright. ``done`` is called with the number of finished pairs and their total.
     """
     found: dict[tuple[float, float], Drawn] = {}
     for wavelength_m in wavelengths_m:
@@ -127,15 +127,15 @@ def draw(
 
 
 def _gain_towards(pattern: Pattern, theta_deg: float, phi_deg: float) -> float:
-    """Linear gain in the direction of the grid nearest to one."""
+    """Return the linear gain in the grid direction nearest to the given one."""
     row = int(np.abs(pattern.theta_deg - theta_deg).argmin())
     return float(pattern.gain[row, int(np.abs(pattern.phi_deg - phi_deg).argmin())])
 
 
 def summarise(max_gain_dbi: Array, axis_gain: Array) -> Drawn:
-    """Summarise (K,) maximum and (K,) linear gains towards the ideal maximum, K at least 2.
+    """Summarise maximum gains (K,) and linear gains (K,) towards the ideal maximum; K is at least 2.
 
-    The highest density is infinite if the maximum gains do not differ.
+    The highest density is infinite if all maximum gains are equal.
     """
     gain, kernel_per_db = np.asarray(from_dbi(max_gain_dbi)), gain_density(max_gain_dbi).kernel_per_db
     return Drawn(

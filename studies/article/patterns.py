@@ -1,6 +1,6 @@
-"""What the article says of figure 4, measured on patterns: the main lobe, symmetry, a region of low gain.
+"""Features of patterns that the article discusses in figure 4: main lobe, symmetry, a region of low gain.
 
-Directions count by their solid angle. Gains are total, in dBi, on the pattern's grid.
+Directions are weighted by their solid angle. Gains are total, in dBi, on the pattern's grid.
 """
 
 from collections.abc import Iterable
@@ -16,42 +16,42 @@ from antenna.analysis.plots import GAIN_RANGE_DBI
 from harness.records.flight import Array
 
 REGION_THETA_DEG, REGION_PHI_DEG = (0.0, 45.0), (180.0, 225.0)
-"""Where the article finds less gain than ideal; bounds belong to it."""
+"""Region in which the article finds less gain than ideal, bounds included"""
 LEVEL_DBI = -10.0
-"""Below it gains count as this: nobody sees, or uses, how deep a null is."""
+"""Lower gains are set to this value, because the depth of nulls is irrelevant."""
 COLOUR_FLOOR_DBI, COLOUR_TOP_DBI = GAIN_RANGE_DBI
 _EDGE_DEG = 1e-6
 
 
 class PatternReading(Struct, frozen=True, kw_only=True):
-    """Numbers of one pattern beside the ideal one."""
+    """Features of one pattern, some relative to the ideal one."""
 
     max_gain_dbi: float
     lobe_sr: float
-    """Solid angle of the main lobe within half of its own maximum."""
+    """Solid angle of the main lobe above half of its own maximum."""
     effective_lobe_sr: float
-    """The same within half of the ideal maximum: where the lobe does what the ideal one's promises."""
+    """Solid angle of the main lobe above half of the ideal maximum."""
     region_dbi: float
     """Mean gain of the article's region."""
     region_max_dbi: float
     region_colour_db: float
-    """Mean of its decibels, the article's lowest colour at least: what an eye sees of its figure."""
+    """Mean of its gain in decibels, limited to the lowest colour of the article's figure."""
     region_lower_share: float
-    """Part, 0 to 1, of the region with less gain than ideally."""
+    """Part, 0 to 1, of the region with less than the ideal gain."""
     asymmetry_db: float
     """Rms difference from the mirror image in x, the broadside axis."""
     lower_share: float
-    """Part, 0 to 1, of the directions with an ideal gain above `LEVEL_DBI` in which there is less."""
+    """Part, 0 to 1, of the directions with an ideal gain above `LEVEL_DBI` that have less gain."""
     difference_db: float
     """Rms difference from the ideal pattern."""
     mean_dbi: float
-    """Over all directions: what is radiated of what is fed."""
+    """Mean gain over all directions: radiated over input power."""
 
 
 def read_pattern(pattern: Pattern, ideal: Pattern) -> PatternReading:
-    """Measure a pattern; raises ValueError if the two are not on one grid."""
+    """Return the features of a pattern; raises ValueError if the grids differ."""
     if pattern.theta_gain_dbi.shape != ideal.theta_gain_dbi.shape:
-        raise ValueError(f"a pattern of {pattern.theta_gain_dbi.shape} directions beside an ideal of "
+        raise ValueError(f"a pattern of {pattern.theta_gain_dbi.shape} directions, ideal pattern of "
                          f"{ideal.theta_gain_dbi.shape}")  # fmt: skip
     weights = solid_angles_sr(pattern.theta_deg, pattern.phi_deg)
     gain_dbi, ideal_dbi = pattern.gain_dbi, ideal.gain_dbi
@@ -75,7 +75,7 @@ def read_pattern(pattern: Pattern, ideal: Pattern) -> PatternReading:
 
 
 def solid_angles_sr(theta_deg: Array, phi_deg: Array) -> Array:
-    """(T, P) solid angle that each direction of a pattern's grid stands for; together 4 pi."""
+    """Return the solid angle (T, P) of each direction of a pattern's grid; the sum is 4 pi."""
     step = np.radians(theta_deg[1] - theta_deg[0])
     theta = np.radians(theta_deg)
     upper, lower = np.maximum(theta - step / 2.0, 0.0), np.minimum(theta + step / 2.0, np.pi)
@@ -84,7 +84,7 @@ def solid_angles_sr(theta_deg: Array, phi_deg: Array) -> Array:
 
 
 def in_region(pattern: Pattern) -> NDArray[np.bool_]:
-    """(T, P) directions of the article's region."""
+    """Return whether directions (T, P) are in the article's region."""
     theta, phi = (
         (angles >= low - _EDGE_DEG) & (angles <= high + _EDGE_DEG)
         for angles, (low, high) in (
@@ -96,18 +96,18 @@ def in_region(pattern: Pattern) -> NDArray[np.bool_]:
 
 
 def mean_gain_dbi(gain_dbi: Array, weights: Array) -> float:
-    """Mean of the linear gain, as decibels."""
+    """Return the mean of the linear gain in decibels."""
     return float(to_dbi(np.atleast_1d(np.average(from_dbi(gain_dbi), weights=weights)))[0])
 
 
 def mirrored(gain_dbi: Array) -> Array:
-    """(T, P) gains with x the other way round: phi becomes 180 degrees less phi."""
+    """Return the gains (T, P) with x inverted: phi becomes 180 degrees less phi."""
     columns = gain_dbi.shape[1]
     return np.asarray(gain_dbi[:, (columns // 2 - np.arange(columns)) % columns])
 
 
 def difference_db(gain_dbi: Array, other_dbi: Array, weights: Array) -> float:
-    """Rms difference, `LEVEL_DBI` at least on both sides, where one of them is above it; 0 if none is."""
+    """Return the rms difference of gains limited to `LEVEL_DBI`, where one is above it; 0 if none is."""
     one, other = np.maximum(gain_dbi, LEVEL_DBI), np.maximum(other_dbi, LEVEL_DBI)
     counted = np.where(np.maximum(one, other) > LEVEL_DBI, weights, 0.0)
     total = counted.sum()
@@ -115,15 +115,15 @@ def difference_db(gain_dbi: Array, other_dbi: Array, weights: Array) -> float:
 
 
 def lobe_sr(pattern: Pattern, level_dbi: float) -> float:
-    """Solid angle above a level that holds the maximum and is connected with it."""
+    """Return the solid angle above a level that is connected with the maximum."""
     inside = main_lobe(replace(pattern, max_gain_dbi=level_dbi + HALF_POWER_DB))
     return float(solid_angles_sr(pattern.theta_deg, pattern.phi_deg)[inside].sum())
 
 
 def mean_pattern(patterns: Iterable[Pattern]) -> Pattern | None:
-    """Make a pattern of many patterns' mean power density; which polarisation has it is not kept.
+    """Return the pattern of the mean power density, without polarisation; None without patterns.
 
-    None without any. They are taken one at a time. Raises ValueError if they are not on one grid.
+    The patterns are consumed one at a time. Raises ValueError if their grids differ.
     """
     total, count, first = np.empty((0, 0)), 0, None
     for pattern in patterns:

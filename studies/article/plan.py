@@ -1,11 +1,11 @@
-"""What is flown to set the article's results beside ours: campaigns of `harness.campaign`.
+"""Campaigns of `harness.campaign` for the comparison with the article.
 
-``kept``        flights of the article's scenario that are looked into: their tracks are kept
-``explaining``  the same formation with other positions, controls, sensors and gusts, one named change each
-``crowded``     the article's scenario with a channel that is as good as full, and as it is, equally long
-``article``     the article's own: every wavelength in every wind
+``kept``        flights of the article's scenario that are retained with their tracks
+``explaining``  the same formation with other position sources, controls, sensors and gusts, by named change
+``crowded``     the article's scenario with a nearly full channel and with the normal one, of equal length
+``article``     the article's scenario: every wavelength in every wind
 
-The first is part of the last, and flown once. All fly the same seeds, so the same winds.
+The first is part of the last and flown once. All use the same seeds, hence the same winds.
 """
 
 from pathlib import Path
@@ -19,13 +19,13 @@ SCENARIO = Path(__file__).parents[2] / "scenarios" / "article.toml"
 WAVELENGTH, WIND = "antenna.wavelength_m", "wind.mean_n"
 ARTICLE, KEPT, EXPLAINING, CROWDED = "article", "kept", "explaining", "crowded"
 UNCROWDED = "uncrowded"
-"""What `CROWDED` is set beside: the same seeds, as long, ranging as the article's scenario has it."""
+"""Reference of `CROWDED`: the same seeds and length, with the ranging of the article's scenario."""
 SNAPSHOT_RATE_HZ = 10.0
-"""Of patterns: a density of ten flights then has thousands of instants."""
+"""Rate of patterns: a density of ten flights then has thousands of instants."""
 FIGURE_WAVELENGTH_M, FIGURE_WIND_N = 10.0, 5.0
-"""Of the pattern that the article shows."""
+"""Conditions of the pattern in the article's figure."""
 CROWDED_FTM_PERIOD_S = 0.1
-"""Every UAV to every other: 560 ranging sessions a second of 1.5 ms and their contention (docs/radio.md)."""
+"""Period of all pairs: 560 ranging sessions a second of 1.5 ms, with contention (docs/radio.md)."""
 
 _CASCADE: dict[str, Any] = {"autopilot.params.CF_DOB_EN": 0}
 _OWN_GUSTS: dict[str, Any] = _CASCADE | {"wind.correlation": 0.0}
@@ -39,37 +39,37 @@ CHANGES: dict[str, dict[str, Any]] = {
 }
 MEANINGS = {
     ARTICLE: "ranging (FTM) and the disturbance observer: `scenarios/article.toml`",
-    GPS: "GPS alone, its slow error 1.5 m on each axis",
-    GPS_HALF_METRE: "GPS alone, its slow error 0.5 m on each axis",
+    GPS: "GPS alone, slow error of 1.5 m on each axis",
+    GPS_HALF_METRE: "GPS alone, slow error of 0.5 m on each axis",
     CASCADE: "ranging, PX4's cascade without the observer",
-    OWN_GUSTS: "ranging, PX4's cascade, and each UAV in gusts of its own",
-    GAZEBO: "GPS alone as PX4's Gazebo plugin yields it (millimetres), PX4's cascade, gusts of their own",
-    CROWDED: "the article's scenario, but everybody ranges to everybody ten times as often",
-    UNCROWDED: "the article's scenario, the same seeds, flown as long as those",
+    OWN_GUSTS: "ranging, PX4's cascade, individual gusts for each UAV",
+    GAZEBO: "GPS alone with the error of PX4's Gazebo plugin (millimetres), PX4's cascade, individual gusts",
+    CROWDED: "the article's scenario, but each UAV ranges to every other one ten times as often",
+    UNCROWDED: "the article's scenario with the same seeds and the same flight time",
 }
 
 
 class ArticlePlan(Struct, frozen=True, kw_only=True):
-    """How much is flown."""
+    """Number and duration of the flights."""
 
     seeds: Annotated[int, Meta(ge=1, le=1000)] = 8
     """Flights of every wavelength in every wind."""
     duration_s: Annotated[float, Meta(ge=6.0, le=600.0)] = 30.0
-    """In formation."""
+    """Time in formation."""
     wavelengths_m: tuple[float, ...] = (5.0, 7.5, 10.0, 15.0, 20.0)
     winds_n: tuple[float, ...] = (0.0, 2.0, 5.0)
     """Mean force on each vehicle."""
     kept_wavelengths_m: tuple[float, ...] = (5.0, 10.0)
     kept_seeds: int = 3
-    """At most, of flights that are kept whole, with their tracks, of each wavelength and wind."""
+    """Limit of flights retained with their tracks, for each wavelength and wind."""
     explaining_wavelengths_m: tuple[float, ...] = (5.0, 10.0)
     explaining_seeds: int = 3
-    """At most, of flights of each change."""
+    """Limit of flights for each change."""
     explaining_winds_n: tuple[float, ...] = (5.0,)
     crowded_seeds: int = 4
-    """At most; 0 flies none."""
+    """Limit of flights; 0 for none."""
     crowded_duration_s: float = 30.0
-    """At most: contention takes long to compute."""
+    """Limit of the time in formation: contention takes long to compute."""
     draws: int = 1000
     """Random formations for each size of the position error."""
 
@@ -81,7 +81,7 @@ QUICK = ArticlePlan(
 
 
 def campaigns(plan: ArticlePlan) -> dict[str, Campaign]:
-    """Campaigns by name, in the order in which they are flown: the last one's table stays in the folder."""
+    """Return the campaigns by name in the order of flight; the last one's table remains in the folder."""
     seeds = tuple(range(1, plan.seeds + 1))
     fixed = {"run.duration_s": plan.duration_s, "antenna.snapshot_rate_hz": SNAPSHOT_RATE_HZ}
     crowded = {

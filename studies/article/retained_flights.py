@@ -1,7 +1,7 @@
-"""Flights that were kept whole: what positions cost of the gain and what tilt, and figure 4's patterns.
+"""Retained flights: losses of gain due to position errors and due to tilt, and the patterns of figure 4.
 
-The same flight is solved three times: as it was flown; with its vehicles upright where they flew; and with
-its vehicles in their places, tilted as they flew. What differs between them is the one or the other's doing.
+Each flight is solved three times: as flown, with upright vehicles at their flown positions, and with vehicles
+in their places with their flown tilt. The differences separate the two causes.
 """
 
 import math
@@ -30,16 +30,16 @@ from studies.article.snapshots import snapshots_of, upright_array
 FLOWN, UPRIGHT, IN_PLACE = "flown", "upright", "in place"
 VARIANTS = (FLOWN, UPRIGHT, IN_PLACE)
 _AT_A_TIME = 64
-"""Fine patterns in memory."""
+"""Fine patterns held in memory at the same time."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeptFlight:
-    """A flight in formation, with all that its analysis needs."""
+    """A flight in formation with its scenario."""
 
     scenario: Scenario
     flight: Flight
-    """From when the formation was reached."""
+    """Starts when the formation is reached."""
 
     @property
     def wind_n(self) -> float:
@@ -48,27 +48,27 @@ class KeptFlight:
 
 
 class Separation(Struct, frozen=True, kw_only=True):
-    """Mean maximum gain over the kept flights of one wavelength and wind, by what was made of them."""
+    """Mean maximum gain of the retained flights of one wavelength and wind, by variant."""
 
     wavelength_m: float
     wind_n: float
     ideal_dbi: float
     mean_dbi: dict[int, dict[str, float]]
-    """Of each flight, by its seed and by `VARIANTS`."""
+    """By seed of the flight and `VARIANTS`."""
     tilt_rms_deg: float
-    """Of vehicles from the vertical."""
+    """Tilt of the vehicles from the vertical."""
     turned_rms_deg: float
-    """Of the whole formation about the vertical."""
+    """Rotation of the formation about the vertical."""
     pointing_rms_deg: float
-    """Of the maximum from the end-fire axis, as flown."""
+    """Angle of the maximum from the end-fire axis, as flown."""
 
     @property
     def seeds(self) -> list[int]:
-        """Of the flights, rising."""
+        """Sorted seeds of the flights."""
         return sorted(self.mean_dbi)
 
     def loss_db(self, variant: str, seeds: Sequence[int] | None = None) -> float:
-        """Less than ideal, mean of the flights of some seeds; without, of all."""
+        """Return the loss from the ideal gain, mean of the flights of the given seeds, by default all."""
         means = [self.mean_dbi[seed][variant] for seed in (self.seeds if seeds is None else seeds)]
         return self.ideal_dbi - math.fsum(means) / len(means)
 
@@ -79,20 +79,20 @@ class FigurePatterns:
 
     seed: int
     time_s: float
-    """Of the instant that has the flight's median maximum gain."""
+    """Time of the flight's median maximum gain."""
     ideal: Pattern
     median: Pattern
     means: dict[str, Pattern]
-    """Mean power density of the flight, by `VARIANTS`."""
+    """Patterns of the flight's mean power density, by `VARIANTS`."""
 
     def readings(self) -> dict[str, PatternReading]:
-        """Numbers of all of them: ``ideal``, ``median``, and the means by `VARIANTS`."""
+        """Return the features of all patterns: ``ideal``, ``median``, and the means by `VARIANTS`."""
         patterns = {"ideal": self.ideal, "median": self.median, **self.means}
         return {name: read_pattern(pattern, self.ideal) for name, pattern in patterns.items()}
 
 
 def kept_flights(table: Table) -> Iterator[KeptFlight]:
-    """Give the flights of a table that reached their formation and were kept, one at a time."""
+    """Yield the retained flights of a table that reached their formation."""
     formed_s = table.column("formed_s") if "formed_s" in table.rows.column_names else []
     for row, at_s in enumerate(formed_s):
         columns = table.series(row, "flight")
@@ -105,7 +105,7 @@ def kept_flights(table: Table) -> Iterator[KeptFlight]:
 
 
 def variants(flight: Flight) -> dict[str, Flight]:
-    """Give the flight as it was, upright, and in place, by `VARIANTS`."""
+    """Return the flight as flown, upright, and in place, by `VARIANTS`."""
     upright = np.zeros_like(flight.q_ned_frd)
     upright[..., 0] = np.cos(flight.heading_rad / 2.0)[:, None]
     upright[..., 3] = np.sin(flight.heading_rad / 2.0)[:, None]
@@ -117,7 +117,7 @@ def variants(flight: Flight) -> dict[str, Flight]:
 
 
 def tilts_rad(q_ned_frd: Array) -> Array:
-    """(...,) angles between the vehicles' down axes and the vertical of (..., 4) attitudes."""
+    """Return the angles (...,) between the vehicles' down axes and the vertical for attitudes (..., 4)."""
     x, y = q_ned_frd[..., 1], q_ned_frd[..., 2]
     return np.asarray(np.arccos(np.clip(1.0 - 2.0 * (x * x + y * y), -1.0, 1.0)))
 
@@ -125,9 +125,9 @@ def tilts_rad(q_ned_frd: Array) -> Array:
 def separate(
     flights: Sequence[KeptFlight], *, done: Callable[[int], None] = lambda _flights: None
 ) -> list[Separation]:
-    """Solve every variant of every flight, and take means over those of one wavelength and wind.
+    """Solve every variant of every flight; return the means for each wavelength and wind.
 
-    Flights of which a variant has no pattern are left out. ``done`` is told how many flights are through.
+    Flights with a variant without patterns are skipped. ``done`` is called with the number of flights done.
     """
     groups: dict[tuple[float, float], list[_Solved]] = {}
     for number, kept in enumerate(flights, start=1):
@@ -139,7 +139,7 @@ def separate(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solved:
-    """Numbers of one flight, over its instants and living vehicles."""
+    """Values of one flight over its instants and alive vehicles."""
 
     seed: int
     ideal_dbi: float
@@ -186,13 +186,13 @@ def _rms(parts: Sequence[Array]) -> float:
 
 
 def figure_flights(flights: Iterable[KeptFlight]) -> Iterator[KeptFlight]:
-    """Give the flights of the article's pattern's wavelength and wind."""
-    wanted = (FIGURE_WAVELENGTH_M, FIGURE_WIND_N)
-    return (each for each in flights if (each.scenario.antenna.wavelength_m, each.wind_n) == wanted)
+    """Yield the flights with wavelength and wind of the article's pattern."""
+    of_figure = (FIGURE_WAVELENGTH_M, FIGURE_WIND_N)
+    return (each for each in flights if (each.scenario.antenna.wavelength_m, each.wind_n) == of_figure)
 
 
 def figure_patterns_of(kept: KeptFlight) -> FigurePatterns | None:
-    """Solve one flight on a fine grid: its median instant, and the means of its variants.
+    """Solve one flight on a fine grid: the median instant, and the means of its variants.
 
     None if a variant has no pattern.
     """
@@ -220,7 +220,7 @@ def figure_patterns_of(kept: KeptFlight) -> FigurePatterns | None:
 def _patterns(
     config: AntennaConfig, snapshots: Mapping[int, Snapshot], noted: list[tuple[float, int]]
 ) -> Iterator[Pattern]:
-    """Solve a few at a time, and note the maximum gain and the time of each."""
+    """Solve snapshots in batches; append the maximum gain and the time of each to ``noted``."""
     times_us = list(snapshots)
     for first in range(0, len(times_us), _AT_A_TIME):
         batch = times_us[first : first + _AT_A_TIME]

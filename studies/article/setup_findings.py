@@ -29,11 +29,11 @@ SESSIONS_SHARE = 0.99
 FTM_SHARE = 0.5
 CROWDED_GROWTH = 1.1
 EXPONENTIAL_SHARE, EXPONENTIAL_WITHIN_DB = 0.4, 0.2
-"""A fall in proportion to the error or its variance is farther than this from every exponential."""
+"""A decrease linear in the error or its variance deviates by more than this from every exponential."""
 
 
 def main_lobe_along_y(evidence: Evidence) -> Finding:
-    """Direction of the ideal maximum."""
+    """Measure the direction of the ideal maximum."""
     errors_deg = {
         name: float(pointing_errors_deg(list(found.values()), *MAIN_LOBE_DEG).max())
         for name, found in evidence.ideals.items()
@@ -45,7 +45,7 @@ def main_lobe_along_y(evidence: Evidence) -> Finding:
 
 
 def ideal_gain(evidence: Evidence) -> Finding:
-    """Ideal maximum by every solver."""
+    """Measure the ideal maximum by every solver."""
     gains = {
         name: [each.max_gain_dbi for each in found.values()]
         for name, found in evidence.ideals.items()
@@ -59,15 +59,15 @@ def ideal_gain(evidence: Evidence) -> Finding:
 
 
 def _by_every_solver(solved: Mapping[str, object], said: str, others: Sequence[str]) -> Finding:
-    """Judge what every solver has to meet; raises Missing if those that are here do, and others are not."""
+    """Judge a criterion for every solver; raises Missing if one is not installed and the others agree."""
     absent = [name for name in BACKENDS if name not in solved]
     if not solved or (absent and not others):
-        raise Missing(f"{', '.join(absent)} could not be had{f'; {said}' if solved else ''}")
+        raise Missing(f"{', '.join(absent)} not installed{f'; {said}' if solved else ''}")
     return Finding(found=said, agrees=not others, why=f"{', '.join(others)}: outside the criterion.")
 
 
 def band(evidence: Evidence) -> Finding:
-    """Frequencies of the shortest and the longest wavelength."""
+    """Measure the frequencies of the shortest and the longest wavelength."""
     absent = [f"{each:g}" for each in BAND_MHZ if each not in evidence.frequencies_mhz]
     if absent:
         raise Missing(f"λ {', '.join(absent)} m: not flown")
@@ -80,7 +80,7 @@ def band(evidence: Evidence) -> Finding:
 
 
 def exponential_loss(evidence: Evidence) -> Finding:
-    """Mean gain of random formations against exponentials in the variance of their position errors."""
+    """Compare the mean gain of random formations with exponentials in the variance of the position error."""
     variances, losses_db, errors_db, along_db, coherent_db = [], [], [], [], []
     rest = min((drawn.axis_gain for drawn in evidence.drawn.values()), default=0.0)
     for (sigma_m, wavelength_m), drawn in sorted(evidence.drawn.items()):
@@ -94,7 +94,7 @@ def exponential_loss(evidence: Evidence) -> Finding:
             ideal = 10.0 ** (ideal_dbi / 10.0)
             coherent_db.append(-10.0 * math.log10((drawn.axis_gain - rest) / (ideal - rest)))
     if len(variances) < 3:
-        raise Missing(f"fewer than three errors were drawn that leave {EXPONENTIAL_SHARE:.0%} of the gain")
+        raise Missing(f"fewer than three drawn errors keep {EXPONENTIAL_SHARE:.0%} of the gain")
     rate, off_db, worst = _exponential(variances, losses_db)
     along_rate, along_off_db, _ = _exponential(variances, along_db)
     coherent_rate, coherent_off_db, _ = _exponential(variances, coherent_db)
@@ -103,25 +103,25 @@ def exponential_loss(evidence: Evidence) -> Finding:
     why = []
     if along_db[worst] > losses_db[worst]:
         why.append(
-            f"There {losses_db[worst]:.2f} dB are lost, in the direction of the ideal maximum "
-            f"{along_db[worst]:.2f} dB: errors favour other directions."
+            f"There the loss is {losses_db[worst]:.2f} dB, and {along_db[worst]:.2f} dB in the direction of "
+            "the ideal maximum: errors favour other directions."
         )
     if coherent_off_db < along_off_db:
         why.append(
-            f"In that direction {10.0 * math.log10(rest):.2f} dBi remain with the largest error drawn; what "
-            f"is above them lies within {coherent_off_db:.2f} dB of exp(-{coherent_rate:.2f} (2π σ/λ)²)."
+            f"In that direction {10.0 * math.log10(rest):.2f} dBi remain with the largest drawn error; the "
+            f"gain above them is within {coherent_off_db:.2f} dB of exp(-{coherent_rate:.2f} (2π σ/λ)²)."
         )
     return by_margins(
         {f"σ/λ {ratio:.3f}": margin},
-        found=f"to σ/λ {math.sqrt(max(variances)) / (2.0 * math.pi):.3f}, where {max(losses_db):.2f} dB are "
-        f"lost, within {off_db:.2f} dB of exp(-{rate:.2f} (2π σ/λ)²); the gain in the direction of the ideal "
-        f"maximum within {along_off_db:.2f} dB of exp(-{along_rate:.2f} (2π σ/λ)²)",
+        found=f"up to σ/λ {math.sqrt(max(variances)) / (2.0 * math.pi):.3f}, with a loss of "
+        f"{max(losses_db):.2f} dB, within {off_db:.2f} dB of exp(-{rate:.2f} (2π σ/λ)²); the gain in the "
+        f"direction of the ideal maximum within {along_off_db:.2f} dB of exp(-{along_rate:.2f} (2π σ/λ)²)",
         why=" ".join(why),
     )  # fmt: skip
 
 
 def _exponential(variances: Sequence[float], losses_db: Sequence[float]) -> tuple[float, float, int]:
-    """Fit an exponential by least squares of decibels: its rate, and the farthest loss from it, and which."""
+    """Fit an exponential by least squares in decibels; return rate, largest deviation and its index."""
     variance, loss_db = np.array(variances), np.array(losses_db)
     slope_db = float((variance * loss_db).sum() / (variance**2).sum())
     off_db = np.abs(loss_db - slope_db * variance)
@@ -129,11 +129,11 @@ def _exponential(variances: Sequence[float], losses_db: Sequence[float]) -> tupl
 
 
 def distances_to_all(evidence: Evidence) -> Finding:
-    """Sessions of the article's flights."""
+    """Measure the share of completed ranging sessions in the article's flights."""
     cells = [cell for (case, _, _), cell in evidence.cells.items() if case == ARTICLE]
     requested = sum(cell.ftm_requested for cell in cells)
     if not requested:
-        raise Missing("no session was asked for")
+        raise Missing("no session was requested")
     seeds = sorted({each.seed for cell in cells for each in cell.runs if each.ftm_requested})
 
     def share(kept: Sequence[int]) -> float:
@@ -142,16 +142,16 @@ def distances_to_all(evidence: Evidence) -> Finding:
 
     found = jackknife(seeds, share)
     error_m = [cell.ftm_error_std_m for cell in cells if cell.ftm_error_std_m is not None]
-    error = f"; they scatter by {np.sqrt(np.square(error_m).mean()):.3f} m" if error_m else ""
+    error = f"; standard deviation {np.sqrt(np.square(error_m).mean()):.3f} m" if error_m else ""
     margin = ComparedEstimate(value=found.value - SESSIONS_SHARE, error=found.error, flights=found.flights)
     return by_margins(
         {"share of the sessions": margin}, found=f"{found.value:.2%} of {requested} sessions{error}", unit="",
-        why="The others fail on the channel or find their peer busy.",
+        why="The others fail on the channel or because their peer is busy.",
     )  # fmt: skip
 
 
 def ftm_corrects_gps(evidence: Evidence) -> Finding:
-    """Shape errors with and without ranging at λ 10 m, of the same seeds."""
+    """Compare the shape errors with and without ranging at λ 10 m for the same seeds."""
     margins, words = {}, []
     for wind_n in evidence.winds_n:
         keys = [(case, FIGURE_WAVELENGTH_M, wind_n) for case in (ARTICLE, GPS)]
@@ -166,7 +166,7 @@ def ftm_corrects_gps(evidence: Evidence) -> Finding:
             f"{wind_n:g} N {ftm.text()} m, GPS alone {gps.text(2)} m, ratio {ratio.text()} ({_of(ratio)})"
         )
     if not margins:
-        raise Missing(f"nothing was flown on GPS alone at λ {FIGURE_WAVELENGTH_M:g} m")
+        raise Missing(f"no flights with GPS alone at λ {FIGURE_WAVELENGTH_M:g} m")
     return by_margins(margins, found="shape error: " + "; ".join(words), unit=" m")
 
 
@@ -175,7 +175,7 @@ def _of(estimate: ComparedEstimate) -> str:
 
 
 def contention_harms(evidence: Evidence) -> Finding:
-    """Shape error with an idle and a busy channel, of the same seeds and equally long."""
+    """Compare the shape errors with an idle and a busy channel for the same seeds and flight time."""
     keys = [(case, FIGURE_WAVELENGTH_M, FIGURE_WIND_N) for case in (CROWDED, UNCROWDED)]
     margin = evidence.shape(keys, lambda crowded, usual: shape_m(crowded) - CROWDED_GROWTH * shape_m(usual))
     growth = evidence.shape(keys, lambda crowded, usual: shape_m(crowded) / shape_m(usual))
@@ -194,12 +194,12 @@ def _contention_text(crowded: Cell, usual: Cell, growth: ComparedEstimate) -> st
     lost = 1.0 - crowded.ftm_completed / max(crowded.ftm_requested, 1)
     times = crowded.ftm_completed / max(usual.ftm_completed, 1)
     balance = {
-        True: "what they bring does not make up for it",
-        False: "they bring more than contention takes",
-        None: "what they bring and what contention takes are about the same",
+        True: "their benefit does not compensate for it",
+        False: "their benefit exceeds the effect of contention",
+        None: "their benefit and the effect of contention are about equal",
     }[ComparedEstimate(value=growth.value - 1.0, error=growth.error, flights=growth.flights).positive]
     return (
-        f"With ranging every {CROWDED_FTM_PERIOD_S:g} s {lost:.2%} of the sessions fail, and "
-        f"{times:.1f} times as many give a distance: {balance}. [codesign-results.md](codesign-results.md), "
-        "ranging policy, has sixteen UAVs that ask for more than the channel holds."
+        f"With ranging every {CROWDED_FTM_PERIOD_S:g} s {lost:.2%} of the sessions fail, and {times:.1f} "
+        f"times as many return a distance: {balance}. [codesign-results.md](codesign-results.md), ranging "
+        "policy, contains sixteen UAVs whose requests exceed the channel's capacity."
     )

@@ -1,4 +1,4 @@
-"""Arrays of a flight or a formation as `harness.report.analysis` makes them, before anything is solved."""
+"""Arrays of a flight or a formation, as computed by `harness.report.analysis` before solving."""
 
 import math
 
@@ -12,7 +12,7 @@ from harness.scenario.scenario import Scenario
 
 
 def upright_array(scenario: Scenario) -> Snapshot:
-    """All vehicles upright in their places, before the formation moves, in the antenna's frame.
+    """Return the array of all vehicles upright in their initial places, in the antenna's frame.
 
     Raises `ElementsTouch`, `NoFeed`.
     """
@@ -25,7 +25,7 @@ def upright_array(scenario: Scenario) -> Snapshot:
 
 
 def snapshots_of(flight: Flight, config: AntennaConfig) -> dict[int, Snapshot]:
-    """Arrays of the flight at ``config.snapshot_rate_hz``, by time in us, where they can be fed."""
+    """Return the feedable arrays of the flight at ``config.snapshot_rate_hz``, by time in us."""
     sampled = flight.sampled(config.snapshot_rate_hz)
     found: dict[int, Snapshot] = {}
     for t, time_us in enumerate(sampled.time_us.tolist()):

@@ -1,7 +1,7 @@
-"""The article's statements that can be measured: a criterion for each, and the verdict that follows from it.
+"""Statements of the article that can be measured, with their criteria and computed verdicts.
 
-Criteria were fixed before the flights of `studies.article.plan`; where other flights alike, or solutions, had
-been published by then, the statement says which. A verdict is computed; a reason stands where it is no.
+The criteria were fixed before the flights of `studies.article.plan`. If related results had been published by
+then, the statement names them. A negative verdict has a reason.
 """
 
 from collections.abc import Callable, Iterable
@@ -18,28 +18,28 @@ from studies.article.finding import Finding
 
 
 class StatementVerdict(StrEnum):
-    """Whether a statement holds here."""
+    """Verdict on a statement."""
 
     AGREES = "yes"
     DIFFERS = "no"
-    OPEN = "not told apart"
-    """The difference from the criterion is within two standard errors over the flights."""
+    OPEN = "undecided"
+    """The distance from the criterion is within two standard errors over the flights."""
     UNKNOWN = "not measured"
 
 
 class Statement(Struct, frozen=True, kw_only=True):
-    """What the article says, in our words, and what that shall mean in numbers."""
+    """A statement of the article, paraphrased, and its criterion in numbers."""
 
     name: str
     said: str
     criterion: str
     measure: Callable[[Evidence], Finding]
     known: str = ""
-    """What of it had been measured before the criterion was written, and where that stands."""
+    """Related results from before the criterion was fixed, with their source."""
 
 
 class Judged(Struct, frozen=True, kw_only=True):
-    """A statement with what came out."""
+    """A statement with its result."""
 
     name: str
     said: str
@@ -54,7 +54,7 @@ _VERDICTS = {True: StatementVerdict.AGREES, False: StatementVerdict.DIFFERS, Non
 
 
 def judge(statement: Statement, evidence: Evidence) -> Judged:
-    """Measure one statement; what is missing is said in its place."""
+    """Judge one statement; missing evidence is stated as its result."""
     try:
         finding = statement.measure(evidence)
     except Missing as missing:
@@ -69,21 +69,21 @@ def judge(statement: Statement, evidence: Evidence) -> Judged:
 
 
 def judge_all(evidence: Evidence) -> list[Judged]:
-    """Measure every statement, in the page's order."""
+    """Judge all statements in the order of the page."""
     return [judge(each, evidence) for each in STATEMENTS]
 
 
 def count(judged: Iterable[Judged]) -> dict[StatementVerdict, int]:
-    """How many have each verdict."""
+    """Return the number of statements with each verdict."""
     found = [each.verdict for each in judged]
     return {verdict: found.count(verdict) for verdict in StatementVerdict}
 
 
 _CODESIGN = "[codesign-results.md](codesign-results.md)"
 _IDEAL = "the ideal array by all solvers: [antenna-validation.md](antenna-validation.md)"
-_GAINS = f"maximum gains at λ = 5 and 10 m in 2 and 5 N, with FTM and on GPS alone: {_CODESIGN}"
+_GAINS = f"maximum gains at λ = 5 and 10 m in 2 and 5 N, with FTM and GPS alone: {_CODESIGN}"
 _SHAPES = f"shape errors in 0, 2 and 5 N: {_CODESIGN}"
-_DRAWS = "maximum gains of random formations: `tests/reference/antenna_sensitivity.csv`"
+_DRAWS = "maximum gains of random formations: `studies/reference/antenna_sensitivity.csv`"
 
 STATEMENTS = (
     Statement(
@@ -93,40 +93,41 @@ STATEMENTS = (
     ),
     Statement(
         name="ideal gain", said="The ideal gain is 13.26 dB.",
-        criterion=f"every solver within {setup.IDEAL_WITHIN_DB:g} dB of it at every wavelength",
+        criterion=f"every solver is within {setup.IDEAL_WITHIN_DB:g} dB of it at every wavelength",
         measure=setup.ideal_gain, known=_IDEAL,
     ),
     Statement(
         name="band", said="Wavelengths of 5 to 20 m are frequencies of 60 to 15 MHz.",
-        criterion="the frequency that solvers are told is that, to a whole MHz", measure=setup.band,
+        criterion="the frequency in the solvers' input is that, rounded to whole MHz", measure=setup.band,
         known="the speed of light",
     ),
     Statement(
         name="exponential",
         said="The directivity falls exponentially with the variance of the position errors.",
-        criterion=f"as long as at least {setup.EXPONENTIAL_SHARE:.0%} of the ideal gain is left, the mean "
-        f"gain of random formations lies within {setup.EXPONENTIAL_WITHIN_DB:g} dB of one exponential in "
+        criterion=f"while at least {setup.EXPONENTIAL_SHARE:.0%} of the ideal gain remains, the mean "
+        f"gain of random formations is within {setup.EXPONENTIAL_WITHIN_DB:g} dB of one exponential in "
         "σ²/λ²",
         measure=setup.exponential_loss, known=_DRAWS,
     ),
     Statement(
         name="all distances", said="Each agent obtains a distance to every other by FTM.",
-        criterion=f"at least {setup.SESSIONS_SHARE:.0%} of the sessions asked for give one",
+        criterion=f"at least {setup.SESSIONS_SHARE:.0%} of the requested sessions return one",
         measure=setup.distances_to_all,
         known=f"shares of the sessions that complete: {_CODESIGN}",
     ),
     Statement(
         name="FTM accuracy",
         said="Outdoors FTM is accurate enough to correct the errors of GPS.",
-        criterion=f"the shape error is at most {setup.FTM_SHARE:g} of that on GPS alone, at λ = 10 m in "
-        "every wind that was flown with both, of the same seeds",
+        criterion=f"the shape error is at most {setup.FTM_SHARE:g} of that with GPS alone, at λ = 10 m in "
+        "every wind flown with both, for the same seeds",
         measure=setup.ftm_corrects_gps,
-        known=f"shape errors on GPS alone and with FTM: {_CODESIGN}",
+        known=f"shape errors with GPS alone and with FTM: {_CODESIGN}",
     ),
     Statement(
         name="contention", said="Much contention for the channel harms the control of positions.",
-        criterion=f"the shape error grows to at least {setup.CROWDED_GROWTH:g} times when everybody ranges "
-        "to everybody ten times as often, of the same seeds and flights as long",
+        criterion=f"the shape error grows by a factor of at least {setup.CROWDED_GROWTH:g} if each UAV "
+        "ranges "
+        "to every other one ten times as often, for the same seeds and flight time",
         measure=setup.contention_harms,
         known=f"shape errors with ranging every 0.1 s and every second, 8 UAVs in 5 N: {_CODESIGN}",
     ),
@@ -137,19 +138,20 @@ STATEMENTS = (
     ),
     Statement(
         name="near flat", said="In 5 N the density of λ = 5 m is nearly flat.",
-        criterion=f"it is nowhere above {gain.FLAT_PER_DB:g} per dB, nor above {gain.FLAT_OF_LONG:g} of the "
-        "highest of λ = 10 m",
+        criterion=f"its peak is at most {gain.FLAT_PER_DB:g} per dB, and at most {gain.FLAT_OF_LONG:g} of "
+        "the "
+        "peak of λ = 10 m",
         measure=gain.near_flat, known=f"{_GAINS}; {_DRAWS}",
     ),
     Statement(
-        name="wind lowers", said="Wind reduces the maximum gain that is reached.",
+        name="wind lowers", said="Wind reduces the maximum gain.",
         criterion="at every wavelength the mean falls from each wind to the next",
         measure=gain.falls_with_wind, known=_GAINS,
     ),
     Statement(
         name="wind flattens", said="Wind flattens the densities.",
-        criterion="at every wavelength the deviation grows, and the density's peak sinks, from the weakest "
-        "wind to the strongest",
+        criterion="at every wavelength the deviation is larger, and the density's peak lower, in the "
+        "strongest wind than in the weakest",
         measure=gain.flattens_with_wind, known=_GAINS,
     ),
     Statement(
@@ -159,71 +161,76 @@ STATEMENTS = (
     ),
     Statement(
         name="noticeable", said="Growing wind makes a noticeable reduction.",
-        criterion=f"at every wavelength 5 N cost the mean at least {wind.NOTICEABLE_DB:g} dB",
+        criterion=f"at every wavelength 5 N reduce the mean by at least {wind.NOTICEABLE_DB:g} dB",
         measure=wind.noticeable, known=_GAINS,
     ),
     Statement(
-        name="angular deviation", said="That is since strong wind deviates the array's angles.",
-        criterion=f"of what 5 N cost more than no wind, tilt alone (vehicles in their places) costs at least "
-        f"{wind.TILT_SHARE:g} at λ = 10 m",
+        name="angular deviation", said="The reason is that strong wind deviates the array's angles.",
+        criterion=f"at λ = 10 m, tilt alone (vehicles in their places) causes at least {wind.TILT_SHARE:g} "
+        "of "
+        "the loss from no wind to 5 N",
         measure=wind.by_angles,
     ),
     Statement(
         name="sensitive", said="λ = 5 m is much more sensitive to wind than 10 m and more.",
-        criterion=f"5 N cost its mean at least {wind.SENSITIVE:g} times what they cost any of the longer ones"
-        "",
+        criterion=f"5 N reduce its mean by at least {wind.SENSITIVE:g} times the loss at each longer one",
         measure=wind.short_is_sensitive, known=_GAINS,
     ),
     Statement(
-        name="alike", said="From 10 m on the wind's effect remains more or less the same.",
-        criterion=f"5 N cost their means the same to {wind.EFFECT_ALIKE_DB:g} dB, and in 5 N these lie "
-        f"within {gain.ALIKE_WITHIN_DB:g} dB",
+        name="alike", said="From 10 m on the effect of wind is about the same.",
+        criterion=f"the losses of their means in 5 N agree within {wind.EFFECT_ALIKE_DB:g} dB, and the "
+        "means in "
+        f"5 N within {gain.ALIKE_WITHIN_DB:g} dB",
         measure=wind.long_are_alike,
     ),
     Statement(
-        name="resilient", said="So at ground penetrating radar's wavelengths the formation resists wind.",
-        criterion=f"from 10 m on 5 N cost the mean at most {wind.RESILIENT_DB:g} dB", measure=wind.resilient,
-        known=_GAINS,
+        name="resilient",
+        said="At the wavelengths of ground penetrating radar the formation therefore resists wind.",
+        criterion=f"from 10 m on 5 N reduce the mean by at most {wind.RESILIENT_DB:g} dB",
+        measure=wind.resilient, known=_GAINS,
     ),
     Statement(
         name="lobe", said="In 5 N at 10 m the main lobe loses part of its effective area.",
         criterion=f"the solid angle of the main lobe above half of the ideal maximum is at most "
-        f"{pattern.LOBE_SHARE:g} of the ideal's, at the median instant",
+        f"{pattern.LOBE_SHARE:g} of the ideal one, at the median instant",
         measure=pattern.lobe_loses_area,
     ),
     Statement(
         name="lower throughout", said="The gain is lower throughout the pattern.",
-        criterion=f"at the median instant it is so in at least {pattern.LOWER_SHARE:.0%} of the directions "
-        "whose ideal gain is above -10 dBi",
+        criterion=f"at the median instant it is lower in at least {pattern.LOWER_SHARE:.0%} of the "
+        "directions "
+        "with an ideal gain above -10 dBi",
         measure=pattern.lower_throughout,
     ),
     Statement(
         name="symmetry", said="The pattern loses its perfect symmetry.",
         criterion=f"it differs from its mirror image in x by at least {pattern.ASYMMETRY_DB:g} dB rms, the "
-        f"ideal one by at most {pattern.SYMMETRIC_DB:g} dB",
+        f"ideal pattern by at most {pattern.SYMMETRIC_DB:g} dB",
         measure=pattern.symmetry_lost,
     ),
     Statement(
-        name="region: ideal", said="Ideally there is adequate gain between φ 180° and 225°, θ 0° and 45°.",
-        criterion=f"somewhere in it at least {pattern.ADEQUATE_DBI:g} dBi, an isotropic antenna's",
+        name="region: ideal",
+        said="The ideal formation has adequate gain between φ 180° and 225°, θ 0° and 45°.",
+        criterion=f"its maximum in this region is at least {pattern.ADEQUATE_DBI:g} dBi, as of an "
+        "isotropic antenna",
         measure=pattern.region_is_adequate,
     ),
     Statement(
-        name="region: reduced", said="There the flown formation has less.",
-        criterion=f"its mean there is at least {pattern.REGION_DB:g} dB lower, at the median instant and in "
-        "the flight's mean",
+        name="region: reduced", said="The flown formation has less gain there.",
+        criterion=f"its mean in the region is at least {pattern.REGION_DB:g} dB lower, at the median instant "
+        "and in the flight's mean",
         measure=pattern.region_is_reduced,
     ),
     Statement(
-        name="region: cause", said="The cause is that the formation makes up for the wind.",
-        criterion=f"with the vehicles upright where they flew, at most {pattern.REMAINS:g} of the deficit in "
-        "the flight's mean is left",
+        name="region: cause", said="The cause is that the formation compensates for the wind.",
+        criterion=f"with the vehicles upright at their flown positions, at most {pattern.REMAINS:g} of the "
+        "deficit in the flight's mean remains",
         measure=pattern.region_by_tilt,
     ),
     Statement(
         name="shape, not maximum",
-        said="The wind hardly affects the main lobe's maximum, but the formation's whole shape.",
-        criterion=f"at λ = 10 m 5 N cost the mean maximum at most {wind.MAXIMUM_DB:g} dB, and the shape "
+        said="Wind hardly affects the main lobe's maximum, but affects the whole shape of the formation.",
+        criterion=f"at λ = 10 m 5 N reduce the mean maximum by at most {wind.MAXIMUM_DB:g} dB, and the shape "
         f"error is at least {wind.SHAPE_GROWTH:g} times that without wind",
         measure=wind.shape_not_maximum, known=f"{_GAINS}; {_SHAPES}",
     ),

@@ -1,4 +1,4 @@
-"""Statements on what wind costs the maximum gain, by wavelength, and on what of it is the angles' doing."""
+"""Statements on the loss of the maximum gain due to wind, by wavelength, and on its cause."""
 
 import itertools
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ MAXIMUM_DB, SHAPE_GROWTH = 1.0, 1.5
 
 
 def noticeable(evidence: Evidence) -> Finding:
-    """What wind costs the means."""
+    """Measure the loss of the means due to wind."""
     losses, margins = _wind_losses(evidence, evidence.wavelengths_m), {}
     for each in evidence.wavelengths_m:
         margins[f"λ {each:g} m"] = evidence.estimate(
@@ -41,11 +41,11 @@ def _wind_losses(evidence: Evidence, wavelengths_m: Sequence[float]) -> dict[str
 def _losses_text(losses: dict[str, ComparedEstimate]) -> str:
     counts = sorted({loss.flights for loss in losses.values()})
     seeds = " to ".join(str(count) for count in dict.fromkeys((counts[0], counts[-1])))
-    return f"cost of 5 N, dB ({seeds} seeds): {estimates_text(losses)}"
+    return f"loss in 5 N, dB ({seeds} seeds): {estimates_text(losses)}"
 
 
 def _shapes_text(evidence: Evidence) -> str:
-    """Say shape errors at the figure's wavelength in both winds."""
+    """Return the shape errors at the figure's wavelength in both winds, as text."""
     try:
         windy, calm = (evidence.shape([key], shape_m) for key in evidence.windy_and_calm(FIGURE_WAVELENGTH_M))
     except Missing:
@@ -54,12 +54,12 @@ def _shapes_text(evidence: Evidence) -> str:
 
 
 def by_angles(evidence: Evidence) -> Finding:
-    """What tilt and positions cost, each alone, in 5 N more than without wind."""
+    """Measure the additional losses in 5 N due to tilt only and to positions only."""
     windy = evidence.separation(FIGURE_WAVELENGTH_M, evidence.strongest_n)
     calm = evidence.separation(FIGURE_WAVELENGTH_M, evidence.calm_n)
     seeds = sorted(set(windy.seeds) & set(calm.seeds))
     if not seeds:
-        raise Missing("no seed was kept in 5 N and without wind")
+        raise Missing("no seed was retained in 5 N and without wind")
 
     def more_db(variant: str, of: Sequence[int]) -> float:
         return windy.loss_db(variant, of) - calm.loss_db(variant, of)
@@ -67,14 +67,14 @@ def by_angles(evidence: Evidence) -> Finding:
     whole, tilt, positions = (jackknife(seeds, partial(more_db, name)) for name in (FLOWN, IN_PLACE, UPRIGHT))
     beyond = jackknife(seeds, lambda of: more_db(IN_PLACE, of) - TILT_SHARE * more_db(FLOWN, of))
     if whole.value <= 0.0:
-        why = "5 N cost no more than no wind."
+        why = "There is no loss in 5 N."
     elif positions.value > tilt.value:
-        why = "Positions alone cost more of it."
+        why = "Positions alone cause more of it."
     else:
-        why = "Neither alone costs so much of it: together they cost more than one and the other."
+        why = "Neither alone causes that much: the loss of both together exceeds the sum."
     return by_margins(
-        {"cost of 5 N": whole, "tilt alone": beyond},
-        found=f"5 N cost {whole.text()} dB more than no wind: tilt alone {tilt.text()} dB, positions alone "
+        {"loss in 5 N": whole, "tilt alone": beyond},
+        found=f"loss from no wind to 5 N {whole.text()} dB: tilt alone {tilt.text()} dB, positions alone "
         f"{positions.text()} dB. {_tilt_text(evidence)}",
         why=why,
     )  # fmt: skip
@@ -87,19 +87,19 @@ def _tilt_text(evidence: Evidence) -> str:
     except Missing as missing:
         return f"{missing}."
     return (
-        f"In {windy.wind_n:g} N vehicles tilt by {windy.tilt_rms_deg:.1f}° rms and the maximum is "
-        f"{windy.pointing_rms_deg:.1f}° rms from +y, without wind {calm.tilt_rms_deg:.1f}° and "
-        f"{calm.pointing_rms_deg:.1f}°; the formation as a whole is turned by {windy.turned_rms_deg:.1f}° "
-        f"and {calm.turned_rms_deg:.1f}° rms."
+        f"In {windy.wind_n:g} N the tilt of the vehicles is {windy.tilt_rms_deg:.1f}° rms and the angle of "
+        f"the maximum from +y {windy.pointing_rms_deg:.1f}° rms, without wind {calm.tilt_rms_deg:.1f}° and "
+        f"{calm.pointing_rms_deg:.1f}°; the rotation of the formation is {windy.turned_rms_deg:.1f}° and "
+        f"{calm.turned_rms_deg:.1f}° rms."
     )
 
 
 def short_is_sensitive(evidence: Evidence) -> Finding:
-    """Cost of wind at 5 m and at longer wavelengths."""
+    """Compare the loss due to wind at 5 m with that at longer wavelengths."""
     short = evidence.windy_and_calm(SHORT_M)
-    margins = {"cost at λ 5 m": evidence.wind_loss(SHORT_M)}
+    margins = {"loss at λ 5 m": evidence.wind_loss(SHORT_M)}
     for each in evidence.long_m:
-        margins[f"over λ {each:g} m"] = evidence.estimate(
+        margins[f"relative to λ {each:g} m"] = evidence.estimate(
             [*short, *evidence.windy_and_calm(each)],
             lambda *cells: wind_loss_db(*cells[:2]) - SENSITIVE * wind_loss_db(*cells[2:]),
         )
@@ -110,7 +110,7 @@ def short_is_sensitive(evidence: Evidence) -> Finding:
 
 
 def _separations_text(evidence: Evidence) -> str:
-    """What tilt and positions cost alone at both wavelengths whose flights were kept."""
+    """Return the losses of tilt and of positions at both wavelengths with retained flights, as text."""
     words = []
     for wavelength_m in (SHORT_M, FIGURE_WAVELENGTH_M):
         try:
@@ -125,11 +125,11 @@ def _separations_text(evidence: Evidence) -> str:
 
 
 def long_are_alike(evidence: Evidence) -> Finding:
-    """Wind's cost at 10 m and more, and their means in 5 N."""
+    """Compare the losses due to wind at 10 m and more, and the means in 5 N."""
     margins = {}
     for one_m, other_m in itertools.combinations(evidence.long_m, 2):
         pair = f"λ {one_m:g} and {other_m:g} m"
-        margins[f"{pair}, cost of 5 N"] = evidence.estimate(
+        margins[f"{pair}, loss in 5 N"] = evidence.estimate(
             [*evidence.windy_and_calm(one_m), *evidence.windy_and_calm(other_m)],
             lambda *cells: EFFECT_ALIKE_DB - abs(wind_loss_db(*cells[:2]) - wind_loss_db(*cells[2:])),
         )
@@ -153,7 +153,7 @@ def long_are_alike(evidence: Evidence) -> Finding:
 
 
 def resilient(evidence: Evidence) -> Finding:
-    """Cost of wind at 10 m and more."""
+    """Measure the loss due to wind at 10 m and more."""
     margins = {
         f"λ {each:g} m": evidence.estimate(
             evidence.windy_and_calm(each), lambda windy, calm: RESILIENT_DB - wind_loss_db(windy, calm)
@@ -166,13 +166,13 @@ def resilient(evidence: Evidence) -> Finding:
 
 
 def shape_not_maximum(evidence: Evidence) -> Finding:
-    """Cost of 5 N at 10 m, and what they make of the shape error."""
+    """Measure the loss and the growth of the shape error in 5 N at 10 m."""
     keys = evidence.windy_and_calm(FIGURE_WAVELENGTH_M)
     loss = evidence.wind_loss(FIGURE_WAVELENGTH_M)
     growth = evidence.shape(keys, lambda windy, calm: shape_m(windy) / shape_m(calm))
     margins = {
         "maximum, dB": evidence.estimate(keys, lambda windy, calm: MAXIMUM_DB - wind_loss_db(windy, calm)),
-        "shape, times": evidence.shape(
+        "shape error, ratio": evidence.shape(
             keys, lambda windy, calm: shape_m(windy) / shape_m(calm) - SHAPE_GROWTH
         ),
     }

@@ -1,5 +1,5 @@
-"""What flying costs: real-time factor, processor time by process and part, memory and start-up.
+"""Benchmark of flights: real-time factor, processor time by process and part, memory and start-up time.
 
-Measured against a floor that does nothing but what any lockstep simulation in Python must, in the same
-minutes of the same machine. ``scripts/bench.py`` is its command line, docs/performance.md says what came out.
+Flights alternate with a floor, a minimal lockstep simulation in Python, on the same machine. The command line
+is ``scripts/bench.py``; the results are in docs/performance.md.
 """

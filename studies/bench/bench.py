@@ -1,7 +1,7 @@
-"""Floors and flights in turns, so that both have the same machine, and what their medians say.
+"""Measure floors and flights alternately, for equal conditions, and summarise them by medians.
 
-Each runs in a process of its own. The repeats give real-time factor, processor time by kind of process,
-memory and start-up; one more flight, which samples itself from the formation on, gives the parts' shares.
+Each runs in a separate process. The repeats measure real-time factor, processor time by kind of process,
+memory and start-up time; one additional flight with a sampling profiler measures the shares of the parts.
 """
 
 import contextlib
@@ -29,11 +29,11 @@ from studies.bench.floor_job import FloorCost, FloorJob
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 FEW = 8
-"""UAVs up to which it is the article's swarm that flies."""
+"""Largest number of UAVs for which the default is the article's scenario."""
 WALL_LIMIT_S = 1_800.0
-"""For one flight or floor: none takes so long but on a machine that is no use for measuring."""
+"""Time limit of one flight or floor; it is exceeded only on a machine unsuitable for measurements."""
 END_LIMIT_S = 90.0
-"""For one that is broken off: a swarm takes a minute to stop at the most."""
+"""Time limit for the end of an interrupted measurement: a swarm takes at most a minute to stop."""
 
 Result = TypeVar("Result", bound=Struct)
 Parts = dict[str, dict[str, float]]
@@ -44,94 +44,94 @@ class BenchError(Exception):
 
 
 class BenchPlan(Struct, frozen=True, kw_only=True):
-    """What is measured."""
+    """Parameters of the benchmark."""
 
     agents: tuple[int, ...]
     duration_s: float
-    """Simulated, in formation"""
+    """Simulated time in formation"""
     repeats: int
     floor_wall_s: float
-    """For each of the two floors, each time"""
+    """Wall time of each of the two floors in each repetition"""
     scenario: Path | None = None
-    """None: the article's for up to `FEW` UAVs, and that of a large swarm for more"""
+    """None: the article's scenario for up to `FEW` UAVs, a large swarm's for more"""
     seed: int = 1
 
     def scenario_for(self, agents: int) -> Path:
-        """Path of what so many fly."""
+        """Return the path of the scenario for this number of UAVs."""
         if self.scenario is not None:
             return self.scenario
         return SCENARIOS / ("article.toml" if agents <= FEW else "swarm64.toml")
 
 
 class HostMachine(Struct, frozen=True, kw_only=True):
-    """What it was measured on."""
+    """Hardware and software of the machine."""
 
     processors: int
     model: str
     memory_gb: float
     system: str
     python: str
-    """Version, and whose build it is"""
+    """Version and build"""
     load: float
-    """Processes that wanted a processor in the minute before it began, on average"""
+    """Load average over the minute before the start"""
 
 
 class BenchRun(Struct, frozen=True, kw_only=True):
-    """What a swarm of one size costs. Medians of the repeats, where it is not said otherwise."""
+    """Cost of a swarm of one size; medians of the repeats unless stated otherwise."""
 
     agents: int
     scenario: str
     real_time_factor: float
     """In formation"""
     whole_real_time_factor: float
-    """From the first step on, take-off and all"""
+    """From the first step on, including take-off"""
     floor_real_time_factor: float
     """Of bare processes in lockstep"""
     echo_real_time_factor: float
-    """Of bare processes that send as many bytes to and fro"""
+    """Of bare processes that exchange as many bytes"""
     cpu_s_per_simulated_s: dict[str, float]
     """In formation, by kind of process"""
     floor_cpu_s_per_simulated_s: float
     parts_cpu_s_per_simulated_s: Parts
-    """By kind and part: shares of the flight that sampled itself, of the processor time above"""
+    """By kind and part: the processor time above, split by the shares of the profiled flight"""
     waiting_fraction: dict[str, float]
-    """Of wall time, by kind, a process's mean in that flight: with nothing to do"""
+    """Idle share of wall time, by kind, mean over processes in the profiled flight"""
     queueing_fraction: dict[str, float]
-    """And while others had the processors"""
+    """Share of wall time waiting for a processor, likewise"""
     uss_mb_per_uav: float
     uss_mb: dict[str, float]
     """Of one process, by kind"""
     pss_mb: float
-    """Of all processes, what they share counted once"""
+    """Of all processes, shared memory counted once"""
     startup_s: float
     """From the launch to the end of the first step"""
     formed_s: float | None
-    """Simulated time at which the formation was reached; None: not in time, in any repeat"""
+    """Simulated time at which the formation was reached; None if no repeat reached it in time"""
     other_processors: float
-    """That were busy with what is not of the flight: the largest of the repeats"""
+    """Processors busy with other processes: largest value of the repeats"""
     flights: tuple[FlightCost, ...]
     """Every repeat"""
     floors: tuple[FloorCost, ...]
 
 
 class FlightBench(Struct, frozen=True, kw_only=True):
-    """Everything that was found."""
+    """Results of the benchmark."""
 
     machine: HostMachine
     duration_s: float
     repeats: int
     runs: tuple[BenchRun, ...]
     failure: str | None = None
-    """Why there are no more runs than these."""
+    """Reason if runs are missing."""
     broken_off: bool = False
-    """Its user wanted no more of them."""
+    """Whether the user interrupted it."""
 
 
 def bench(plan: BenchPlan, note: Callable[[str], None]) -> FlightBench:
-    """Measure; ``note`` is told how it goes.
+    """Run the benchmark; ``note`` is called with progress messages.
 
-    What was measured before a measurement failed, or Ctrl-C came, is returned all the same, with the failure.
-    Raises BenchError or KeyboardInterrupt if that is nothing, and CompileError of the kernels.
+    Results from before a failure or Ctrl-C are returned with the reason of the failure. Raises BenchError or
+    KeyboardInterrupt if there are none, and CompileError for the kernels.
     """
     kernel_cache.prepare(note)
     machine = _machine()
@@ -144,7 +144,7 @@ def bench(plan: BenchPlan, note: Callable[[str], None]) -> FlightBench:
             if not runs:
                 raise
             broken_off = isinstance(error, KeyboardInterrupt)
-            failure = f"{_uavs(agents)}: {'broken off' if broken_off else error}"
+            failure = f"{_uavs(agents)}: {'interrupted' if broken_off else error}"
             break
     return FlightBench(
         machine=machine,
@@ -165,11 +165,11 @@ def _run(plan: BenchPlan, agents: int, note: Callable[[str], None]) -> BenchRun:
             f"{_uavs(agents)}, {repeat + 1} of {plan.repeats}:"
             f" {flights[-1].steady.real_time_factor:.2f} x real time,"
             f" floor {floors[-1].lockstep.real_time_factor:.1f} x,"
-            f" {flights[-1].steady.other_processors:.1f} processors with other things"
+            f" {flights[-1].steady.other_processors:.1f} processors busy with other processes"
         )
     formed_s = next((flight.formed_s for flight in flights if flight.formed_s is not None), None)
     profiled = _flight(plan, agents, profile_from_s=formed_s or 0.0)
-    note(f"{_uavs(agents)}: where the time goes: {profiled.steady.real_time_factor:.2f} x real time")
+    note(f"{_uavs(agents)}: profile: {profiled.steady.real_time_factor:.2f} x real time")
     return summarise(
         agents, plan.scenario_for(agents).name, floors=floors, flights=flights, profiled=profiled
     )
@@ -187,7 +187,7 @@ def summarise(
     flights: Sequence[FlightCost],
     profiled: FlightCost,
 ) -> BenchRun:
-    """Medians of the repeats, and the processor time's parts as the profiled flight shares it out."""
+    """Return medians of the repeats, and processor time by part with the shares of the profiled flight."""
     cpu_s = {
         kind: statistics.median(flight.steady.cpu_s_per_simulated_s.get(kind, 0.0) for flight in flights)
         for kind in flights[0].steady.cpu_s_per_simulated_s
@@ -217,8 +217,8 @@ def summarise(
             for kind, of_kind in profiled.profile.items()
             if of_kind.cpu_s_per_simulated_s > 0.0
         },
-        waiting_fraction={kind: told.waiting_fraction for kind, told in profiled.profile.items()},
-        queueing_fraction={kind: told.queueing_fraction for kind, told in profiled.profile.items()},
+        waiting_fraction={kind: of_kind.waiting_fraction for kind, of_kind in profiled.profile.items()},
+        queueing_fraction={kind: of_kind.queueing_fraction for kind, of_kind in profiled.profile.items()},
         uss_mb_per_uav=uss_mb[VEHICLES],
         uss_mb=uss_mb,
         pss_mb=_median(flight.pss_mb for flight in flights),
@@ -239,7 +239,7 @@ def _floor(agents: int, wall_s: float) -> FloorCost:
 
 
 def _flight(plan: BenchPlan, agents: int, *, profile_from_s: float | None = None) -> FlightCost:
-    # here, so that it goes even if the flight's launcher has no time to see to it
+    # created here, so that it is removed even if the flight's launcher is killed
     with tempfile.TemporaryDirectory(prefix="coflight-bench-", ignore_cleanup_errors=True) as folder:
         job = FlightJob(
             scenario=str(plan.scenario_for(agents)),
@@ -254,18 +254,18 @@ def _flight(plan: BenchPlan, agents: int, *, profile_from_s: float | None = None
 
 
 def _measured(module: str, job: Struct, kind: type[Result]) -> Result:
-    """Run a measurement in a process of its own, which does not outlive this one. Raises BenchError."""
+    """Run a measurement in a separate process that ends with this one. Raises BenchError."""
     command = [sys.executable, "-P", "-m", module, msgspec.json.encode(job).decode()]
     with contextlib.ExitStack() as stack:
-        said, complaints = (stack.enter_context(tempfile.TemporaryFile("w+")) for _ in range(2))
+        output, errors = (stack.enter_context(tempfile.TemporaryFile("w+")) for _ in range(2))
         with interrupts_deferred():
             process = subprocess.Popen(
                 command,
                 env=os.environ | kernel_cache.environment(),
-                stdin=subprocess.PIPE,  # ends when this process does, however it does
-                stdout=said,
-                stderr=complaints,
-                start_new_session=True,  # Ctrl-C is told once, by this process
+                stdin=subprocess.PIPE,  # closed when this process ends, for any reason
+                stdout=output,
+                stderr=errors,
+                start_new_session=True,  # Ctrl-C is reported once, by this process
             )
             stack.callback(_end, process)
         try:
@@ -273,16 +273,16 @@ def _measured(module: str, job: Struct, kind: type[Result]) -> Result:
         except subprocess.TimeoutExpired:
             raise BenchError(f"{module}: not done within {WALL_LIMIT_S:g} s") from None
         if status:
-            complaints.seek(0)
-            last_words = complaints.read().strip().rpartition("\n")[2]
-            raise BenchError(last_words or f"{module} ended with status {status}")
-        said.seek(0)
-        # PyBullet says when it was built, on whichever of the two it likes
-        return msgspec.json.decode(said.read().strip().rpartition("\n")[2], type=kind)
+            errors.seek(0)
+            last_line = errors.read().strip().rpartition("\n")[2]
+            raise BenchError(last_line or f"{module} ended with status {status}")
+        output.seek(0)
+        # PyBullet may print its build time first
+        return msgspec.json.decode(output.read().strip().rpartition("\n")[2], type=kind)
 
 
 def _end(process: "subprocess.Popen[bytes]") -> None:
-    """Break a measurement off, unless it has ended, and wait until it has ended what it started."""
+    """Interrupt a measurement, unless it has ended, and wait for its end."""
     with process, interrupts_deferred():
         process.send_signal(signal.SIGINT)
         try:
@@ -303,7 +303,7 @@ def _machine() -> HostMachine:
 
 
 def _processor_model() -> str:
-    """Name of the processor, as far as the system tells."""
+    """Return the name of the processor, if the system reports it."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -313,6 +313,6 @@ def _processor_model() -> str:
 
 
 def to_json(found: FlightBench) -> str:
-    """Make it JSON for programs."""
+    """Return the results as JSON."""
     plain: Any = msgspec.to_builtins(found)
     return msgspec.json.format(msgspec.json.encode(plain), indent=2).decode()

@@ -1,4 +1,4 @@
-"""The bench's command line. Exit status: 0 measured, 1 a measurement failed, 2 bad input, 130 broken off."""
+"""Command line of the benchmark. Exit status: 0 measured, 1 failure, 2 bad input, 130 interrupted."""
 
 import sys
 from pathlib import Path
@@ -31,25 +31,25 @@ def main(
         float | None, typer.Option(help=f"Simulated seconds in formation; default {DURATION_S:g}.", min=0.1)
     ] = None,
     repeats: Annotated[
-        int | None, typer.Option(help=f"Of floor and flight in turns; default {REPEATS}.", min=1)
+        int | None, typer.Option(help=f"Repetitions of floor and flight; default {REPEATS}.", min=1)
     ] = None,
     scenario: Annotated[
         Path | None,
-        typer.Option(help="What is flown; default article.toml up to 8 UAVs, swarm64.toml for more."),
+        typer.Option(help="Scenario; default article.toml for up to 8 UAVs, swarm64.toml for more."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of every flight.", min=0)] = 1,
     quick: Annotated[  # noqa: FBT002
         bool,
         typer.Option(
-            "--quick", help=f"{QUICK_AGENTS} UAVs, {QUICK_DURATION_S:g} s, once, unless told otherwise."
+            "--quick", help=f"Defaults of {QUICK_AGENTS} UAVs, {QUICK_DURATION_S:g} s, one repetition."
         ),
     ] = False,
-    json: Annotated[bool, typer.Option("--json", help="Everything as JSON on stdout.")] = False,  # noqa: FBT002
+    json: Annotated[bool, typer.Option("--json", help="All results as JSON on stdout.")] = False,  # noqa: FBT002
     as_markdown: Annotated[  # noqa: FBT002
-        bool, typer.Option("--markdown", help="The tables as Markdown on stdout.")
+        bool, typer.Option("--markdown", help="Tables as Markdown on stdout.")
     ] = False,
 ) -> None:
-    """Measure what flying costs, in turns with a floor: what any lockstep simulation in Python must do."""
+    """Measure the cost of flights, alternating with a floor: a minimal lockstep simulation in Python."""
     messages = Console(stderr=True, highlight=False)
     try:
         plan = BenchPlan(
@@ -60,7 +60,7 @@ def main(
             scenario=scenario,
             seed=seed,
         )
-        for number in plan.agents:  # bad input is known before anything flies
+        for number in plan.agents:  # bad input is reported before the first flight
             load(plan.scenario_for(number), [f"agents={number}", f"run.seed={seed}"])
         with interruptible():
             found = bench(plan, lambda line: messages.print(line, soft_wrap=True))
@@ -69,7 +69,7 @@ def main(
     except (BenchError, CompileError, OSError) as error:
         _end(messages, FAILED, str(error))
     except KeyboardInterrupt:
-        _end(messages, INTERRUPTED, "broken off")
+        _end(messages, INTERRUPTED, "interrupted")
     if json:
         sys.stdout.write(to_json(found) + "\n")
     elif as_markdown:

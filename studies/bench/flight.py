@@ -1,8 +1,8 @@
-"""One flight that is measured, in a launcher of its own: ``python -m studies.bench.flight``.
+"""Measure one flight in a separate launcher: ``python -m studies.bench.flight``.
 
-It is the launcher of a user's run: start-up, memory and processor time are those of
-`harness.launch.swarm.Swarm` and its processes. Everything is read between two run methods, while simulated
-time stands.
+The launcher is the same as for a user's run: start-up, memory and processor time are those of
+`harness.launch.swarm.Swarm` and its processes. All clocks are read between calls of run methods, while
+simulated time is stopped.
 """
 
 import os
@@ -43,14 +43,14 @@ def fly(job: FlightJob) -> FlightCost:
     step_s = scenario.run.step_us * 1e-6
     swarm = Swarm(scenario, out=job.folder, profile_from_s=job.profile_from_s)
     with swarm:
-        swarm.run(until_s=2.0 * step_s)  # the clock begins at one step
+        swarm.run(until_s=2.0 * step_s)  # simulated time starts at one step
         startup_s = time.monotonic() - job.wall_launched_s
         first = _mark(swarm)
         formed_s = None
         try:
             formed_s = swarm.run_until_formed(timeout_s=scenario.run.reach_timeout_s).t_s
         except SwarmTimeoutError:
-            if swarm.simulated_s < scenario.run.reach_timeout_s:  # it was not the formation that was late
+            if swarm.simulated_s < scenario.run.reach_timeout_s:  # not the limit of the formation
                 raise
         formed = _mark(swarm)
         swarm.run_for(job.duration_s)
@@ -69,7 +69,7 @@ def fly(job: FlightJob) -> FlightCost:
 
 
 def _check_complete(swarm: Swarm) -> None:
-    """See that all are still there: what is left of a swarm costs less. Raises SwarmError."""
+    """Check that no vehicle was lost, because a smaller swarm costs less. Raises SwarmError."""
     for event in swarm.events:
         if isinstance(event, VehicleLost):
             raise SwarmError(f"{uav(event.instance)} was lost: {event.reason}")
@@ -103,7 +103,7 @@ def _span(begin: _Mark, end: _Mark) -> Span:
 
 
 def _memory_mb(swarm: Swarm) -> tuple[dict[str, float], float]:
-    """USS of a process by kind, and PSS of all together."""
+    """Return the USS of a process by kind, and the PSS of all processes."""
     uss_mb: dict[str, list[float]] = {}
     pss_mb = 0.0
     for name, pid in {LAUNCHER: os.getpid(), **swarm.pids}.items():
@@ -114,9 +114,9 @@ def _memory_mb(swarm: Swarm) -> tuple[dict[str, float], float]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Fly what the one argument, a `FlightJob` in JSON, says; the cost is the last line on stdout.
+    """Fly the `FlightJob` in the argument (JSON); the last line on stdout is the cost.
 
-    The end of stdin breaks it off, as Ctrl-C does.
+    The end of stdin interrupts it, as Ctrl-C does.
     """
     try:
         with interruptible():
@@ -126,7 +126,7 @@ def main(arguments: Sequence[str]) -> int:
         sys.stderr.write(f"{error}\n")
         return 2
     except KeyboardInterrupt:
-        sys.stderr.write("broken off\n")
+        sys.stderr.write("interrupted\n")
         return INTERRUPTED
     sys.stdout.write(msgspec.json.encode(cost).decode() + "\n")
     return 0

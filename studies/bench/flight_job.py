@@ -1,4 +1,4 @@
-"""What the bench tells the launcher of a flight that is measured, and what it answers."""
+"""Messages between the benchmark and the launcher of a measured flight."""
 
 from msgspec import Struct
 
@@ -7,33 +7,33 @@ from harness.launch.profiling import VEHICLES, KindProfile
 
 LAUNCHER = "launcher"
 KINDS = (PHYSICS, RADIO, VEHICLES, PREFORK, LAUNCHER)
-"""Of processes, in the order in which they are told; others, if there are any, come after them."""
+"""Kinds of processes in the order of the tables; others follow."""
 
 
 class FlightJob(Struct, frozen=True, kw_only=True):
-    """What is to be flown."""
+    """Parameters of a flight."""
 
     scenario: str
     agents: int
     seed: int
     duration_s: float
-    """After the formation is reached"""
+    """Simulated time in formation"""
     folder: str
-    """For what the flight writes; not there yet"""
+    """Run folder, which must not exist"""
     wall_launched_s: float
     """By `time.monotonic`, which all processes of a machine share"""
     profile_from_s: float | None = None
 
 
 class Span(Struct, frozen=True, kw_only=True):
-    """A stretch of a flight."""
+    """Costs in a part of a flight."""
 
     simulated_s: float
     wall_s: float
     cpu_s_per_simulated_s: dict[str, float]
     """By kind of process"""
     other_processors: float
-    """That were busy with what is not of the flight, on average: 0 on a quiet machine"""
+    """Mean number of processors busy with other processes: 0 on an idle machine"""
 
     @property
     def real_time_factor(self) -> float:
@@ -42,18 +42,18 @@ class Span(Struct, frozen=True, kw_only=True):
 
 
 class FlightCost(Struct, frozen=True, kw_only=True):
-    """What the flight cost."""
+    """Costs of a flight."""
 
     startup_s: float
     """From the launch to the end of the first step"""
     formed_s: float | None
-    """Simulated time at which the formation was reached; None: it was not in time"""
+    """Simulated time at which the formation was reached; None if not in time"""
     whole: Span
     """From the first step on"""
     steady: Span
-    """From the formation, or the limit for it, on"""
+    """From the formation, or from its time limit on"""
     uss_mb: dict[str, float]
-    """Memory that goes with the process, by kind, a process's median, at the end"""
+    """Unshared memory at the end, by kind, median over processes"""
     pss_mb: float
-    """Memory of all processes, what they share counted once, or not at all where the system does not tell"""
+    """Memory of all processes, shared memory counted once, or not counted if the system has no PSS"""
     profile: dict[str, KindProfile]

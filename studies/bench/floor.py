@@ -1,12 +1,12 @@
-"""The least that a lockstep simulation of N processes in Python can cost: ``python -m studies.bench.floor``.
+"""Minimal cost of a lockstep simulation with N processes in Python: ``python -m studies.bench.floor``.
 
-N processes, forked from this one, decode every HIL_SENSOR, check its CRC and answer HIL_ACTUATOR_CONTROLS.
-This process steps N PyBullet bodies, reads them, packs the sensors and takes the answers. Sockets, order of
-sending and receiving, and scheduling are those of a flight; estimator, control, sensors' errors, wind, radio
-and logs are not there. Two floors: ``lockstep`` is that, and in ``echo`` bytes of the same lengths go to and
-fro with no physics and no codec.
+N processes, forked from this one, decode every HIL_SENSOR, check its CRC and send HIL_ACTUATOR_CONTROLS. This
+process steps N PyBullet bodies, reads them, encodes the sensors and receives the replies. Sockets, order of
+sending and receiving, and scheduling are those of a flight; there is no estimator, control, sensor error,
+wind, radio or log. This is the floor ``lockstep``; the floor ``echo`` exchanges bytes of the same lengths
+without physics and codec.
 
-Wall clock, sockets and processes: an edge. It imports no more than it needs: its processes are to be bare.
+The module uses wall clock, sockets and processes. It has few imports, so that its processes are small.
 """
 
 import contextlib
@@ -30,14 +30,14 @@ from studies.bench.floor_job import FloorCost, FloorJob, FloorSpeed
 STEP_US = 4_000
 WARM_UP_STEPS = 50
 SLICES = 5
-"""Parts of a measurement, of which the median counts: a hiccup of the machine spoils one."""
+"""Parts of a measurement; the median suppresses single disturbances."""
 _HEADER = struct.Struct("<BBBBBBBHB")
 _CRC = struct.Struct("<H")
 _MAGIC = 0xFD
 _SENSOR, _SENSOR_EXTRA = struct.Struct("<Q13fI"), 108
 _SENSOR_KIND = 107
-_ANSWER, _ANSWER_EXTRA = struct.Struct("<QQ16fB"), 47
-_ANSWER_KIND = 93
+_REPLY, _REPLY_EXTRA = struct.Struct("<QQ16fB"), 47
+_REPLY_KIND = 93
 _FIELDS_UPDATED = 0x1FFF
 _ARMED = 129
 _LOCKSTEP = 1
@@ -45,11 +45,11 @@ _RECEIVE_BYTES = 4096
 
 
 class LostError(Exception):
-    """A bare process ended or answered nonsense; the text is one line."""
+    """A bare process ended or sent an invalid reply; the text is one line."""
 
 
 def frame(fields: struct.Struct, kind: int, extra: int, sequence: int, *values: float) -> bytes:
-    """Make a MAVLink 2 frame; trailing zeros are left in, which the standard allows a receiver to take."""
+    """Return a MAVLink 2 frame with its trailing zeros, which the standard permits."""
     payload = fields.pack(*values)
     head = _HEADER.pack(_MAGIC, len(payload), 0, 0, sequence, 1, 1, kind & 0xFFFF, kind >> 16)
     checked = head[1:] + payload
@@ -57,7 +57,7 @@ def frame(fields: struct.Struct, kind: int, extra: int, sequence: int, *values: 
 
 
 def fields_of(data: bytes, fields: struct.Struct, kind: int, extra: int) -> tuple[float, ...] | None:
-    """Unpack one frame of that kind; None if it is anything else."""
+    """Unpack one frame of the given kind; None for any other data."""
     if len(data) != _HEADER.size + fields.size + _CRC.size or data[0] != _MAGIC:
         return None
     if int.from_bytes(data[7:10], "little") != kind:
@@ -68,32 +68,32 @@ def fields_of(data: bytes, fields: struct.Struct, kind: int, extra: int) -> tupl
     return fields.unpack_from(data, _HEADER.size)
 
 
-def answer(data: bytes, sequence: int) -> bytes:
-    """What a bare vehicle says to its sensors: motors that hold it up. Raises LostError for what are none."""
+def reply(data: bytes, sequence: int) -> bytes:
+    """Return a bare vehicle's motor controls for its sensors. Raises LostError for invalid sensors."""
     sensed = fields_of(data, _SENSOR, _SENSOR_KIND, _SENSOR_EXTRA)
     if sensed is None:
         raise LostError("no HIL_SENSOR")
     controls = (0.7, 0.7, 0.7, 0.7, *(0.0,) * 12)
     return frame(
-        _ANSWER, _ANSWER_KIND, _ANSWER_EXTRA, sequence, sensed[0], _LOCKSTEP, *controls, _ARMED
+        _REPLY, _REPLY_KIND, _REPLY_EXTRA, sequence, sensed[0], _LOCKSTEP, *controls, _ARMED
     )  # fmt: skip
 
 
-def _answer_all(link: socket.socket) -> None:
+def _reply_all(link: socket.socket) -> None:
     sequence = 0
     while data := link.recv(_RECEIVE_BYTES):
-        link.sendall(answer(data, sequence))
+        link.sendall(reply(data, sequence))
         sequence = (sequence + 1) % 256
 
 
 def _echo_all(link: socket.socket) -> None:
-    reply = bytes(_HEADER.size + _ANSWER.size + _CRC.size)
+    data = bytes(_HEADER.size + _REPLY.size + _CRC.size)
     while link.recv(_RECEIVE_BYTES):
-        link.sendall(reply)
+        link.sendall(data)
 
 
 class Bare(NamedTuple):
-    """Processes that do nothing but answer."""
+    """Processes that only reply."""
 
     links: list[socket.socket]
     pids: list[int]
@@ -101,7 +101,7 @@ class Bare(NamedTuple):
 
 @contextlib.contextmanager
 def bare_processes(agents: int, work: Callable[[socket.socket], None]) -> Iterator[Bare]:
-    """Fork so many processes, each of which does its work at its end of a TCP connection until it is closed.
+    """Fork processes that each run ``work`` at one end of a TCP connection until it is closed.
 
     Raises OSError.
     """
@@ -117,7 +117,7 @@ def bare_processes(agents: int, work: Callable[[socket.socket], None]) -> Iterat
                     end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 pid = os.fork()
                 if pid == 0:
-                    _live(theirs, links, work)
+                    _run(theirs, links, work)
                 pids.append(pid)
                 theirs.close()
         yield Bare(links, pids)
@@ -128,15 +128,13 @@ def bare_processes(agents: int, work: Callable[[socket.socket], None]) -> Iterat
             os.waitpid(pid, 0)
 
 
-def _live(
-    link: socket.socket, others: Sequence[socket.socket], work: Callable[[socket.socket], None]
-) -> None:
-    """Be a bare process; never returns."""
+def _run(link: socket.socket, others: Sequence[socket.socket], work: Callable[[socket.socket], None]) -> None:
+    """Run a bare process; never returns."""
     status = 1
     try:
-        for other in others:  # or nobody would notice when the parent closes them
+        for other in others:  # otherwise the parent's close would not end the connections
             other.close()
-        if sys.platform == "linux":  # as vehicles are
+        if sys.platform == "linux":  # as for vehicles
             with contextlib.suppress(OSError):
                 os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
         with contextlib.suppress(OSError):
@@ -147,13 +145,13 @@ def _live(
 
 
 def _exchange(links: Sequence[socket.socket], frames: Sequence[bytes]) -> list[bytes]:
-    """Send everybody a frame and wait for the answers, the last first, as a flight does."""
+    """Send a frame on each link and wait for the replies, last link first, as in a flight."""
     for link, data in zip(links, frames, strict=True):
         link.sendall(data)
-    answers = [link.recv(_RECEIVE_BYTES) for link in reversed(links)]
-    if b"" in answers:
+    replies = [link.recv(_RECEIVE_BYTES) for link in reversed(links)]
+    if b"" in replies:
         raise LostError("a bare process has ended")
-    return answers
+    return replies
 
 
 def _lockstep_steps(links: Sequence[socket.socket], world: BareWorld) -> Iterator[None]:
@@ -170,8 +168,8 @@ def _lockstep_steps(links: Sequence[socket.socket], world: BareWorld) -> Iterato
             for (position, _), (velocity, turning) in world.step(lifts_n)
         ]  # fmt: skip
         for data in _exchange(links, frames):
-            told = fields_of(data, _ANSWER, _ANSWER_KIND, _ANSWER_EXTRA)
-            if told is None or told[0] != time_us:
+            controls = fields_of(data, _REPLY, _REPLY_KIND, _REPLY_EXTRA)
+            if controls is None or controls[0] != time_us:
                 raise LostError("no HIL_ACTUATOR_CONTROLS of this step")
         yield
 
@@ -189,11 +187,11 @@ def _speed(
     make_steps: Callable[[Sequence[socket.socket]], Iterator[None]],
     wall_s: float,
 ) -> FloorSpeed:
-    """Step so many for so long."""
+    """Measure the speed of ``agents`` processes for ``wall_s``."""
     with bare_processes(agents, work) as bare:
         steps = make_steps(bare.links)
         for _ in range(WARM_UP_STEPS):
-            next(steps)  # sockets, caches and the scheduler find their ways
+            next(steps)  # warm-up of sockets, caches and scheduler
         own_s, theirs_s = time.process_time(), sum(map(_cpu_s, bare.pids))
         counts, factors = [], []
         for _ in range(SLICES):
@@ -212,7 +210,7 @@ def _speed(
 
 
 def _cpu_s(pid: int) -> float:
-    """Processor time of another process of one thread, to the nanosecond: its `times` count in hundredths."""
+    """Return another process's processor time with 1 ns resolution; its `times` have 10 ms. One thread."""
     return int(Path(f"/proc/{pid}/schedstat").read_text(encoding="ascii").split()[0]) * 1e-9
 
 
@@ -221,13 +219,13 @@ def measure(job: FloorJob) -> FloorCost:
     gc.collect()
     gc.freeze()
     with BareWorld(job.agents, step_us=STEP_US) as world:
-        lockstep = _speed(job.agents, _answer_all, lambda links: _lockstep_steps(links, world), job.wall_s)
+        lockstep = _speed(job.agents, _reply_all, lambda links: _lockstep_steps(links, world), job.wall_s)
     echo = _speed(job.agents, _echo_all, _echo_steps, job.wall_s)
     return FloorCost(agents=job.agents, lockstep=lockstep, echo=echo)
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Measure what the one argument, a `FloorJob` in JSON, says; the cost is the last line on stdout."""
+    """Measure the `FloorJob` in the argument (JSON); the last line on stdout is the cost."""
     try:
         cost = measure(msgspec.json.decode(arguments[0], type=FloorJob))
     except (OSError, LostError) as error:

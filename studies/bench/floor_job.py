@@ -1,27 +1,27 @@
-"""What the bench tells the process that measures the floors, and what it answers; imports nothing else."""
+"""Messages between the benchmark and the process that measures the floors; no further imports."""
 
 from msgspec import Struct
 
 
 class FloorJob(Struct, frozen=True, kw_only=True):
-    """What is to be measured."""
+    """Parameters of the measurement."""
 
     agents: int
     wall_s: float
-    """For each of the two"""
+    """Wall time of each floor"""
 
 
 class FloorSpeed(Struct, frozen=True, kw_only=True):
-    """One floor's cost."""
+    """Cost of one floor."""
 
     real_time_factor: float
     server_cpu_s_per_simulated_s: float
     vehicles_cpu_s_per_simulated_s: float
-    """Of all together"""
+    """Of all vehicles together"""
 
 
 class FloorCost(Struct, frozen=True, kw_only=True):
-    """Both floors' cost."""
+    """Costs of both floors."""
 
     agents: int
     lockstep: FloorSpeed

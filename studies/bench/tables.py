@@ -1,4 +1,4 @@
-"""What a bench found, as tables for a terminal or for a page in Markdown."""
+"""Results of a benchmark as tables, for a terminal or as Markdown."""
 
 from collections.abc import Iterator, Sequence
 
@@ -10,13 +10,13 @@ from studies.bench.bench import BenchRun, FlightBench
 from studies.bench.flight_job import KINDS
 
 LEAST_SHARE = 0.005
-"""Of the time of all: parts that have less in every run are told together."""
+"""Share of the total time below which parts are combined in one row"""
 INDENT = "  "
-"""Before the name of a part of what stands above."""
+"""Prefix of the name of a part of the row above."""
 
 
 class Sheet(Struct, frozen=True, kw_only=True):
-    """One table: names in the first column, and a column of cells for every number of UAVs."""
+    """One table: names in the first column, then a column for every number of UAVs."""
 
     title: str
     heading: tuple[str, ...]
@@ -24,7 +24,7 @@ class Sheet(Struct, frozen=True, kw_only=True):
 
 
 def sheets(found: FlightBench) -> tuple[Sheet, ...]:
-    """Speed, processor time by process and part, waiting, memory and start-up."""
+    """Return the tables of speed, processor time by process and part, waiting, memory and start-up."""
     runs = found.runs
     heading = ("UAVs", *(str(run.agents) for run in runs))
     of = "one flight" if found.repeats == 1 else f"median of {found.repeats} flights"
@@ -38,7 +38,10 @@ def sheets(found: FlightBench) -> tuple[Sheet, ...]:
                 ("with take-off", *(_factor(run.whole_real_time_factor) for run in runs)),
                 ("floor: bare processes", *(_factor(run.floor_real_time_factor) for run in runs)),
                 ("floor: bytes alone", *(_factor(run.echo_real_time_factor) for run in runs)),
-                ("processors busy otherwise", *(f"{run.other_processors:.1f}" for run in runs)),
+                (
+                    "processors busy with other processes",
+                    *(f"{run.other_processors:.1f}" for run in runs),
+                ),
             ),
         ),
         Sheet(
@@ -47,19 +50,19 @@ def sheets(found: FlightBench) -> tuple[Sheet, ...]:
             rows=tuple(_processor_rows(runs)),
         ),
         Sheet(
-            title="Wall time of a process with nothing to do / with others on the processors",
+            title="Share of wall time in which a process is idle / waits for a processor",
             heading=heading,
             rows=tuple((name, *(_idle(run, kind) for run in runs)) for kind, name in KIND_NAMES.items()),
         ),
         Sheet(
-            title="Memory of its own of a process (USS), and start-up",
+            title="Unshared memory of a process (USS), and start-up",
             heading=heading,
             rows=(
                 *(
                     (f"{_name(kind)}, MB", *(f"{run.uss_mb.get(kind, 0.0):.0f}" for run in runs))
                     for kind in _kinds(runs)
                 ),
-                ("all, shared memory once (PSS), MB", *(f"{run.pss_mb:.0f}" for run in runs)),
+                ("all, shared memory counted once (PSS), MB", *(f"{run.pss_mb:.0f}" for run in runs)),
                 ("launch to first step, s", *(f"{run.startup_s:.1f}" for run in runs)),
             ),
         ),
@@ -69,8 +72,8 @@ def sheets(found: FlightBench) -> tuple[Sheet, ...]:
 def _processor_rows(runs: Sequence[BenchRun]) -> Iterator[tuple[str, ...]]:
     for kind in _kinds(runs):
         yield (_name(kind), *(_ms(run.cpu_s_per_simulated_s.get(kind, 0.0)) for run in runs))
-        told, rest = _parts(runs, kind)
-        for part in told:
+        listed, rest = _parts(runs, kind)
+        for part in listed:
             spent = (run.parts_cpu_s_per_simulated_s.get(kind, {}).get(part, 0.0) for run in runs)
             yield (f"{INDENT}{part}", *map(_ms, spent))
         if rest:
@@ -88,17 +91,17 @@ def _processor_rows(runs: Sequence[BenchRun]) -> Iterator[tuple[str, ...]]:
 
 
 def _parts(runs: Sequence[BenchRun], kind: str) -> tuple[list[str], list[str]]:
-    """Parts of a kind of process that are worth a row, the dearest of the last run first; and the others."""
+    """Return the parts with a row, most expensive in the last run first, and the others."""
     most: dict[str, float] = {}
     for run in reversed(runs):
         for part, spent in run.parts_cpu_s_per_simulated_s.get(kind, {}).items():
             most[part] = max(most.get(part, 0.0), spent / _whole(run))
-    told = [part for part, share in most.items() if share >= LEAST_SHARE]
-    return told, [part for part, share in most.items() if share < LEAST_SHARE]
+    listed = [part for part, share in most.items() if share >= LEAST_SHARE]
+    return listed, [part for part, share in most.items() if share < LEAST_SHARE]
 
 
 def _kinds(runs: Sequence[BenchRun]) -> list[str]:
-    """Kinds of process that any run had, in their order."""
+    """Return the kinds of process of all runs in their order."""
     found = {kind for run in runs for kind in run.cpu_s_per_simulated_s}
     return [*(kind for kind in KINDS if kind in found), *sorted(found.difference(KINDS))]
 
@@ -131,7 +134,7 @@ def _ms(value_s: float) -> str:
 
 
 def terminal_table(sheet: Sheet) -> Table:
-    """Lay one out for a terminal, less its title, which may be longer than its lines."""
+    """Return a table for a terminal, without its title, which may be longer than the rows."""
     table = Table()
     for number, name in enumerate(sheet.heading):
         table.add_column(name, justify="right" if number else "left")
@@ -141,11 +144,11 @@ def terminal_table(sheet: Sheet) -> Table:
 
 
 def markdown(found: FlightBench) -> str:
-    """All of it for a page."""
+    """Return all tables as Markdown."""
     machine = found.machine
     hardware = f"{machine.model}, {machine.processors} processors, {machine.memory_gb:g} GB"
     software = f"{machine.system}, Python {machine.python}"
-    lines = [f"{hardware}; {software}; load {machine.load:g} before it began.", ""]
+    lines = [f"{hardware}; {software}; load {machine.load:g} before the start.", ""]
     for sheet in sheets(found):
         lines += [f"**{sheet.title}**", "", _cells(sheet.heading)]
         lines.append(_cells(("---", *("---:" for _ in sheet.heading[1:]))))

@@ -1,1 +1,1 @@
-"""Studies of ranging and localisation together: how near the estimate comes to what is possible."""
+"""Co-design study of ranging, localisation and formation control: makes docs/results/codesign-results.md."""

@@ -1,7 +1,7 @@
-"""The batch optimum: where the formation is by every fix and the distances of the last seconds, at once.
+"""Batch optimum: least-squares positions of the formation from all fixes and the most recent distances.
 
-It is what the running filter is measured against. Unknown are the UAVs' offsets at the end; what odometry
-lost between a measurement and the end is noise, which measurements share.
+It is the reference for the recursive filter. Unknown are the UAVs' offsets at the end; the odometry drift
+between a measurement and the end is noise, which is correlated between measurements.
 """
 
 import numpy as np
@@ -11,19 +11,19 @@ from scipy.optimize import least_squares
 from studies.codesign.simulated import GRID_US, Array, SimulatedFlight
 
 FIX_GROUP_US = 1_000_000
-"""Fixes of this time are averaged: within it neither odometry nor bias move by as much as their noise."""
+"""Fixes within this time are averaged: the changes of odometry and bias are smaller than their noise."""
 RANGE_WINDOW_US = 4_000_000
-"""Older distances are left out: what odometry has lost since is too large for the first order. By the
-defaults of `LocalisationModel` one of this age has a variance of 2 (0.1)^2 4 + 0.03^2 + 0.05^2 = 0.083 m^2,
-and so tells a 25th of what one of the end does with 0.0034 m^2."""
+"""Older distances are skipped: their odometry drift is too large for the first order. With the defaults of
+`LocalisationModel` a distance of this age has a variance of 2 (0.1)^2 4 + 0.03^2 + 0.05^2 = 0.083 m^2, and
+thus a 25th of the information of one at the end with 0.0034 m^2."""
 
 
 def batch_optimum(flight: SimulatedFlight) -> Array:
-    """(N, 2) maximum a posteriori horizontal offsets at the flight's end, m.
+    """Return the maximum a posteriori horizontal offsets (N, 2) at the end of the flight, m.
 
-    Generalised least squares, by scipy, started at the truth: the Cholesky factor of their covariance whitens
-    the residuals. With the odometry's walk w from a measurement's time to the end, a distance is
-    |p_i + w_i - p_j - w_j|, to first order the walks' parts along the line between the two; a fix is
+    Generalised least squares with scipy, started at the truth; the Cholesky factor of the covariance whitens
+    the residuals. With the odometry's random walk w from a measurement to the end, a distance is
+    |p_i + w_i - p_j - w_j|, in first order with the walks along the line between the two; a fix is
     p_i + w_i + bias.
     """
     model = flight.model
@@ -69,7 +69,7 @@ def batch_optimum(flight: SimulatedFlight) -> Array:
     same_axis = np.outer(is_fix, is_fix) * (directions @ directions.T)
     covariance += model.gps_bias_std_m**2 * np.exp(-apart_s / model.gps_bias_time_constant_s) * same_axis
     factor = np.linalg.cholesky(covariance)
-    wanted = np.array(measured)
+    measured_m = np.array(measured)
     ends = np.array([(item.initiator, item.responder) for item in distances])
     odometry_between_m = np.array(between_m)
     level = np.s_[: 2 * count]
@@ -83,7 +83,7 @@ def batch_optimum(flight: SimulatedFlight) -> Array:
 
     def residuals(flat: Array) -> Array:
         expected = np.concatenate((np.linalg.norm(apart(flat), axis=1), directions[is_fix] @ flat[level]))
-        whitened = solve_triangular(factor, expected - wanted, lower=True)
+        whitened = solve_triangular(factor, expected - measured_m, lower=True)
         return np.concatenate((whitened, flat[2 * count :] / model.height_std_m))
 
     def derivative(flat: Array) -> Array:

@@ -1,4 +1,4 @@
-"""All flights of an experiment, by case and seed, as its tables and figures ask for them."""
+"""All flights of an experiment by case and seed, with the queries for tables and figures."""
 
 from collections.abc import Callable, Mapping
 
@@ -11,18 +11,18 @@ from studies.codesign.statistics import Interval, mean_interval, ratio_interval
 
 
 class Book(Struct, frozen=True, kw_only=True):
-    """What was flown of a plan."""
+    """Flights of a plan."""
 
     plan: CodesignPlan
     flights: Mapping[tuple[str, int], CodesignFlown]
-    """By case's name and seed"""
+    """By name of the case and seed"""
 
     def measures(self, case: CodesignCase) -> list[Measures | None]:
-        """Of every seed, in their order; None of those that were not flown or are broken."""
+        """Return the measures of all seeds in order; None for a flight that is missing or broken."""
         return [None if flown is None else flown.measures for flown in self._flights(case)]
 
     def pairs(self, one: CodesignCase, other: CodesignCase) -> list[tuple[Measures, Measures]]:
-        """Of the seeds that have both, flown by the same sources."""
+        """Return the measures of the seeds that have both flights, of the same state of the sources."""
         return [
             (a.measures, b.measures)
             for a, b in zip(self._flights(one), self._flights(other), strict=True)
@@ -30,49 +30,49 @@ class Book(Struct, frozen=True, kw_only=True):
         ]
 
     def flown(self, case: CodesignCase) -> list[Measures]:
-        """Of the seeds that have one."""
+        """Return the measures of the seeds that have them."""
         return [each for each in self.measures(case) if each is not None]
 
     def values(self, case: CodesignCase, what: str) -> list[float | None]:
-        """One of the numbers of `Measures` of every seed."""
+        """Return a field of `Measures` for every seed."""
         return [None if each is None else getattr(each, what) for each in self.measures(case)]
 
     def mean(self, case: CodesignCase, what: str) -> Interval:
-        """Its mean over the seeds that have it."""
+        """Return the mean of a field over the seeds that have it."""
         return mean_interval(self.values(case, what))
 
     def ratio(self, above: CodesignCase, below: CodesignCase, what: str) -> Interval:
-        """Ratio of the means of two cases over their pairs."""
+        """Return the ratio of the means of two cases over their pairs."""
         pairs = self.pairs(above, below)
         return ratio_interval([getattr(a, what) for a, _ in pairs], [getattr(b, what) for _, b in pairs])
 
     def count(self, case: CodesignCase, condition: Callable[[Measures], bool]) -> int:
-        """Flights of which something holds."""
+        """Return the number of flights that meet the condition."""
         return sum(map(condition, self.flown(case)))
 
     def collided(self, case: CodesignCase) -> int:
-        """Flights with a collision."""
+        """Return the number of flights with a collision."""
         return self.count(case, lambda flight: flight.collisions > 0)
 
     def formed(self, case: CodesignCase) -> int:
-        """Flights that reached their formation."""
+        """Return the number of flights that reached their formation."""
         return self.count(case, lambda flight: flight.formed_s is not None)
 
     def begun(self, case: CodesignCase) -> int:
-        """Flights that were flown, with numbers or broken."""
+        """Return the number of finished flights, with results or broken."""
         return sum(flown is not None for flown in self._flights(case))
 
     def of_flights(self, number: int, case: CodesignCase) -> str:
-        """As ``number of flights``."""
+        """Format as ``number of flights``."""
         return f"{number} of {len(self.flown(case))}"
 
     def least(self, case: CodesignCase, what: str) -> str:
-        """Smallest over the flights, in metres."""
-        known = [value for value in self.values(case, what) if value is not None]
-        return f"{min(known):.2f}" if known else "–"
+        """Return the smallest value over the flights, in metres, as text."""
+        present = [value for value in self.values(case, what) if value is not None]
+        return f"{min(present):.2f}" if present else "–"
 
     def broken(self) -> list[CodesignFlown]:
-        """Flights without numbers."""
+        """Return the flights without results."""
         return [flown for flown in self.flights.values() if flown.broken is not None]
 
     def _flights(self, case: CodesignCase) -> list[CodesignFlown | None]:

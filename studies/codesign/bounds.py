@@ -1,11 +1,11 @@
-"""The posterior Cramer-Rao bound of the cooperative localisation.
+"""Posterior Cramer-Rao bound of the cooperative localisation.
 
-No estimator that takes odometry as given, a motion known but for drift, has a mean squared error below it.
+It is a lower bound of the mean squared error of all estimators that use odometry as the motion up to drift.
 For a linear random motion with Gaussian noise it obeys the recursion of Tichavsky, Muravchik and Nehorai
 ("Posterior Cramer-Rao bounds for discrete-time nonlinear filtering", IEEE Trans. Signal Processing 46, 1998,
-eq. 21): J' = (Q + F J^-1 F')^-1 + sum H' R^-1 H, with the measurements' true derivatives H. It is carried out
-on the inverse J^-1, by the matrix inversion lemma. The expectation over the motion is replaced by the motion
-that was flown.
+eq. 21): J' = (Q + F J^-1 F')^-1 + sum H' R^-1 H, with the true derivatives H of the measurements. It is
+computed for the inverse J^-1 with the matrix inversion lemma. The expectation over the motion is replaced by
+the simulated motion.
 """
 
 import numpy as np
@@ -15,13 +15,13 @@ from studies.codesign.simulated import GRID_US, Array, Ranged, SimulatedFlight
 PER_UAV = 6
 """Offset north, east, down; GPS bias north, east, down."""
 _FLAT_M2 = 1e6
-"""Prior variance of what nothing is known of."""
+"""Prior variance of unknown states."""
 
 
 def posterior_bound(flight: SimulatedFlight) -> Array:
-    """(2N, 2N) bound of the covariance of the horizontal offsets (n0, e0, n1, ...) at the flight's end.
+    """Return the bound (2N, 2N) of the covariance of the horizontal offsets (n0, e0, n1, ...) at the end.
 
-    From everything that the UAV is told by the end, whenever it was measured.
+    It is based on all measurements that the UAV has received by the end of the flight.
     """
     model = flight.model
     count = len(flight.places_ned_m)
@@ -73,9 +73,10 @@ def posterior_bound(flight: SimulatedFlight) -> Array:
 
 
 def shape_basis(pos_ned_m: Array) -> Array:
-    """(2N, 2N - 3) orthonormal: changes of horizontal positions (n0, e0, n1, ...) that are no rigid motion.
+    """Return an orthonormal basis (2N, 2N - 3) of changes of horizontal positions without rigid motion.
 
-    What two shifts and a small turn of the whole do is orthogonal to it. pos_ned_m (N, 3).
+    It is orthogonal to two translations and a small rotation of the formation. Positions are in the order
+    (n0, e0, n1, ...); pos_ned_m (N, 3).
     """
     count = len(pos_ned_m)
     centred = pos_ned_m[:, :2] - pos_ned_m[:, :2].mean(axis=0)
@@ -86,9 +87,9 @@ def shape_basis(pos_ned_m: Array) -> Array:
 
 
 def aligned_error_m(found_m: Array, truth_m: Array) -> Array:
-    """(N, 2) what the best rigid alignment of the found horizontal positions to the true ones leaves.
+    """Return the error (N, 2) of horizontal positions after the best rigid alignment with the true ones.
 
-    In the frame of the truth. Closed form of Kabsch's problem in the plane, with north + j east.
+    The frame is that of the truth. Closed form of Kabsch's problem in the plane, with north + j east.
     """
     found = (found_m[:, 0] - found_m[:, 0].mean()) + 1j * (found_m[:, 1] - found_m[:, 1].mean())
     truth = (truth_m[:, 0] - truth_m[:, 0].mean()) + 1j * (truth_m[:, 1] - truth_m[:, 1].mean())

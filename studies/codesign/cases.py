@@ -1,7 +1,7 @@
-"""What the co-design experiment flies: cases, each a change or two of the article's scenario, in groups.
+"""Cases of the co-design experiment, each a variant of the article's scenario, in groups.
 
-A case stands in every group that compares it, and is flown once. All cases fly the same seeds, so the same
-winds and the same errors of GPS receivers: comparisons are in pairs.
+A case can be in several groups and is flown once. All cases use the same seeds, hence the same winds and the
+same GPS receiver errors, so they are compared in pairs of flights.
 """
 
 from pathlib import Path
@@ -19,31 +19,31 @@ AGENTS = (4, 8, 16)
 WAVELENGTHS_M = (5, 10)
 BEACON_PERIODS_MS = (50, 100, 200, 500, 1000)
 FTM_PERIODS_S = {8: (0.1, 0.25, 1.0), 16: (0.25, 1.0)}
-"""By number of UAVs. 240 sessions every 0.25 s are more than the channel has room for."""
+"""By number of UAVs; 240 sessions every 0.25 s exceed the capacity of the channel."""
 DROPPED = 0.3
 LIAR = 3
 LIE_M = 5.0
 MOST_CUT_S = 10.0
 MOST_LIAR_AFTER_S = 5.0
 _NO_PATTERNS_HZ = 0.001
-"""The patterns that are wanted are computed afterwards: `studies.codesign.flights`."""
+"""No patterns in flight: they are computed afterwards, see `studies.codesign.measures`."""
 
 
 class CodesignPlan(Struct, frozen=True, kw_only=True):
-    """How much is flown."""
+    """Number and duration of the flights."""
 
     seeds: int = 10
     duration_s: float = 15.0
-    """In formation"""
+    """Time in formation"""
 
     @property
     def cut_s(self) -> float:
-        """Length of the cut, and from the formation to it: 10 s, but in quick plans."""
+        """Duration of the channel outage, and time from the formation to it; 10 s except in quick plans."""
         return min(MOST_CUT_S, self.duration_s / 1.5)
 
     @property
     def liar_after_s(self) -> float:
-        """From the formation to the first lie."""
+        """Time from the formation to the start of the ranging bias."""
         return min(MOST_LIAR_AFTER_S, self.duration_s / 6.0)
 
 
@@ -51,7 +51,7 @@ QUICK = CodesignPlan(seeds=2, duration_s=8.0)
 
 
 class CodesignCase(Struct, frozen=True, kw_only=True):
-    """One change of the article's scenario."""
+    """One variant of the article's scenario."""
 
     name: str
     localisation: str = "ftm"
@@ -64,18 +64,18 @@ class CodesignCase(Struct, frozen=True, kw_only=True):
     channel: str = "emulated"
     drop_fraction: float = 0.0
     lies: bool = False
-    """One vehicle's distances are wrong from the start on."""
+    """Whether the distances of one vehicle are biased from the start."""
     faults: tuple[AnyFault, ...] = ()
-    """Their start counts from when the formation was reached."""
+    """Their start times are relative to the instant at which the formation is reached."""
     longer_s: float = 0.0
-    """In formation, than the plan says"""
+    """Time in formation in addition to the plan's"""
     gains: bool = False
-    """Patterns are computed of it."""
+    """Whether antenna patterns are computed."""
     last: bool = False
-    """Flown when all others have been: it completes a table, and no check needs it."""
+    """Flown after all others: it only completes a table and is not required by a check."""
 
     def scenario(self, plan: CodesignPlan, seed: int) -> Scenario:
-        """What is flown for a seed."""
+        """Return the scenario for a seed."""
         settings = [
             f"name={self.name}",
             f"agents={self.agents}",
@@ -99,7 +99,7 @@ class CodesignCase(Struct, frozen=True, kw_only=True):
 
 
 def wind_agents(localisation: str, agents: int, wind_n: float) -> CodesignCase:
-    """The article's scenario with another wind and number of vehicles; 8 and 5 N are the article's own."""
+    """Return the case with this wind and number of vehicles; 8 and 5 N are the article's scenario."""
     return CodesignCase(
         name=f"{localisation}-{agents}-{wind_n:g}n", localisation=localisation, agents=agents, wind_n=wind_n,
         gains=agents == 8 and wind_n >= 2, last=agents != 8 and wind_n != 5,
@@ -111,7 +111,7 @@ GPS_ALONE = wind_agents("gps", 8, 5)
 
 
 def wavelength(localisation: str, wavelength_m: float, wind_n: float) -> CodesignCase:
-    """The array scaled with its wavelength."""
+    """Return the case with the array scaled to a wavelength."""
     case = wind_agents(localisation, 8, wind_n)
     if wavelength_m == case.wavelength_m:
         return case
@@ -119,25 +119,25 @@ def wavelength(localisation: str, wavelength_m: float, wind_n: float) -> Codesig
 
 
 def beacon_period(period_ms: int) -> CodesignCase:
-    """Beacons more or less often."""
+    """Return the case with this beacon period."""
     if period_ms == BASE.beacon_period_ms:
         return BASE
     return replace(BASE, name=f"{BASE.name}-beacon{period_ms}", beacon_period_ms=period_ms, gains=False)
 
 
 def all_pairs(agents: int, period_s: float) -> CodesignCase:
-    """Everybody to everybody in every period."""
+    """Return the case in which each vehicle ranges to every other one in each period."""
     case = wind_agents("ftm", agents, 5)
     if period_s == case.ftm_period_s:
         return case
-    crowded = agents == 16  # contention that takes minutes to compute
+    crowded = agents == 16  # contention takes minutes to compute
     return replace(
         case, name=f"{case.name}-every{period_s:g}s", ftm_period_s=period_s, gains=False, last=crowded
     )
 
 
 def scheduled(agents: int) -> CodesignCase:
-    """Each pair once, when the distance is worth it."""
+    """Return the case with scheduled ranging: one end of each pair measures when the distance is useful."""
     case = wind_agents("ftm", agents, 5)
     return replace(case, name=f"{case.name}-scheduled", ranging="scheduled", gains=False)
 
@@ -149,20 +149,20 @@ LIAR_FROM_START = replace(BASE, name=f"{BASE.name}-liar-from-start", lies=True, 
 
 
 def cut(plan: CodesignPlan) -> CodesignCase:
-    """The channel is gone for a while, and twice as long is left after that."""
+    """Return the case with a channel outage, followed by twice its duration."""
     fault = RadioAttenuation(attenuation_db=CUT_DB, start_s=plan.cut_s, duration_s=plan.cut_s)
     longer_s = 4.0 * plan.cut_s - plan.duration_s
     return replace(BASE, name=f"{BASE.name}-cut", faults=(fault,), longer_s=longer_s, gains=False)
 
 
 def liar_in_flight(plan: CodesignPlan) -> CodesignCase:
-    """One vehicle's distances become wrong."""
+    """Return the case in which the distances of one vehicle become biased in flight."""
     fault = RangingBias(uav=LIAR, offset_m=LIE_M, start_s=plan.liar_after_s)
     return replace(BASE, name=f"{BASE.name}-liar", faults=(fault,), gains=False)
 
 
 def groups(plan: CodesignPlan) -> dict[str, tuple[CodesignCase, ...]]:
-    """Cases by the group that compares them."""
+    """Return the cases by group."""
     return {
         "wind_agents": tuple(
             wind_agents(localisation, agents, wind_n)

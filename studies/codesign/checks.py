@@ -1,4 +1,4 @@
-"""Checks that several sections make of flights, and the bounds that they share."""
+"""Checks of flights that several sections share, and their bounds."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -14,11 +14,11 @@ SHAPE_MOST_M = 0.25
 """With FTM over the emulated channel, in the article's scenario"""
 SEEDS_LEAST = 10
 NO_WORSE_MOST = 1.1
-"""Of the ratio of two errors, where one is said to be no worse than the other: less than a tenth more"""
+"""Limit of the ratio of two errors where the first is claimed to be no worse: at most 10 % larger"""
 
 
 def formed_check(book: Book, cases: Sequence[CodesignCase]) -> Check:
-    """Whether enough flights of each case have reached their formation: others have no numbers of it."""
+    """Check that enough flights of each case reached their formation; others have no results of it."""
     fewest = min(map(book.formed, cases))
     return Check(
         name="flights that formed, fewest", value=float(fewest), unit="", at_least=float(SEEDS_LEAST)
@@ -26,19 +26,19 @@ def formed_check(book: Book, cases: Sequence[CodesignCase]) -> Check:
 
 
 def pairs_check(what: str, count: int) -> Check:
-    """Whether enough seeds have both flights."""
+    """Check that enough seeds have both flights."""
     return Check(name=f"pairs of flights, {what}", value=float(count), unit="", at_least=float(SEEDS_LEAST))
 
 
 def fewest_pairs_check(ratios: Sequence[Interval]) -> Check:
-    """Whether each of the ratios is of enough pairs."""
+    """Check that each ratio is based on enough pairs."""
     return pairs_check("fewest of a ratio", min(ratio.count for ratio in ratios))
 
 
 def sound_checks(book: Book, cases: Sequence[CodesignCase], by: str = "with FTM") -> tuple[Check, Check]:
-    """Whether all flights of the cases formed and none collided; what broke has not formed.
+    """Check that all flights of the cases formed and none collided; a broken flight has not formed.
 
-    ``by`` says what these formations have for positions, as those on GPS alone may well collide.
+    ``by`` names the position source of the cases, because flights with GPS alone may collide.
     """
     flown = any(book.begun(case) for case in cases)
     missed = sum(book.begun(case) - book.formed(case) for case in cases)
@@ -56,7 +56,7 @@ def sound_checks(book: Book, cases: Sequence[CodesignCase], by: str = "with FTM"
 
 
 def largest_shape_check(book: Book, cases: Sequence[CodesignCase], of_what: str) -> Check:
-    """Whether the mean shape error of every case is what it has to be with FTM in the article's scenario."""
+    """Check the mean shape error of every case against the limit with FTM in the article's scenario."""
     return Check(
         name=f"shape error with FTM, {of_what}, largest mean", value=extreme(book, cases, "shape_m", np.max),
         unit="m", at_most=SHAPE_MOST_M,
@@ -66,5 +66,5 @@ def largest_shape_check(book: Book, cases: Sequence[CodesignCase], of_what: str)
 def extreme(
     book: Book, cases: Sequence[CodesignCase], what: str, which: Callable[[Sequence[float]], float]
 ) -> float:
-    """Largest or smallest mean of the cases, by ``np.max`` or ``np.min``; NaN if one of them has none."""
+    """Return the largest (``np.max``) or smallest (``np.min``) mean of the cases; NaN if one is missing."""
     return float(which([book.mean(case, what).value for case in cases]))

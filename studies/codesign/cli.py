@@ -1,6 +1,6 @@
-"""The command line of the co-design experiment: fly what is missing, judge it, write it down.
+"""Command line of the co-design experiment: fly the missing flights, judge the results, write the page.
 
-Exit status as `studies.common.command_line` has it; 130 if it was broken off: the same command goes on.
+Exit status as in `studies.common.command_line`, and 130 after an interruption: the same command continues.
 """
 
 import os
@@ -33,13 +33,13 @@ from studies.codesign.results import (
 from studies.codesign.sections import Judge, judge_wavelength, judge_wind_agents
 from studies.codesign.tables import write_csv
 from studies.codesign.trouble_section import judge_trouble
-from studies.common.command_line import BAD_INPUT, Page, chosen, progress_lines, tell
-from studies.common.report import Section
+from studies.common.command_line import BAD_INPUT, Page, chosen, progress_lines, report_and_exit
+from studies.common.report import Section, figures_folder
 from studies.common.standard_output import keep_stdout
 
 INTERRUPTED = 130
 DATA = Path("runs") / "codesign"
-STALE_HELP = "Take flights of other sources rather than fly again."
+STALE_HELP = "Accept stored flights of other source states."
 JUDGES: dict[str, Judge] = {
     "wind_agents": judge_wind_agents,
     "wavelength": judge_wavelength,
@@ -49,7 +49,7 @@ JUDGES: dict[str, Judge] = {
     "trouble": judge_trouble,
 }
 ESTIMATOR = "estimator"
-"""The group without flights"""
+"""Group without flights"""
 GROUPS = (ESTIMATOR, *JUDGES)
 
 codesign_app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -65,19 +65,19 @@ def codesign(
     duration: Annotated[
         float | None, typer.Option(help="Simulated seconds in formation.", min=6.0, max=600.0)
     ] = None,
-    data: Annotated[Path, typer.Option(help="Folder in which finished flights are kept.")] = DATA,
-    workers: Annotated[int, typer.Option(help="Flights side by side.", min=1)] = min(2, os.cpu_count() or 1),
+    data: Annotated[Path, typer.Option(help="Folder of finished flights.")] = DATA,
+    workers: Annotated[int, typer.Option(help="Concurrent flights.", min=1)] = min(2, os.cpu_count() or 1),
     stale: Annotated[bool, typer.Option("--stale", help=STALE_HELP)] = False,  # noqa: FBT002
-    retry: Annotated[bool, typer.Option("--retry", help="Fly those again that broke.")] = False,  # noqa: FBT002
-    json: Annotated[bool, typer.Option("--json", help="The numbers alone on stdout.")] = False,  # noqa: FBT002
+    retry: Annotated[bool, typer.Option("--retry", help="Repeat broken flights.")] = False,  # noqa: FBT002
+    json: Annotated[bool, typer.Option("--json", help="Print only the numbers, as JSON.")] = False,  # noqa: FBT002
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for codesign-results.md, the tables as CSV and images/; none writes nothing."
+            help="Folder for codesign-results.md, CSV tables and images/; by default no file is written."
         ),
     ] = None,
 ) -> None:
-    """Measure by how much ranging over the radio repairs the formation, flight by flight."""
+    """Measure the effect of ranging over the radio on the formation error."""
     messages = Console(stderr=True, highlight=False)
     names = chosen("experiment_codesign", only, GROUPS, messages)
     plan = QUICK if quick else CodesignPlan()
@@ -90,7 +90,7 @@ def codesign(
     if retry:
         flights = {key: flown for key, flown in flights.items() if flown.broken is None}
     missing = [task for task in tasks if (task.case, task.seed) not in flights]
-    messages.print(f"{len(tasks)} flights, {len(missing)} of them to be flown; kept in {store.path}")
+    messages.print(f"{len(tasks)} flights, {len(missing)} of them missing; stored in {store.path}")
     made_by = command(plan, () if set(names) == set(GROUPS) else names, quick=quick, stale=stale)
     estimated, changed = None, False
     if missing or ESTIMATOR in names:
@@ -102,7 +102,7 @@ def codesign(
                     estimated = _study(plan, data, workers=workers, messages=messages)
                 _fly(missing, by_group, store, flights, workers=workers, messages=messages)
         except KeyboardInterrupt:
-            messages.print("broken off: the same command goes on from here")
+            messages.print("interrupted: the same command continues from here")
             raise typer.Exit(INTERRUPTED) from None
         except (CampaignError, kernel_cache.CompileError) as error:
             messages.print(f"experiment_codesign: {error}")
@@ -110,9 +110,9 @@ def codesign(
         sources_state.cache_clear()
         changed = sources_state() != state
         if changed:
-            messages.print("the sources have changed meanwhile: what was flown is of neither state for sure")
+            messages.print("the sources changed during the run: its flights cannot be assigned to one state")
     book = Book(plan=plan, flights=flights)
-    images = None if out is None else out / "images"
+    images = None if out is None else figures_folder(out)
     if images is not None:
         images.mkdir(parents=True, exist_ok=True)
     sections = [JUDGES[name](book, images) for name in JUDGES if name in names]
@@ -125,7 +125,7 @@ def codesign(
         title="Co-design: results",
         introduction=introduction(book, tasks, made_by=made_by, changed=changed),
     )
-    tell(sections, page=page, out=out, json=json, stdout=stdout, px4=False)
+    report_and_exit(sections, page=page, out=out, json=json, stdout=stdout, px4=False)
 
 
 def _fly(
@@ -137,8 +137,8 @@ def _fly(
     workers: int,
     messages: Console,
 ) -> None:
-    """Fly what is missing into ``flights``; a case that several groups share counts in the first."""
-    from studies.codesign.flights import fly_task  # noqa: PLC0415  numba reads its folder when it is imported
+    """Fly the missing tasks and add them to ``flights``; a case in several groups counts in the first."""
+    from studies.codesign.flights import fly_task  # noqa: PLC0415  numba reads its cache folder at import
 
     shutil.rmtree(store.folder / FLYING, ignore_errors=True)  # of campaigns that were killed
     group_of: dict[str, str] = {}
@@ -149,7 +149,7 @@ def _fly(
     done = dict(total)
     for task in missing:
         total[group_of[task.case]] += 1
-    with progress_lines(messages) as (note, say):
+    with progress_lines(messages) as (note, message):
         for group in total:
             if total[group]:
                 note(group, 0, total[group])
@@ -160,13 +160,13 @@ def _fly(
             done[group] += 1
             note(group, done[group], total[group])
             if flown.broken is not None:
-                say(f"{flown.case}, seed {flown.seed}: {flown.broken}")
+                message(f"{flown.case}, seed {flown.seed}: {flown.broken}")
 
         fly_tasks(missing, store, fly_task, workers=workers, done=landed)
 
 
 def _study(plan: CodesignPlan, data: Path, *, workers: int, messages: Console) -> Section:
-    """See `estimator_section`."""
+    """Run the studies of `estimator_section`."""
     from studies.codesign.estimator_section import judge_estimator, studies  # noqa: PLC0415  as in `_fly`
 
     with progress_lines(messages) as (note, _):

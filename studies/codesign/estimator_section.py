@@ -1,4 +1,4 @@
-"""The localisation filter alone: studies of `studies.codesign.study`, kept on disk, and judged."""
+"""The localisation filter by itself: run the studies of `studies.codesign.study`, store and judge them."""
 
 import hashlib
 from collections.abc import Callable
@@ -26,13 +26,13 @@ _STUDIED = ("study.py", "simulated.py", "bounds.py", "batch.py")
 
 
 class Setting(Struct, frozen=True):
-    """One study."""
+    """Setting of one study."""
 
     agents: int
     loss: float
     scheduled: bool
     batch: bool
-    """With the batch optimum, which takes most of the time"""
+    """Compute the batch optimum too, which takes most of the time"""
 
 
 ARTICLE_SETTING = Setting(agents=8, loss=0.0, scheduled=False, batch=True)
@@ -46,16 +46,16 @@ SETTINGS = (
 
 
 class Studied(Struct, frozen=True, kw_only=True):
-    """A study that is done."""
+    """Finished study."""
 
     setting: Setting
     digest: str
-    """Of the sources and of all that it was given"""
+    """Hash of the sources and of all arguments"""
     result: LocalisationResult
 
 
 def study(setting: Setting, runs: int) -> LocalisationResult:
-    """Do one of them, in the geometry of the article or what it is with other numbers of UAVs."""
+    """Run one study in the article's geometry, adapted to the number of UAVs."""
     return localisation_study(**_arguments(setting, runs))
 
 
@@ -73,9 +73,9 @@ def _arguments(setting: Setting, runs: int) -> dict[str, Any]:
 def studies(
     plan: CodesignPlan, data: Path, *, workers: int, done: Callable[[int, int], None]
 ) -> dict[Setting, LocalisationResult]:
-    """Do those that are not on disk yet, ``RUNS_PER_SEED`` runs for each of the plan's seeds.
+    """Run the studies that are not stored yet, with ``RUNS_PER_SEED`` runs for each of the plan's seeds.
 
-    ``done`` is told how many are, and how many there are.
+    ``done`` is called with the number of finished studies and their total. Returns all studies.
     """
     runs, state, path = RUNS_PER_SEED * plan.seeds, _state(), data / "studies.jsonl"
     digests = {setting: _digest(state, _arguments(setting, runs)) for setting in SETTINGS}
@@ -104,21 +104,21 @@ def studies(
 
 
 def judge_estimator(results: dict[Setting, LocalisationResult]) -> Section:
-    """Check the article's geometry, and list the others."""
+    """Check the study of the article's geometry, and list the others."""
     article = results[ARTICLE_SETTING]
     low, high = article.nees_band
     return Section(
-        title="The estimator alone",
+        title="The estimator by itself",
         conditions=(
-            "The localisation filter on simulated measurements of known statistics, as one UAV of the "
-            "formation gets them, against the posterior Cramer-Rao bound of exactly those measurements and "
-            "against the batch optimum (least squares over all fixes and the distances of the last "
-            f"{RANGE_WINDOW_US * 1e-6:g} s). Errors are horizontal, after the best rigid alignment, rms over "
-            "UAVs and runs, beside what the filter itself says of them. NEES is the same error squared over "
-            "the filter's covariance, mean of the runs: 2 N - 3 is expected of N UAVs, and the band holds 95 "
-            "of 100 such means of a consistent filter. Below it the filter is too cautious, above it too "
-            "sure of itself. Only the article's geometry is required to be inside; others that are not are "
-            "marked.\n"
+            "The localisation filter processes simulated measurements of known statistics, as received by "
+            "one UAV of the formation. It is compared with the posterior Cramer-Rao bound of these "
+            "measurements and with the batch optimum (least squares over all fixes and the distances of "
+            f"the last {RANGE_WINDOW_US * 1e-6:g} s). Errors are horizontal, after the best rigid "
+            "alignment, rms over UAVs and runs; the table also contains the error that the filter "
+            "predicts. NEES is the squared error normalised by the filter's covariance, mean over the "
+            "runs: the expected value for N UAVs is 2 N - 3, and the band contains 95 % of such means of a "
+            "consistent filter. A filter below the band is too cautious, above it overconfident. The "
+            "requirement applies to the article's geometry; others outside the band are marked.\n"
         ),
         checks=(
             Check(name="runs", value=float(article.runs), unit="", at_least=float(RUNS_LEAST)),
@@ -132,8 +132,9 @@ def judge_estimator(results: dict[Setting, LocalisationResult]) -> Section:
             ReportTable(
                 caption="Errors in metres.",
                 columns=(
-                    "UAVs", "lost", "ranging", "runs", "bound", "filter", "filter says", "filter over bound",
-                    "batch", "batch over bound", "NEES", "expected", "band", "consistent",
+                    "UAVs", "lost", "ranging", "runs", "bound", "filter", "filter predicts",
+                    "filter over bound", "batch", "batch over bound", "NEES", "expected", "band",
+                    "consistent",
                 ),
                 rows=tuple(_row(setting, results[setting]) for setting in SETTINGS),
             ),
@@ -154,11 +155,11 @@ def _row(setting: Setting, result: LocalisationResult) -> tuple[str, ...]:
 
 
 def _verdict(result: LocalisationResult) -> str:
-    """Whether the NEES lies in its band, or on which side of it."""
+    """Return whether the NEES is in its band, or on which side of it."""
     low, high = result.nees_band
     if low <= result.nees <= high:
         return PASSED
-    return "**too cautious**" if result.nees < low else "**too sure**"
+    return "**too cautious**" if result.nees < low else "**overconfident**"
 
 
 def _state() -> str:

@@ -29,22 +29,22 @@ from studies.codesign.checks import (
 from studies.common.report import Check, ReportTable, Section
 
 OFTEN_MS, SELDOM_MS = 50, 200
-"""Between these beacon periods nothing is said to be gained."""
+"""Beacon periods between which no difference is claimed."""
 COMPLETED_LEAST = 0.95
-"""Share of ranging sessions, where contention is said not to be the limit"""
+"""Smallest share of completed ranging sessions where contention is claimed not to be the limit"""
 SHARE_MOST = 1.1
-"""Of the channel's occupancy to what scheduled ranging is told to settle at"""
+"""Largest ratio of the channel occupancy to the configured share of scheduled ranging"""
 THRIFT_MOST = 0.5
-"""Of the airtime of scheduled ranging among 16 to that of all pairs once a second: it is said to save most"""
+"""Largest air time of scheduled ranging with 16 UAVs over that of all pairs once a second"""
 WASTE_LEAST, WASTED_LEAST = 5.0, 0.5
-"""What all pairs ten times as often have to take of airtime, and may gain, for most of it to be called waste:
-errors of independent measurements would shrink to 1 / sqrt(10) = 0.32."""
+"""All pairs ten times as often: smallest ratios of air time and of shape error. Independent errors would be
+reduced to 1 / sqrt(10) = 0.32, so most of the air time has no effect."""
 CONTROLS_LEAST = math.sqrt(0.5)
-"""Of the shape error with true positions to that with FTM: at least half of the mean square is control's."""
+"""Shape error with true positions over that with FTM: control causes at least half of the mean square."""
 
 
 def judge_beacon_period(book: Book, images: Path | None) -> Section:
-    """How often beacons have to come."""
+    """Compare beacon periods."""
     cases = [beacon_period(period_ms) for period_ms in BEACON_PERIODS_MS]
     sooner = book.ratio(beacon_period(SELDOM_MS), beacon_period(OFTEN_MS), "shape_m")
     later = book.ratio(cases[-1], BASE, "estimate_m")
@@ -61,7 +61,7 @@ def judge_beacon_period(book: Book, images: Path | None) -> Section:
         )  # fmt: skip
     return Section(
         title="Beacon period",
-        conditions="8 UAVs with FTM in 5 N; everybody ranges to everybody once per second throughout.\n",
+        conditions="8 UAVs with FTM in 5 N; each UAV ranges to all others once per second in all cases.\n",
         checks=(
             formed_check(book, cases),
             *sound_checks(book, cases),
@@ -91,12 +91,12 @@ def judge_beacon_period(book: Book, images: Path | None) -> Section:
                 ),
             ),
         ),
-        figures=_if_drawn(images, "codesign-beacons.png", "shape error against the beacons' period"),
+        figures=_if_drawn(images, "codesign-beacons.png", "shape error against the beacon period"),
     )  # fmt: skip
 
 
 def judge_ranging(book: Book, images: Path | None) -> Section:
-    """What airtime buys."""
+    """Compare ranging policies: shape error against air time."""
     policies = {
         agents: [
             *((f"all pairs, {period_s:g} s", all_pairs(agents, period_s)) for period_s in periods_s),
@@ -118,10 +118,10 @@ def judge_ranging(book: Book, images: Path | None) -> Section:
     return Section(
         title="Ranging policy",
         conditions=(
-            "FTM in 5 N. All pairs: everybody to everybody once per period, as the article has it. "
-            "Scheduled: each pair by one of its ends, in a slot of its own, when the distance is worth its "
-            "airtime. 16 UAVs that range to all every 0.25 s ask for more than the channel has room for: the "
-            "table has them, and the checks are of the policies that fit.\n"
+            "FTM in 5 N. All pairs: each UAV ranges to every other one once per period, as in the article. "
+            "Scheduled: one end of each pair ranges, in a dedicated slot, when the distance is worth its air "
+            "time. All pairs of 16 UAVs every 0.25 s exceed the capacity of the channel: this policy is in "
+            "the table but not in the checks.\n"
         ),
         checks=_ranging_checks(book),
         tables=(
@@ -150,7 +150,7 @@ def judge_ranging(book: Book, images: Path | None) -> Section:
 
 
 def _ranging_checks(book: Book) -> tuple[Check, ...]:
-    """Of all policies but those that are more than the channel has room for."""
+    """Return the checks of all policies that do not exceed the capacity of the channel."""
     pairs = [
         all_pairs(agents, period_s) for agents, periods_s in FTM_PERIODS_S.items() for period_s in periods_s
     ]
@@ -169,15 +169,15 @@ def _ranging_checks(book: Book) -> tuple[Check, ...]:
         formed_check(book, cases),
         *sound_checks(book, cases),
         fewest_pairs_check((shape_8, shape_16, busy_16, busy_often, shape_often)),
-        largest_shape_check(book, cases, "any policy that the channel has room for"),
+        largest_shape_check(book, cases, "any policy within the channel capacity"),
         Check(
-            name="share of ranging sessions that complete, any policy that the channel has room for, "
+            name="share of ranging sessions that complete, any policy within the channel capacity, "
             "smallest mean",
             unit="",
             value=extreme(book, cases, "completed_fraction", np.min), at_least=COMPLETED_LEAST,
         ),
         Check(
-            name="scheduled: occupancy of the channel over what is wanted, largest", unit="",
+            name="scheduled: occupancy of the channel over its configured share, largest", unit="",
             value=float(np.max(shares)), at_most=SHARE_MOST,
         ),
         Check(
@@ -203,35 +203,35 @@ def _ranging_checks(book: Book) -> tuple[Check, ...]:
     )  # fmt: skip
 
 
-def judge_baselines(book: Book, images: Path | None) -> Section:  # noqa: ARG001  # one shape
-    """One factor changed at a time."""
+def judge_baselines(book: Book, images: Path | None) -> Section:  # noqa: ARG001  # common signature
+    """Compare sources of positions, one factor at a time."""
     cases = (
-        ("told by the simulator", TRUTH), ("FTM over an ideal channel", IDEAL),
+        ("true positions", TRUTH), ("FTM over an ideal channel", IDEAL),
         ("FTM over the emulated channel", BASE), ("GPS alone", GPS_ALONE),
     )  # fmt: skip
     held = (TRUTH, IDEAL, BASE)
-    told, ideal, emulated = (
+    truth, ideal, emulated = (
         book.ratio(*pair, "shape_m") for pair in ((TRUTH, BASE), (IDEAL, BASE), (BASE, IDEAL))
     )
     return Section(
         title="Baselines",
         conditions=(
-            "8 UAVs in 5 N. With true positions what is left is control's; over an ideal channel nothing "
-            "contends, collides or fades, and time stamps keep their errors.\n"
+            "8 UAVs in 5 N. With true positions the remaining error is that of control. The ideal channel "
+            "has no contention, collisions or fading; time stamps keep their errors.\n"
         ),
         checks=(
             formed_check(book, (*held, GPS_ALONE)),
             *sound_checks(book, held, "with FTM or true positions"),
-            fewest_pairs_check((told, ideal)),
+            fewest_pairs_check((truth, ideal)),
             Check(
                 name="shape error with true positions over that with FTM, lower end",
-                value=told.low,
+                value=truth.low,
                 unit="",
                 at_most=1.0,
             ),
             Check(
                 name="shape error with true positions over that with FTM",
-                value=told.value,
+                value=truth.value,
                 unit="",
                 at_least=CONTROLS_LEAST,
             ),

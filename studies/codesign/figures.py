@@ -1,6 +1,6 @@
-"""Figures of the co-design experiment: from matplotlib's objects alone, in colours for everybody's eyes.
+"""Figures of the co-design experiment, in colours for colour vision deficiency.
 
-Bars and bands are 95 % confidence intervals of the mean over the seeds unless a figure says otherwise.
+Bars and bands are 95 % confidence intervals of the mean over the seeds unless a figure states otherwise.
 """
 
 import itertools
@@ -20,7 +20,7 @@ from studies.codesign.statistics import Interval
 
 DPI = 130
 GPS, FTM, OTHER, FOURTH = "#D55E00", "#0072B2", "#009E73", "#CC79A7"
-"""Of Okabe and Ito's palette, which colour-blind eyes tell apart"""
+"""Palette of Okabe and Ito, suitable for colour vision deficiency"""
 COLOURS = {"gps": GPS, "ftm": FTM}
 LABELS = {"gps": "GPS alone", "ftm": "with FTM"}
 _MARKERS = ("o", "s", "^", "D")
@@ -29,7 +29,7 @@ _MARKERS = ("o", "s", "^", "D")
 def save_wind(
     path: Path, winds_n: Sequence[float], shape_m: Mapping[int, Mapping[str, Sequence[Interval]]]
 ) -> None:
-    """Shape error against wind, a panel for each number of vehicles, by localisation."""
+    """Plot shape error against wind, a panel for each number of vehicles, by localisation."""
     figure = Figure(figsize=(9.0, 3.8), layout="constrained")
     panels = figure.subplots(1, len(shape_m), sharey=True, squeeze=False)[0]
     for axes, (agents, by_localisation) in zip(panels, shape_m.items(), strict=True):
@@ -50,7 +50,7 @@ def save_agents(
     shape_m: Mapping[str, Sequence[Interval]],
     busy: Mapping[str, Sequence[Interval]],
 ) -> None:
-    """Shape error and occupancy of the channel against the number of vehicles, by localisation."""
+    """Plot shape error and channel occupancy against the number of vehicles, by localisation."""
     figure = Figure(figsize=(9.0, 3.8), layout="constrained")
     left, right = figure.subplots(1, 2)
     for localisation in shape_m:
@@ -70,7 +70,7 @@ def save_agents(
 
 
 def save_beacons(path: Path, periods_ms: Sequence[float], parts_m: Mapping[str, Sequence[Interval]]) -> None:
-    """Shape error and its parts against the beacons' period."""
+    """Plot shape error and its parts against the beacon period."""
     figure = Figure(figsize=(7.0, 4.0), layout="constrained")
     axes = figure.subplots()
     for i, (name, intervals) in enumerate(parts_m.items()):
@@ -86,7 +86,7 @@ def save_beacons(path: Path, periods_ms: Sequence[float], parts_m: Mapping[str, 
 
 
 def save_ranging(path: Path, points: Mapping[str, Sequence[tuple[str, Interval, Interval]]]) -> None:
-    """Shape error against occupancy of the channel: for each series (policy, busy fraction, shape).
+    """Plot shape error against channel occupancy: for each series (policy, busy fraction, shape).
 
     A policy has one marker in all series, and a series one colour.
     """
@@ -117,7 +117,7 @@ def save_ranging(path: Path, points: Mapping[str, Sequence[tuple[str, Interval, 
 def save_gains(
     path: Path, gains_dbi: Mapping[float, Mapping[tuple[str, float], Sequence[float]]], ideal_dbi: float
 ) -> None:
-    """Densities of the maximum gain, all instants of all flights: a panel for each wavelength.
+    """Plot densities of the maximum gain, all instants of all flights: a panel for each wavelength.
 
     By localisation and wind.
     """
@@ -151,7 +151,7 @@ def save_gains(
 def save_cut(
     path: Path, time_s: Array, shape_m: Array, *, cut_at_s: float, cut_s: float, usual_m: float
 ) -> None:
-    """Shape error over time (seeds, T) through a cut of the channel: mean, band of all flights."""
+    """Plot shape error over time (seeds, T) through a channel outage: mean, band of all flights."""
     figure = Figure(figsize=(8.0, 3.8), layout="constrained")
     axes = figure.subplots()
     axes.axvspan(cut_at_s, cut_at_s + cut_s, color="0.85", label="no channel")
@@ -166,7 +166,7 @@ def save_cut(
             usual_m, color="black", linestyle="--", linewidth=1.0, label=f"before: {usual_m:.2f} m rms"
         )
     axes.set(xlabel="Time in formation (s)", ylabel="Horizontal shape error (m)")
-    axes.set_ylim(0.0, 1.4 * float(shape_m.max(initial=0.1)))  # with room for the legend
+    axes.set_ylim(0.0, 1.4 * float(shape_m.max(initial=0.1)))  # leaves space for the legend
     _legend(axes, fontsize="small", loc="upper left", ncols=2)
     _finish(axes)
     figure.savefig(path, dpi=DPI)
@@ -191,7 +191,7 @@ def _draw(
 
 
 def _bars(intervals: Sequence[Interval]) -> Array:
-    """(2, n) lengths below and above; none where there is no interval."""
+    """Return the lengths below and above (2, n); 0 where there is no interval."""
     below = [each.value - each.low for each in intervals], [each.high - each.value for each in intervals]
     return np.asarray(np.nan_to_num(np.array(below)))
 
@@ -207,7 +207,7 @@ def _logarithmic(axes: Axes) -> None:
     axes.yaxis.set_minor_formatter(NullFormatter())
 
 
-def _legend(axes: Axes, **options: Any) -> None:  # noqa: ANN401  as matplotlib takes them
+def _legend(axes: Axes, **options: Any) -> None:  # noqa: ANN401  options of matplotlib
     if axes.get_legend_handles_labels()[0]:
         axes.legend(**options)
 

@@ -1,4 +1,4 @@
-"""One flight of the experiment, whole, in this process: fly, measure, and leave no files behind."""
+"""Fly and measure one flight of the experiment in this process, without leaving files."""
 
 import shutil
 from pathlib import Path
@@ -12,12 +12,12 @@ from studies.codesign.results import CodesignFlown, CodesignTask, broken
 
 
 def fly_task(task: CodesignTask) -> CodesignFlown:
-    """Fly it; whatever goes wrong is in the result. A formation that is not reached is a result as well."""
+    """Fly a task; errors are reported in the result. A formation that is not reached is a valid result."""
     folder = Path(task.folder)
-    shutil.rmtree(folder, ignore_errors=True)  # of a campaign that was killed
+    shutil.rmtree(folder, ignore_errors=True)  # left by a killed campaign
     try:
         return _fly(task, folder)
-    except Exception as error:  # noqa: BLE001  one flight's failure is not the campaign's
+    except Exception as error:  # noqa: BLE001  a failed flight must not end the campaign
         return broken(task, f"{type(error).__name__}: {error}".splitlines()[0])
     finally:
         shutil.rmtree(folder, ignore_errors=True)

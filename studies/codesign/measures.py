@@ -1,6 +1,6 @@
-"""What is kept of a flight: numbers from the tables of its run folder, and its track at a low rate.
+"""Measures of a flight from the tables of its run folder, and its track at a low rate.
 
-The formation of these flights stands still, so desired places are the scenario's.
+The formation of these flights does not move, so the desired places are those of the scenario.
 """
 
 import math
@@ -25,15 +25,15 @@ from harness.scenario.scenario import Scenario
 TRACK_PERIOD_S = 0.2
 GAIN_RATE_HZ = 1.0
 FLOWN_HEIGHT_M = 0.5
-"""Of a vehicle in the air, over the ground at the site's origin"""
+"""Height above the site's origin from which a vehicle counts as airborne"""
 _NS_PER_US = 1_000
 
 
 class Measures(Struct, frozen=True, kw_only=True):
-    """One flight; lengths in metres, times in seconds of simulated time unless they say otherwise.
+    """Measures of one flight; lengths in metres, times in simulated seconds unless stated otherwise.
 
-    What is of the formation counts from when it was reached, and is None where it was not. A formation is
-    sound until two of it touch or one falls down.
+    Measures of the formation start when it is reached; they are None if it was not reached. A formation is
+    sound until two vehicles touch or one falls.
     """
 
     formed_s: float | None
@@ -41,60 +41,60 @@ class Measures(Struct, frozen=True, kw_only=True):
     wall_s: float
     real_time_factor: float | None
     collisions: int
-    """Contacts that began, of the whole flight"""
+    """Number of contacts, whole flight"""
     first_collision_s: float | None
     """From the start"""
     down: int
-    """Vehicles that are not in the air at the end"""
+    """Vehicles that are not airborne at the end"""
     least_distance_m: float | None
-    """Between any two vehicles in the air, whole flight"""
+    """Between any two airborne vehicles, whole flight"""
     least_distance_formed_m: float | None = None
     shape_m: float | None = None
     """Horizontal rms after the best rigid alignment, of the sound formation"""
     shape_whole_m: float | None = None
-    """The same to the end, whoever has touched or fallen down"""
+    """The same until the end, including vehicles that touched or fell"""
     absolute_m: float | None = None
     """Horizontal rms distance from the places, of the sound formation"""
     vertical_m: float | None = None
     """Rms of height errors about their mean over the vehicles, of the sound formation"""
     estimate_m: float | None = None
-    """Shape error of the vehicles' own positions against the true ones: localisation's part"""
+    """Shape error of the vehicles' position estimates relative to the truth: the part of localisation"""
     control_m: float | None = None
-    """Shape error of the vehicles' own positions against the places: control's part"""
+    """Shape error of the vehicles' position estimates relative to the places: the part of control"""
     busy_fraction: float | None = None
     sessions_per_s: float | None = None
     """Ranging sessions that ended, completed or not"""
     completed_fraction: float | None = None
     beacons_lost_fraction: float | None = None
-    """Of the beacons that reached a station, whole flight, those that its host lost"""
+    """Share of the beacons received by a station that its host lost, whole flight"""
     longest_silence_s: float | None = None
-    """Without a distance from anybody's ranging"""
+    """Longest time without a measured distance"""
     range_offsets_m: tuple[float | None, ...] = ()
-    """Median of measured less true distance of every vehicle's own sessions; None without any"""
+    """Median of measured less true distance of each vehicle's sessions; None without sessions"""
     gain_dbi: tuple[float, ...] = ()
-    """Maximum gain every second of the sound formation, if it was asked for"""
+    """Maximum gain every second of the sound formation, if requested"""
     track_mm: tuple[tuple[int, ...], ...] = ()
-    """North and east of every vehicle from its place, one after the other, every `TRACK_PERIOD_S`"""
+    """North and east of each vehicle relative to its place, vehicle by vehicle, every `TRACK_PERIOD_S`"""
 
     @property
     def gain_mean_dbi(self) -> float | None:
-        """Over the flight."""
+        """Mean over the flight."""
         return float(np.mean(self.gain_dbi)) if self.gain_dbi else None
 
     @property
     def gain_std_db(self) -> float | None:
-        """Over the flight."""
+        """Standard deviation over the flight."""
         return float(np.std(self.gain_dbi, ddof=1)) if len(self.gain_dbi) > 1 else None
 
     @property
     def track_ne_m(self) -> Array:
-        """(T, N, 2) from the places, T of them from the formation on."""
+        """Track (T, N, 2) relative to the places, starting at the formation."""
         return np.array(self.track_mm, dtype=float).reshape(len(self.track_mm), -1, 2) / 1e3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FlightTables:
-    """Of a run, T instants of N vehicles; frame: the site's NED."""
+    """Tables of a run: T instants of N vehicles, in the site's NED frame."""
 
     time_us: NDArray[np.int64]
     """(T,)"""
@@ -105,29 +105,29 @@ class FlightTables:
     q_ned_frd: Array
     """(T, N, 4)"""
     own_pos_ned_m: Array
-    """(T, N, 3) where the application believes itself to be; NaN where it does not know"""
+    """(T, N, 3) position estimated by the application; NaN if unknown"""
     air_us: NDArray[np.int64]
     """(K,)"""
     busy_ns: NDArray[np.int64]
     """(K,) since the start"""
     session_us: NDArray[np.int64]
-    """(M,) when ranging sessions ended"""
+    """(M,) end times of ranging sessions"""
     session_ok: NDArray[np.bool_]
-    """(M,) which gave a distance"""
+    """(M,) whether the session returned a distance"""
     session_by: NDArray[np.int64]
     """(M,) initiators"""
     session_error_m: Array
-    """(M,) measured less true distance, of those that gave one"""
+    """(M,) measured less true distance, if the session returned one"""
     collisions_us: tuple[int, ...]
-    beacons_heard: int
-    """Beacons that reached a station, each as often as it reached one"""
+    beacons_received: int
+    """Receptions of beacons by stations"""
     beacons_lost: int
-    """Those of them that a host lost"""
+    """Received beacons that a host lost"""
 
     def flight(
         self, places_ned_m: Array, pos_ned_m: Array | None = None, *, heading_rad: float = 0.0
     ) -> Flight:
-        """Positions, true ones without ``pos_ned_m``, against places (N, 3) or (T, N, 3)."""
+        """Return the positions, by default the true ones, with places (N, 3) or (T, N, 3) as desired ones."""
         pos_ned_m = self.pos_ned_m if pos_ned_m is None else pos_ned_m
         known = np.asarray(np.isfinite(pos_ned_m).all(axis=-1), dtype=np.bool_)
         return Flight(
@@ -141,7 +141,7 @@ class FlightTables:
         )
 
     def rows(self, begin_us: int, end_us: int) -> "FlightTables":
-        """Instants of [begin_us, end_us]; all that is counted over time likewise, but for the beacons."""
+        """Return the instants and events in [begin_us, end_us]; the beacon counts are not restricted."""
         at = (self.time_us >= begin_us) & (self.time_us <= end_us)
         air = (self.air_us >= begin_us) & (self.air_us <= end_us)
         sessions = (self.session_us > begin_us) & (self.session_us <= end_us)
@@ -158,18 +158,18 @@ class FlightTables:
             session_by=self.session_by[sessions],
             session_error_m=self.session_error_m[sessions],
             collisions_us=tuple(time_us for time_us in self.collisions_us if begin_us <= time_us <= end_us),
-            beacons_heard=self.beacons_heard,
+            beacons_received=self.beacons_received,
             beacons_lost=self.beacons_lost,
         )
 
     @property
     def in_the_air(self) -> NDArray[np.bool_]:
-        """(T, N) who flies."""
+        """(T, N) whether the vehicle is airborne."""
         return self.alive & (self.pos_ned_m[..., 2] < -FLOWN_HEIGHT_M)
 
 
 def read_tables(folder: RunFolder, vehicles: int) -> FlightTables:
-    """Read what a run has written."""
+    """Read the tables of a run."""
     vectors = {"pos_ned_m": "ned", "q_ned_frd": "wxyz", "onboard_pos_ned_m": "ned"}
     names = [f"{name}.{label}" for name, labels in vectors.items() for label in labels]
     flight = _columns(folder.flight, ["time_us", "alive", *names])
@@ -181,7 +181,7 @@ def read_tables(folder: RunFolder, vehicles: int) -> FlightTables:
         )
         for name, labels in vectors.items()
     }
-    heard, lost = _beacons(folder)
+    received, lost = _beacons(folder)
     events = [msgspec.json.decode(line) for line in folder.events.read_bytes().splitlines() if line]
     return FlightTables(
         time_us=flight["time_us"][::vehicles].astype(np.int64),
@@ -196,13 +196,13 @@ def read_tables(folder: RunFolder, vehicles: int) -> FlightTables:
         session_by=sessions["initiator"].astype(np.int64),
         session_error_m=sessions["distance_m"] - sessions["true_distance_m"],
         collisions_us=tuple(event["time_us"] for event in events if event["event"] == "collision"),
-        beacons_heard=heard,
+        beacons_received=received,
         beacons_lost=lost,
     )
 
 
 def _beacons(folder: RunFolder) -> tuple[int, int]:
-    """Heard and lost ones, as the emulator has counted them; of a run in one process."""
+    """Return the emulator's counts of received and lost beacons of a one-process run."""
     manifest = msgspec.json.decode(folder.manifest.read_bytes())
     (counters,) = (
         process["details"][RADIO]["counters"]
@@ -212,7 +212,7 @@ def _beacons(folder: RunFolder) -> tuple[int, int]:
     return sum(counters["broadcasts_delivered"]), counters["lost_by_hosts"]
 
 
-def _columns(path: Any, names: list[str]) -> dict[str, NDArray[Any]]:  # noqa: ANN401  a path as pyarrow has it
+def _columns(path: Any, names: list[str]) -> dict[str, NDArray[Any]]:  # noqa: ANN401  any path that pyarrow accepts
     table = pq.read_table(path, columns=names)
     return {name: table.column(name).to_numpy() for name in names}
 
@@ -220,7 +220,7 @@ def _columns(path: Any, names: list[str]) -> dict[str, NDArray[Any]]:  # noqa: A
 def measure(
     tables: FlightTables, scenario: Scenario, *, formed_us: int | None, wall_s: float, gains: bool
 ) -> Measures:
-    """Turn a run's tables into its numbers."""
+    """Return the measures of a run."""
     end_us = int(tables.time_us[-1]) if len(tables.time_us) else 0
     first_us = min(tables.collisions_us, default=None)
     numbers: dict[str, Any] = {
@@ -232,7 +232,9 @@ def measure(
         "first_collision_s": None if first_us is None else first_us / 1e6,
         "down": int((~tables.in_the_air[-1]).sum()) if len(tables.time_us) else scenario.agents,
         "least_distance_m": _least_distance_m(tables),
-        "beacons_lost_fraction": tables.beacons_lost / tables.beacons_heard if tables.beacons_heard else None,
+        "beacons_lost_fraction": (
+            tables.beacons_lost / tables.beacons_received if tables.beacons_received else None
+        ),
     }
     if formed_us is None:
         return Measures(**numbers)
@@ -273,9 +275,9 @@ def _over_the_air(tables: FlightTables, vehicles: int) -> dict[str, Any]:
     air_us = int(tables.air_us[-1] - tables.air_us[0]) if len(tables.air_us) else 0
     busy_ns = int(tables.busy_ns[-1] - tables.busy_ns[0]) if len(tables.air_us) else 0
     sessions = len(tables.session_us)
-    heard_us = np.sort(tables.session_us[tables.session_ok])
-    ends_us = tables.time_us[[0, -1]] if span_us else heard_us[:0]
-    gaps_us = np.diff(np.concatenate((ends_us[:1], heard_us, ends_us[1:])))
+    ranged_us = np.sort(tables.session_us[tables.session_ok])
+    ends_us = tables.time_us[[0, -1]] if span_us else ranged_us[:0]
+    gaps_us = np.diff(np.concatenate((ends_us[:1], ranged_us, ends_us[1:])))
     own_m = [tables.session_error_m[tables.session_ok & (tables.session_by == i)] for i in range(vehicles)]
     return {
         "longest_silence_s": float(gaps_us.max()) / 1e6 if len(gaps_us) else None,
@@ -287,7 +289,7 @@ def _over_the_air(tables: FlightTables, vehicles: int) -> dict[str, Any]:
 
 
 def _least_distance_m(tables: FlightTables) -> float | None:
-    """Of all pairs and instants with both in the air; None where there are none."""
+    """Return the least distance over all pairs and instants with both airborne; None without any."""
     in_the_air, least_m = tables.in_the_air, np.inf
     for i in range(in_the_air.shape[1] - 1):
         both = in_the_air[:, i + 1 :] & in_the_air[:, i : i + 1]

@@ -1,8 +1,8 @@
-"""Finished flights on disk, and a campaign that flies what is not there yet.
+"""Store of finished flights, and a campaign that flies the missing ones.
 
-One JSON line per flight, appended as soon as it has landed, so whatever ends a campaign costs the flights
-that were in the air. A line is of use while its digest is that of the flight as it would be flown now: the
-same scenario, the same faults, the same state of the sources.
+Each flight is appended as one JSON line when it ends, so an interrupted campaign loses only the flights in
+progress. A line is valid while its digest equals that of the flight with the current scenario, faults and
+state of the sources.
 """
 
 import hashlib
@@ -28,47 +28,47 @@ from studies.codesign.cases import CodesignCase, CodesignPlan
 from studies.codesign.measures import Measures
 
 START_METHOD = "spawn"
-"""Not forked: this process may have threads, and a worker shall be as a program of its own."""
+"""No fork: this process may have threads, and a worker must start like a new program."""
 FLYING = "flying"
-"""Below the store's folder: one for each flight while it lasts"""
+"""Subfolder of the store with a run folder for each flight in progress"""
 _MEASURED_BY = ("studies/codesign/flights.py", "studies/codesign/measures.py")
 
 
 class CodesignTask(Struct, frozen=True, kw_only=True):
-    """A flight to be flown, as a worker is told."""
+    """A flight to be flown by a worker."""
 
     case: str
     seed: int
     digest: str
     state: str
-    """Of the sources"""
+    """State of the sources"""
     plan_s: float
-    """In formation by the plan"""
+    """Planned time in formation"""
     scenario: Scenario
     faults: tuple[AnyFault, ...]
     """Injected when the formation is reached"""
     gains: bool
     folder: str
-    """For the run while it lasts"""
+    """Run folder during the flight"""
 
 
 class CodesignFlown(Struct, frozen=True, kw_only=True):
-    """A flight that has ended: its numbers, or why there are none."""
+    """A finished flight: its measures, or the reason why there are none."""
 
     case: str
     seed: int
     digest: str
     measures: Measures | None = None
     broken: str | None = None
-    """One line"""
+    """Reason, one line"""
     state: str = ""
-    """Of the sources; written by the campaign, as the next"""
+    """State of the sources; set by the campaign, like the next field"""
     plan_s: float | None = None
-    """In formation by the plan, after which cuts and lies are timed"""
+    """Planned time in formation, which determines the times of outage and bias"""
 
 
 class CodesignStore:
-    """Flights in ``flights.jsonl`` of a folder, which is made."""
+    """Flights in ``flights.jsonl`` of a folder, which is created."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -76,25 +76,25 @@ class CodesignStore:
         folder.mkdir(parents=True, exist_ok=True)
 
     def append(self, flown: CodesignFlown) -> None:
-        """Write a flight down for good."""
+        """Append a flight."""
         with self.path.open("ab") as file:
-            if file.tell() and not self._ends_a_line():
+            if file.seek(0, 2) and not self._ends_a_line():
                 file.write(b"\n")
             file.write(msgspec.json.encode(flown) + b"\n")
 
     def flights(self) -> list[CodesignFlown]:
-        """All that are there, oldest first; a line that a killed campaign has left unfinished is none."""
+        """Return all flights, oldest first; incomplete lines of a killed campaign are skipped."""
         flights = []
         if self.path.exists():
             for line in self.path.read_bytes().splitlines():
                 try:
                     flights.append(msgspec.json.decode(line, type=CodesignFlown))
-                except msgspec.DecodeError:  # also of a layout that has changed: it has another digest
+                except msgspec.DecodeError:  # incomplete, or of an older layout, whose digest differs anyway
                     continue
         return flights
 
     def alone(self) -> AbstractContextManager[None]:
-        """Hold the folder for one campaign. Raises CampaignError if another one has it."""
+        """Lock the folder for one campaign. Raises CampaignError if another one holds the lock."""
         return alone(self.folder)
 
     def _ends_a_line(self) -> bool:
@@ -105,16 +105,16 @@ class CodesignStore:
 
 @cache
 def sources_state(root: Path = ROOT) -> str:
-    """Hash of what the modules say that fly, and that make a flight's numbers here."""
+    """Return the hash of the sources that determine a flight and its measures."""
     return hash_sources(root, measured_by=_MEASURED_BY)
 
 
 def make_tasks(
     cases: Iterable[CodesignCase], plan: CodesignPlan, *, folder: Path, state: str | None = None
 ) -> list[CodesignTask]:
-    """All flights of the cases, each once, seed by seed: a part of a campaign has all cases but the last.
+    """Return all flights of the cases without duplicates, seed by seed; those marked ``last`` come last.
 
-    ``state`` is that of the sources.
+    ``state`` is the state of the sources, by default the current one.
     """
     state = sources_state() if state is None else state
     distinct = {case.name: case for case in cases}
@@ -137,18 +137,18 @@ def make_tasks(
 def known(
     tasks: Sequence[CodesignTask], store: CodesignStore, *, stale: bool = False
 ) -> dict[tuple[str, int], CodesignFlown]:
-    """Flights of the tasks that are on disk, by case and seed, the latest of each.
+    """Return the stored flights of the tasks by case and seed, the latest of each.
 
-    ``stale`` takes those of other states of the sources where there is none of this one, if they are of
-    the same plan.
+    ``stale`` accepts flights of other states of the sources if there is none of the current one and the plan
+    is the same.
     """
-    wanted = {(task.case, task.seed): task for task in tasks}
+    required = {(task.case, task.seed): task for task in tasks}
     found: dict[tuple[str, int], CodesignFlown] = {}
     for flown in store.flights():
         key = (flown.case, flown.seed)
-        if (task := wanted.get(key)) is None:
+        if (task := required.get(key)) is None:
             continue
-        if flown.digest == task.digest:  # which says so, whether or not it is written down
+        if flown.digest == task.digest:  # the digest implies state and plan, which old lines lack
             found[key] = replace(flown, state=task.state, plan_s=task.plan_s)
         elif stale and flown.plan_s == task.plan_s and (key not in found or found[key].digest != task.digest):
             found[key] = flown
@@ -163,11 +163,11 @@ def fly_tasks(
     workers: int,
     done: Callable[[CodesignFlown], None],
 ) -> None:
-    """Fly them all in worker processes; each is in the store before ``done`` hears of it.
+    """Fly all tasks in worker processes; each flight is stored before ``done`` is called with it.
 
-    ``fly`` is a function of a module. A worker that dies takes those in the air with it: each of them is
-    flown again alone, and if that ends a worker once more it is the one that does so. Raises CampaignError
-    when a worker finds other sources than the tasks are of.
+    ``fly`` is a function at module level. If a worker dies, each flight in progress is repeated by itself; if
+    it ends its worker again, it is recorded as broken. Raises CampaignError if a worker finds sources that
+    differ from those of the tasks.
     """
 
     def finish(task: CodesignTask, flown: CodesignFlown) -> None:
@@ -183,7 +183,7 @@ def fly_tasks(
 
 
 def broken(task: CodesignTask, reason: str) -> CodesignFlown:
-    """Make what is written down of a flight without numbers."""
+    """Return the record of a flight without measures."""
     return CodesignFlown(case=task.case, seed=task.seed, digest=task.digest, broken=reason)
 
 
@@ -193,7 +193,7 @@ def _fly_while_whole(
     workers: int,
     finish: Callable[[CodesignTask, CodesignFlown], None],
 ) -> list[CodesignTask]:
-    """Fly what is waiting, and take it out; returns those in the air when a worker died."""
+    """Fly the waiting tasks and remove them; return those in progress if a worker died, else none."""
     flying: dict[Future[CodesignFlown], CodesignTask] = {}
     context = multiprocessing.get_context(START_METHOD)
     with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(fly,)) as pool:
@@ -210,12 +210,12 @@ def _fly_while_whole(
     return []
 
 
-def _begin(fly: Callable[[CodesignTask], CodesignFlown]) -> None:  # noqa: ARG001  it is given so that it is imported by now
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C goes to all, and the parent alone speaks of it
-    sources_state()  # kept: of what has just been read
+def _begin(fly: Callable[[CodesignTask], CodesignFlown]) -> None:  # noqa: ARG001  passed so that its module is imported
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C reaches all processes; only the parent reports it
+    sources_state()  # cached: the state of the sources that were just imported
 
 
 def _fly_of_state(fly: Callable[[CodesignTask], CodesignFlown], task: CodesignTask) -> CodesignFlown:
     if sources_state()[: len(task.state)] != task.state:
-        raise CampaignError("the sources have changed since the campaign began; start it again")
+        raise CampaignError("the sources changed after the campaign started; start it again")
     return fly(task)

@@ -23,18 +23,18 @@ from studies.codesign.sensitivity import IDEAL_DBI, expected_gain, per_axis_sigm
 from studies.common.report import Check, ReportTable, Section
 
 RATIO_LEAST = 5.0
-"""Of the shape error with GPS alone to that with FTM"""
+"""Smallest ratio of the shape error with GPS alone to that with FTM"""
 TIGHT_M, TIGHT_WIND_N = 5.0, 2.0
-"""Wavelength and wind in which FTM has to fly without collision"""
+"""Wavelength and wind in which flights with FTM must be free of collisions"""
 GAIN_BACK_LEAST = 0.9
-"""Share of the decibels that GPS alone loses, which FTM has to give back"""
+"""Share of the gain lost with GPS alone (dB) that FTM must recover"""
 TIGHT_COLLIDED_LEAST = 0.5
-"""Share of the flights at `TIGHT_M` that collide on GPS alone: else there was nothing to keep clear of"""
+"""Share of flights at `TIGHT_M` that must collide with GPS alone; otherwise the case is not critical"""
 Judge = Callable[[Book, Path | None], Section]
 
 
 def judge_wind_agents(book: Book, images: Path | None) -> Section:
-    """GPS alone against FTM, over wind and number of vehicles."""
+    """Compare GPS alone with FTM over wind and number of vehicles."""
     shape, safety = [], []
     for agents in AGENTS:
         for wind_n in WINDS_N:
@@ -84,13 +84,13 @@ def judge_wind_agents(book: Book, images: Path | None) -> Section:
     return Section(
         title="GPS alone against ranging: wind and number of UAVs",
         conditions=(
-            "The article's scenario with other winds (mean force on each UAV, with its gusts) and numbers of "
-            "UAVs, two rows of them. Shape is horizontal, of the true positions against the desired ones "
-            "after the best rigid alignment, rms over UAVs and time in formation, until two touch or one "
-            "falls, which favours the case in which they do. The ratio is that of the means, with a paired "
-            "bootstrap over the seeds. The error of the estimates is that of the UAVs' "
-            "own positions against the true ones after alignment, control's part that of the same own "
-            "positions against the desired ones.\n"
+            "The article's scenario with other winds (mean force on each UAV, with gusts) and numbers of "
+            "UAVs, in two rows. Shape is the horizontal error of the true positions relative to the "
+            "desired ones after the best rigid alignment, rms over UAVs and time in formation. It ends "
+            "when two UAVs touch or one falls, which favours the case with collisions. The ratio is that "
+            "of the means, with a paired bootstrap over the seeds. Estimates is the error of the UAVs' own "
+            "position estimates relative to the true positions after alignment, control that of the same "
+            "estimates relative to the desired positions.\n"
         ),
         checks=(
             formed_check(book, (GPS_ALONE, *(case for case in ftm_cases if not case.last))),
@@ -101,10 +101,10 @@ def judge_wind_agents(book: Book, images: Path | None) -> Section:
                 unit="m", at_most=SHAPE_MOST_M,
             ),
             Check(
-                name="GPS alone over FTM there", value=ratio.value, unit="",
+                name="shape error with GPS alone over that with FTM, same case", value=ratio.value, unit="",
                 at_least=RATIO_LEAST,
             ),
-            largest_shape_check(book, ftm_cases, "all winds and numbers of UAVs that were flown"),
+            largest_shape_check(book, ftm_cases, "all flown winds and numbers of UAVs"),
         ),
         tables=(
             ReportTable(
@@ -116,8 +116,8 @@ def judge_wind_agents(book: Book, images: Path | None) -> Section:
                 rows=tuple(shape),
             ),
             ReportTable(
-                caption="Flights that formed and that collided, the smallest distance of any two UAVs in the "
-                "air in any of them, and with FTM the channel.",
+                caption="Flights that formed, flights that collided, the smallest distance of two airborne "
+                "UAVs in any flight, and the channel load with FTM.",
                 columns=(
                     "UAVs", "wind N", "GPS: formed", "FTM: formed", "GPS: collided", "FTM: collided",
                     "GPS: nearest m", "FTM: nearest m", "busy %", "sessions/s", "completed %",
@@ -130,7 +130,7 @@ def judge_wind_agents(book: Book, images: Path | None) -> Section:
 
 
 def judge_wavelength(book: Book, images: Path | None) -> Section:
-    """What the antenna gains."""
+    """Compare the antenna gain with GPS alone and with FTM."""
     rows = []
     for wavelength_m in WAVELENGTHS_M:
         for wind_n in (2, 5):
@@ -163,15 +163,16 @@ def judge_wavelength(book: Book, images: Path | None) -> Section:
     return Section(
         title="The antenna at two wavelengths",
         conditions=(
-            "8 UAVs whose spacings follow the wavelength: at 5 m the rows are 1.25 m apart. The maximum gain "
-            "over all directions of the true positions and attitudes is computed every second in formation, "
-            "until two touch or one falls: mean of the flights' means with its confidence interval, and the "
-            "deviation within a flight. σ is what independent errors would have on each axis to leave the "
-            "rms that was flown (an alignment takes 3 of 16 horizontal degrees of freedom), and beside it "
-            "stands the gain that independent Gaussian errors of that σ on every axis give, interpolated in "
-            "σ/λ between the measured points of `tests/reference/antenna_sensitivity.csv`. Errors that were "
-            "flown are neither independent nor Gaussian, heights err otherwise than the horizontal, and the "
-            "dipoles lean with their UAVs against the wind, which costs gain without any position error.\n"
+            "8 UAVs whose spacing scales with the wavelength: at 5 m the rows are 1.25 m apart. The "
+            "maximum gain over all directions is computed from the true positions and attitudes every "
+            "second in formation, until two UAVs touch or one falls: the table contains the mean of the "
+            "flights' means with its confidence interval, and the standard deviation within a flight. σ is "
+            "the standard deviation per axis of independent errors with the same rms as in flight (the "
+            "alignment removes 3 of 16 horizontal degrees of freedom). The expected gain is that of "
+            "independent Gaussian errors of this σ on every axis, interpolated in σ/λ between the points "
+            "of `studies/reference/antenna_sensitivity.csv`. The errors in flight are neither independent "
+            "nor Gaussian, vertical errors differ from horizontal ones, and the dipoles tilt with their "
+            "UAVs against the wind, which costs gain without any position error.\n"
         ),
         checks=(
             formed_check(book, ftm_cases),
@@ -191,19 +192,19 @@ def judge_wavelength(book: Book, images: Path | None) -> Section:
                 at_least=TIGHT_COLLIDED_LEAST,
             ),
             Check(
-                name="gain that GPS alone loses and FTM gives back, in dB, smallest share",
+                name="share of the gain lost with GPS alone that FTM recovers, in dB, smallest",
                 value=float(np.min([
-                    _given_back(book, *cases) for cases in zip(gps_cases, ftm_cases, strict=True)
+                    _recovered(book, *cases) for cases in zip(gps_cases, ftm_cases, strict=True)
                 ])),
                 unit="", at_least=GAIN_BACK_LEAST,
             ),
         ),
         tables=(
             ReportTable(
-                caption="Maximum gain, dBi (the ideal formation has "
-                f"{IDEAL_DBI:.2f}), and what the position error lets expect. At λ = {TIGHT_M:g} m and "
-                f"{TIGHT_WIND_N:g} N GPS alone collides in "
-                f"{book.of_flights(book.collided(tight_gps), tight_gps)} flights.",
+                caption="Maximum gain, dBi (ideal formation: "
+                f"{IDEAL_DBI:.2f}), and the gain expected for the position error. At λ = {TIGHT_M:g} m and "
+                f"{TIGHT_WIND_N:g} N, {book.of_flights(book.collided(tight_gps), tight_gps)} flights with "
+                "GPS alone have a collision.",
                 columns=(
                     "λ m", "wind N", "positions by", "mean max gain dBi", "std dB", "σ horizontal m",
                     "σ vertical m", "σ/λ", "expected for σ/λ dBi", "formed", "collided", "nearest m",
@@ -216,18 +217,18 @@ def judge_wavelength(book: Book, images: Path | None) -> Section:
 
 
 def _of_any(book: Book, case: CodesignCase, count: Callable[[CodesignCase], int]) -> float:
-    """Count flights; not a number if there are none."""
+    """Count flights; NaN if there are none."""
     return float(count(case)) if book.flown(case) else math.nan
 
 
-def _given_back(book: Book, gps: CodesignCase, ftm: CodesignCase) -> float:
-    """Share of GPS alone's loss against the ideal gain that FTM does not have; NaN if it is not known."""
+def _recovered(book: Book, gps: CodesignCase, ftm: CodesignCase) -> float:
+    """Return the share of the gain lost with GPS alone that FTM recovers; NaN if a gain is missing."""
     gps_dbi, ftm_dbi = (book.mean(case, "gain_mean_dbi").value for case in (gps, ftm))
     return (ftm_dbi - gps_dbi) / (IDEAL_DBI - gps_dbi) if gps_dbi < IDEAL_DBI else math.nan
 
 
 def _gain_cells(book: Book, case: CodesignCase) -> tuple[str, ...]:
-    """Gain, deviation, sigmas, their ratio to the wavelength and what it lets expect."""
+    """Return gain, deviation, sigmas, their ratio to the wavelength and the expected gain, as text."""
     sigma_m = _pooled_sigma(book.values(case, "shape_m"), case.agents, per_axis_sigma_m)
     vertical_m = _pooled_sigma(book.values(case, "vertical_m"), case.agents, vertical_sigma_m)
     gains = book.mean(case, "gain_mean_dbi").text(2), book.mean(case, "gain_std_db").text(2)
@@ -243,7 +244,7 @@ def _gain_cells(book: Book, case: CodesignCase) -> tuple[str, ...]:
 def _pooled_sigma(
     rms_m: Sequence[float | None], vehicles: int, sigma: Callable[[float, int], float]
 ) -> float | None:
-    """Of the mean square over the flights."""
+    """Return the sigma that corresponds to the mean square over the flights; None without a flight."""
     known = [each for each in rms_m if each is not None]
     return sigma(float(np.sqrt(np.mean(np.square(known)))), vehicles) if known else None
 

@@ -1,4 +1,4 @@
-"""What position errors leave of the array's gain, by the table in tests/reference, whose README says how."""
+"""Expected gain of the array for a position error, from a table in studies/reference; see its README."""
 
 import csv
 import math
@@ -10,13 +10,13 @@ import numpy as np
 from msgspec import Struct
 from scipy.interpolate import PchipInterpolator
 
-SENSITIVITY = Path(__file__).parents[2] / "tests" / "reference" / "antenna_sensitivity.csv"
+SENSITIVITY = Path(__file__).parents[2] / "studies" / "reference" / "antenna_sensitivity.csv"
 IDEAL_DBI = 13.26
-"""Of the ideal array with short dipoles by NEC2, whatever the wavelength"""
+"""Gain of the ideal array with short dipoles by NEC2, at any wavelength"""
 
 
 class Expected(Struct, frozen=True):
-    """Maximum gain of independent Gaussian errors."""
+    """Maximum gain for independent Gaussian position errors."""
 
     mean_dbi: float
     std_db: float
@@ -37,10 +37,10 @@ def _curves() -> tuple[Any, Any, float]:
 
 
 def expected_gain(sigma_m: float, wavelength_m: float) -> Expected:
-    """Maximum gain of the 4 x 2 array whose elements err by ``sigma_m`` on each axis.
+    """Return the maximum gain of the 4 x 2 array with errors of ``sigma_m`` on each axis of its elements.
 
-    Only sigma over lambda matters; between the table's ratios its mean and deviation are interpolated by
-    monotone cubics, beyond its last one they are that one's.
+    It depends on sigma over lambda only. Mean and deviation are interpolated by monotone cubics between the
+    ratios of the table, and constant beyond the last one.
     """
     if not math.isfinite(sigma_m) or sigma_m < 0.0 or not wavelength_m > 0.0:
         raise ValueError(
@@ -52,18 +52,18 @@ def expected_gain(sigma_m: float, wavelength_m: float) -> Expected:
 
 
 def per_axis_sigma_m(shape_rms_m: float, vehicles: int) -> float:
-    """Standard deviation per horizontal axis of independent errors that leave this rms after alignment.
+    """Return the standard deviation per horizontal axis of independent errors with this rms after alignment.
 
-    The alignment takes 3 of the 2 N degrees of freedom (a translation and a turn), so the mean square of a
+    The alignment removes 3 of the 2 N degrees of freedom (a translation and a turn), so the mean square of a
     vehicle's remaining horizontal distance is 2 sigma^2 (1 - 3 / (2 N)).
     """
     if vehicles < 2:
-        raise ValueError(f"{vehicles} vehicles: the alignment leaves nothing of fewer than two")
+        raise ValueError(f"{vehicles} vehicles: the alignment requires at least two")
     return shape_rms_m / math.sqrt(2.0 - 3.0 / vehicles)
 
 
 def vertical_sigma_m(vertical_rms_m: float, vehicles: int) -> float:
-    """The same of heights about their mean, which takes one of N degrees of freedom."""
+    """Return the same for heights about their mean, which removes one of N degrees of freedom."""
     if vehicles < 2:
-        raise ValueError(f"{vehicles} vehicles: the alignment leaves nothing of fewer than two")
+        raise ValueError(f"{vehicles} vehicles: the alignment requires at least two")
     return vertical_rms_m / math.sqrt(1.0 - 1.0 / vehicles)

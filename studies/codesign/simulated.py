@@ -1,9 +1,8 @@
-"""What one UAV of a hovering formation is told: simulated measurements whose statistics are known exactly.
+"""Simulated measurements as received by one UAV of a hovering formation, with exactly known statistics.
 
-The world has the errors that the localisation filter models and no others, unless `Trouble` adds some, so
-that a filter's errors can be held against bounds that are computed from the same model. Everything happens
-on a grid of `GRID_US`; motion, random walks and Gauss-Markov errors are drawn there and measurements fall
-on it, so that no interpolation error enters.
+The errors are those that the localisation filter models, plus the faults in `Trouble`, so that the filter can
+be compared with bounds of the same model. Motion, random walks, Gauss-Markov errors and measurements are on a
+time grid of `GRID_US`, so there is no interpolation error.
 """
 
 from collections.abc import Iterator
@@ -23,26 +22,26 @@ OWN_ODOMETRY_US = 40_000
 BEACON_US = 100_000
 FIX_US = 200_000
 UPDATE_US = 60_000
-"""How often the application lets the filter use what has come."""
+"""Period at which the application lets the filter process its measurements."""
 FIX_DELAY_US = 120_000
-"""From a fix's moment to its being known."""
+"""Delay from the instant of a fix to its reception."""
 SESSION_US = 20_000
-"""From a distance's moment to its being known to the initiator."""
+"""Delay from the instant of a distance to its availability at the initiator."""
 SWAY_STD_M, SWAY_TIME_CONSTANT_S = 0.3, 1.5
-"""Of the UAVs about their places, per axis: the wind's doing."""
+"""Motion of the UAVs about their places due to wind, per axis."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trouble:
-    """What goes wrong beyond the model."""
+    """Faults in addition to the modelled errors."""
 
     loss: float = 0.0
-    """Share of the beacons, at each receiver, and of the FTM sessions that get lost."""
+    """Share of lost beacons, at each receiver, and of lost FTM sessions."""
     nlos_fraction: float = 0.0
     nlos_mean_m: float = 3.0
-    """Of the exponentially distributed excess of a distance whose line of sight is blocked."""
+    """Mean of the exponentially distributed excess of a distance without line of sight."""
     liars_m: dict[int, float] = field(default_factory=dict)
-    """By how much too much a station measures all its distances."""
+    """Excess of all distances measured by a station."""
     liars_since_s: float = 0.0
     gps_off_ned_m: dict[int, tuple[float, float, float]] = field(default_factory=dict)
     """Constant error of a station's GPS."""
@@ -51,7 +50,7 @@ class Trouble:
     """Step of a station's odometry."""
     odometry_jump_s: float = 0.0
     shuffled: bool = False
-    """Every beacon is heard twice, the second time up to half a second late, and so out of order."""
+    """Every beacon is received twice, the second time up to 0.5 s late, and thus out of order."""
 
 
 NO_TROUBLE = Trouble()
@@ -59,7 +58,7 @@ NO_TROUBLE = Trouble()
 
 @dataclass(frozen=True, slots=True)
 class Ranged:
-    """A distance that was measured."""
+    """One measured distance."""
 
     initiator: int
     responder: int
@@ -70,20 +69,20 @@ class Ranged:
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """What the UAV learns at once: a beacon's content, or news of its own."""
+    """Measurements that arrive together: the content of a beacon, or the UAV's own data."""
 
     arrival_us: int
     station: int
     odometry_us: int
-    """-1: without odometry."""
+    """-1 if there is no odometry."""
     fix_us: int
-    """-1: without a fix."""
+    """-1 if there is no fix."""
     distances: tuple[Ranged, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedFlight:
-    """Truth and what station `own` is told of it, in order of arrival. Arrays on the grid: T instants."""
+    """Truth, and the messages received by station `own` in order of arrival; T instants of the grid."""
 
     model: LocalisationModel
     places_ned_m: Array
@@ -96,7 +95,7 @@ class SimulatedFlight:
     odometry_ned_m: Array
     """(T, N, 3)"""
     fix_ned_m: Array
-    """(T, N, 3) what GPS would say; it does so every `FIX_US`."""
+    """(T, N, 3) GPS position; the fixes are its samples every `FIX_US`."""
     messages: tuple[Message, ...]
 
     @property
@@ -106,11 +105,11 @@ class SimulatedFlight:
 
     @property
     def end_us(self) -> int:
-        """The last instant."""
+        """Time of the last instant."""
         return (len(self.pos_ned_m) - 1) * GRID_US
 
     def known(self) -> tuple[list[tuple[int, int]], list[Ranged]]:
-        """Everything told by the end, once each: fixes (time_us, station), distances; in order of time."""
+        """Return all received fixes (time_us, station) and distances, without duplicates, sorted by time."""
         fixes = {(item.fix_us, item.station) for item in self.messages if item.fix_us >= 0}
         distances = {
             (item.time_us, item.initiator, item.responder): item
@@ -120,7 +119,7 @@ class SimulatedFlight:
         return sorted(fixes), [distances[key] for key in sorted(distances)]
 
     def filtered(self, *, until_us: int | None = None) -> CooperativeLocalisation:
-        """Give the filter of the UAV all that it is told until a time, and propagate it to there."""
+        """Return the UAV's filter after all messages received until ``until_us``, propagated to that time."""
         filter_ = CooperativeLocalisation(own=self.own, places_ned_m=self.places_ned_m, model=self.model)
         last_us = self.end_us if until_us is None else until_us
         for _ in self.steps(filter_, until_us=last_us):
@@ -129,18 +128,18 @@ class SimulatedFlight:
         return filter_
 
     def steps(self, filter_: CooperativeLocalisation, *, until_us: int) -> Iterator[int]:
-        """Feed a filter; gives the time (us) after each of its updates."""
+        """Feed the messages to a filter; yield the time (us) after each of its updates."""
         messages = iter(self.messages)
         message = next(messages, None)
         for now_us in range(0, until_us + 1, GRID_US):
             while message is not None and message.arrival_us <= now_us:
-                self._tell(filter_, message, now_us)
+                self._feed(filter_, message, now_us)
                 message = next(messages, None)
             if now_us % UPDATE_US == 0 or now_us == until_us:
                 filter_.update(now_us)
                 yield now_us
 
-    def _tell(self, filter_: CooperativeLocalisation, message: Message, now_us: int) -> None:
+    def _feed(self, filter_: CooperativeLocalisation, message: Message, now_us: int) -> None:
         station = message.station
         if message.odometry_us >= 0:
             at = message.odometry_us // GRID_US
@@ -172,18 +171,18 @@ def simulate(
     session_std_m: float = 0.03,
     trouble: Trouble = NO_TROUBLE,
 ) -> SimulatedFlight:
-    """Draw a flight.
+    """Draw a simulated flight.
 
     Args:
         places_ned_m: (N, 3)
-        duration_s: how long.
-        rng: source of everything random.
-        own: the station whose view it is.
-        model: errors of the sensors; the defaults of the filter if None.
-        scheduled: each pair is measured by one of its ends only, else by both.
-        ranging_period_s: in which all pairs have their turn, evenly spread.
-        session_std_m: of a distance, beside the model's floor.
-        trouble: what else goes wrong.
+        duration_s: length of the flight.
+        rng: generator of all random numbers.
+        own: the receiving station.
+        model: sensor errors; the defaults of the filter if None.
+        scheduled: each pair is measured by one end only, otherwise by both.
+        ranging_period_s: period of all pairs, which are spread evenly over it.
+        session_std_m: standard deviation of a distance, in addition to the model's floor.
+        trouble: additional faults.
 
     """
     model = model or LocalisationModel()
@@ -191,14 +190,14 @@ def simulate(
     steps = round(duration_s * 1e6) // GRID_US + 1
     dt_s = GRID_US * 1e-6
     sway_m = _gauss_markov(rng, (steps, count, 3), SWAY_STD_M, SWAY_TIME_CONSTANT_S)
-    # Twice smoothed, so that velocity and acceleration are finite.
+    # Smoothed twice, so that velocity and acceleration are finite.
     for _ in range(2):
         sway_m = _smoothed(sway_m, SWAY_TIME_CONSTANT_S / 3.0)
     walk_ne_m = np.cumsum(
         rng.normal(0.0, model.odometry_drift_m_sqrt_s * np.sqrt(dt_s), (steps, count, 2)), axis=0
     )
-    # The autopilot's velocity is smooth, and odometry its integral: the walk is the truth's. What holds the
-    # UAVs at their places takes the slow part of it out.
+    # The autopilot's velocity is smooth and odometry is its integral, so the random walk is in the truth.
+    # Position control removes the slow part of the walk.
     flown_m = sway_m
     flown_m[..., :2] -= _smoothed(walk_ne_m, SWAY_TIME_CONSTANT_S)
     vel_ned_m_s = np.gradient(flown_m, dt_s, axis=0)
@@ -260,7 +259,7 @@ def _distances(
     session_std_m: float,
     trouble: Trouble,
 ) -> list[Ranged]:
-    """Every distance that is measured, in order of time: the pairs in a fixed random order, evenly spread."""
+    """Return all measured distances, sorted by time: the pairs in a fixed random order, evenly spread."""
     steps, count, _ = pos_ned_m.shape
     pairs = [(i, j) for i in range(count) for j in range(count) if i != j]
     if scheduled:
@@ -271,7 +270,7 @@ def _distances(
     for m in range(int(len(pairs) * (steps - 1) * GRID_US * 1e-6 / period_s)):
         i, j = pairs[m % len(pairs)]
         at = int((m + 1) * period_s * 1e6 / len(pairs)) // GRID_US
-        # Always the same draws, so that troubles change nothing else.
+        # The number of draws is constant, so that a fault changes nothing else.
         kept, blocked, excess, noise = rng.random(), rng.random(), rng.exponential(), rng.standard_normal()
         if kept < trouble.loss:
             continue
@@ -287,7 +286,7 @@ def _distances(
 def _messages(
     steps: int, count: int, own: int, distances: list[Ranged], rng: np.random.Generator, trouble: Trouble
 ) -> list[Message]:
-    """What station ``own`` learns, in order of arrival."""
+    """Return the messages that station ``own`` receives, in order of arrival."""
     end_us = (steps - 1) * GRID_US
     phases_us = GRID_US * rng.integers(0, BEACON_US // GRID_US, count)
     fix_phases_us = GRID_US * rng.integers(0, FIX_US // GRID_US, count)
@@ -306,10 +305,10 @@ def _messages(
                 done += 1
             fix_us = now_us - FIX_DELAY_US
             fix_us -= (fix_us - int(fix_phases_us[station])) % FIX_US
-            heard, echo, delay_us = rng.random(), rng.integers(0, 500_000), GRID_US
+            received, echo, delay_us = rng.random(), rng.integers(0, 500_000), GRID_US
             if station == own:
-                heard, delay_us = 1.0, 0
-            if heard < trouble.loss:
+                received, delay_us = 1.0, 0
+            if received < trouble.loss:
                 continue
             message = Message(now_us + delay_us, station, now_us, max(fix_us, -1), tuple(newest.values()))
             messages.append(message)

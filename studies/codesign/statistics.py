@@ -1,4 +1,4 @@
-"""Means of few flights with their confidence, and ratios of means of flights in pairs."""
+"""Means of few flights and ratios of means of paired flights, with confidence intervals."""
 
 import math
 from collections.abc import Sequence
@@ -14,16 +14,16 @@ _ALIKE = 1e-12
 
 
 class Interval(Struct, frozen=True):
-    """A value with its 95 % confidence interval, which less than two flights do not have."""
+    """A value with its 95 % confidence interval, which is NaN for fewer than two flights."""
 
     value: float
     low: float
     high: float
     count: int
-    """Flights that it is of"""
+    """Number of flights"""
 
     def text(self, digits: int = 3, *, factor: float = 1.0) -> str:
-        """As ``mean (low to high)``, or a dash if there is none."""
+        """Format as ``mean (low to high)``, or a dash without a value."""
         if not self.count:
             return "–"
         value = f"{factor * self.value:.{digits}f}"
@@ -33,7 +33,7 @@ class Interval(Struct, frozen=True):
 
 
 def mean_interval(values: Sequence[float | None]) -> Interval:
-    """Mean with Student's interval, mean ± t(0.975, n - 1) s / sqrt(n); None is left out."""
+    """Return the mean with Student's interval, mean ± t(0.975, n - 1) s / sqrt(n); None is skipped."""
     known = np.array([value for value in values if value is not None])
     if len(known) == 0:
         return Interval(math.nan, math.nan, math.nan, 0)
@@ -45,9 +45,9 @@ def mean_interval(values: Sequence[float | None]) -> Interval:
 
 
 def ratio_interval(above: Sequence[float | None], below: Sequence[float | None]) -> Interval:
-    """Ratio of the means of pairs, mean(above) / mean(below), with a bias-corrected bootstrap over the pairs.
+    """Return the ratio of means, mean(above) / mean(below), with a bias-corrected bootstrap over the pairs.
 
-    Both sequences are in the order of the seeds; a pair that is not complete is left out.
+    Both sequences are in the order of the seeds; an incomplete pair is skipped.
     """
     pairs = np.array(
         [(a, b) for a, b in zip(above, below, strict=True) if a is not None and b is not None]
@@ -57,7 +57,7 @@ def ratio_interval(above: Sequence[float | None], below: Sequence[float | None])
     ratio = float(_ratio(pairs[:, 0], pairs[:, 1]))
     if len(pairs) == 1:
         return Interval(ratio, math.nan, math.nan, 1)
-    if np.ptp(pairs[:, 0] - ratio * pairs[:, 1]) < _ALIKE:  # every resample gives it
+    if np.ptp(pairs[:, 0] - ratio * pairs[:, 1]) < _ALIKE:  # every resample has this ratio
         return Interval(ratio, ratio, ratio, len(pairs))
     found = bootstrap(
         (pairs[:, 0], pairs[:, 1]),

@@ -1,4 +1,4 @@
-"""How good the localisation is by itself: Monte Carlo runs against bound, optimum and own covariance."""
+"""Monte Carlo study of the localisation filter against bound, batch optimum and predicted covariance."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ from studies.codesign.simulated import Array, Trouble, simulate
 
 @dataclass(frozen=True, slots=True)
 class LocalisationResult:
-    """Of one setting; root mean squares over runs and UAVs, horizontal, after the best rigid alignment."""
+    """Result of one setting; horizontal rms over runs and UAVs after the best rigid alignment."""
 
     count: int
     loss: float
@@ -23,13 +23,13 @@ class LocalisationResult:
     """Posterior Cramer-Rao bound."""
     filter_m: float
     batch_m: float | None
-    """Error of the batch optimum; None where it was not asked for."""
+    """Error of the batch optimum; None if it was not computed."""
     predicted_m: float
-    """What the filter itself says."""
+    """Error predicted by the filter's covariance."""
     nees: float
     """Mean over runs of the aligned error squared, normalised by the filter's covariance."""
     nees_band: tuple[float, float]
-    """In which it lies in 95 of 100 such studies of a consistent filter."""
+    """95 % band of `nees` of a consistent filter."""
 
     @property
     def filter_over_bound(self) -> float:
@@ -51,9 +51,9 @@ def localisation_run(
     scheduled: bool,
     batch: bool,
 ) -> tuple[float, float, float, float, float]:
-    """Mean squares of one run: bound, filter's error, optimum's (NaN if not ``batch``), predicted; NEES.
+    """Return mean squares of one run: bound, filter, batch optimum (NaN if not ``batch``), predicted; NEES.
 
-    The odometry of the last instant is granted to all of them, so that the estimators alone are compared.
+    All use the odometry of the last instant, so that only the estimators are compared.
     """
     rng = np.random.default_rng(seed)
     count = len(places_ned_m)
@@ -73,7 +73,7 @@ def localisation_run(
 
     at_truth = shape_basis(flight.pos_ned_m[-1])
     bound = at_truth.T @ posterior_bound(flight) @ at_truth
-    # The filter's covariance is about its own estimate, whose heading differs: errors are seen from there.
+    # The filter's covariance refers to its own estimate, whose heading differs: errors are in its frame.
     at_found = shape_basis(found_m)
     error = at_found.T @ aligned_error_m(truth_m, found_m).ravel()
     predicted = at_found.T @ cov @ at_found
@@ -101,16 +101,16 @@ def localisation_study(
     scheduled: bool = False,
     batch: bool = True,
 ) -> LocalisationResult:
-    """Study the filter of a randomly chosen UAV of a formation.
+    """Return the result of Monte Carlo runs of the filter of a randomly chosen UAV.
 
     Args:
         places_ned_m: (N, 3)
         runs: number of independent flights.
-        seed: of everything random.
-        duration_s: of a flight; the errors of its end count.
-        trouble: beyond the model; its loss is known to the bound, anything else is not.
-        scheduled: pairs are measured by one end only, else by both.
-        batch: work out the batch optimum too.
+        seed: seed of all random numbers.
+        duration_s: length of a flight; its final errors count.
+        trouble: additional faults; the bound includes its loss but no other fault.
+        scheduled: pairs are measured by one end only, otherwise by both.
+        batch: compute the batch optimum too.
 
     """
     trouble = trouble or Trouble()

@@ -1,4 +1,4 @@
-"""The experiment as CSV: a row for every flight, and one of means with their intervals for every case."""
+"""Write the experiment as CSV: one row for each flight, and one row of means with intervals for each case."""
 
 import csv
 import math
@@ -15,7 +15,7 @@ SETTINGS = (
     "channel", "drop_fraction",
 )  # fmt: skip
 _LEFT_OUT = {"wall_s", "real_time_factor", "range_offsets_m", "gain_dbi", "track_mm"}
-"""Series, and what no seed determines"""
+"""Series, and values that are not determined by the seed"""
 NUMBERS = (
     *(name for name in Measures.__struct_fields__ if name not in _LEFT_OUT),
     "gain_mean_dbi", "gain_std_db",
@@ -28,7 +28,7 @@ MEANS = (
 
 
 def write_csv(out: Path, cases: Iterable[CodesignCase], book: Book) -> None:
-    """Write ``codesign-flights.csv`` and ``codesign-cases.csv`` into the folder, which is made."""
+    """Write ``codesign-flights.csv`` and ``codesign-cases.csv`` into the folder, which is created."""
     out.mkdir(parents=True, exist_ok=True)
     distinct = list({case.name: case for case in cases}.values())
     flights = [
@@ -60,7 +60,7 @@ def _write(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) ->
         writer.writerows([[_cell(value) for value in row] for row in rows])
 
 
-def _cell(value: Any) -> Any:  # noqa: ANN401  whatever a table holds
+def _cell(value: Any) -> Any:  # noqa: ANN401  any value of a table
     if isinstance(value, float):
         return "" if math.isnan(value) else f"{value:.6g}"
     return value

@@ -1,4 +1,4 @@
-"""What a cut of the channel and a lying vehicle do to a formation, from its track. Pure."""
+"""Effect of a channel outage and of a vehicle with biased ranging on a formation, from its track."""
 
 import math
 
@@ -10,60 +10,60 @@ from harness.report.formation_error import formation_error
 from studies.codesign.measures import TRACK_PERIOD_S
 
 SMOOTHED_S = 1.0
-"""Recovery is judged by the rms over so long, ..."""
+"""Recovery is judged by the rms over this time, ..."""
 SETTLED_S = 3.0
-"""... that stays small for so long (or to the end, if that is sooner)."""
+"""... which must stay small for this time, or to the end if that is earlier."""
 RECOVERED_FACTOR = 1.2
 RECOVERED_M = 0.25
 PULL_WINDOW_S = 2.0
-"""A displacement is a mean over so long: what single gusts and distances make is not the liar's doing."""
+"""A displacement is a mean over this time, which suppresses the effect of single gusts and distances."""
 
 
 class CutResult(Struct, frozen=True, kw_only=True):
-    """Horizontal shape error around a cut, rms; metres and seconds."""
+    """Horizontal shape error around an outage, rms; metres and seconds."""
 
     before_m: float
     during_m: float
     after_m: float
-    """From the recovery on; NaN without one"""
+    """After the recovery; NaN without one"""
     recovery_s: float
-    """From the channel's return until the error is back; infinite if it does not come back"""
+    """From the channel's return to the recovery; infinite without one"""
     largest_during_m: float
     """Over the last `SMOOTHED_S`; NaN without a track"""
     largest_after_m: float
-    """Likewise, from the channel's return on"""
+    """Likewise, after the channel's return"""
     left: bool
-    """Whether the error was too large at any time from the cut on: else there was nothing to recover from"""
+    """Whether the error left its bounds after the start of the outage; otherwise no recovery was needed"""
 
 
 class Pull(Struct, frozen=True, kw_only=True):
-    """What a liar does to the others, against the same flight without lies; horizontal, metres."""
+    """Effect of one biased vehicle on the others, relative to the flight without bias; horizontal, metres."""
 
     shape_m: float
-    """Shape error of the others with it, rms"""
+    """Shape error of the others with the bias, rms"""
     shape_without_m: float
     displacement_m: float
-    """Largest mean over `PULL_WINDOW_S` of one of them within the shape of the others"""
+    """Largest displacement of one of them in their shape, mean over `PULL_WINDOW_S`"""
     lasting_m: float
-    """Largest mean over all the time"""
+    """Largest displacement of one of them in their shape, mean over the whole time"""
     shift_m: float
-    """Largest of the others' centre, over `PULL_WINDOW_S`"""
+    """Largest displacement of the others' centre, mean over `PULL_WINDOW_S`"""
     turn_deg: float
-    """Largest turn of the others as a whole, over `PULL_WINDOW_S`"""
+    """Largest common rotation of the others, mean over `PULL_WINDOW_S`"""
     moved_m: float
-    """Largest mean over `PULL_WINDOW_S` of one of them in space, so with shift and turn"""
+    """Largest displacement of one of them in space, mean over `PULL_WINDOW_S`, with shift and turn"""
 
 
 def shape_errors_ne_m(track_ne_m: Array, places_ned_m: Array) -> Array:
-    """(T, N, 2) errors after alignment, turned back into the desired formation's frame.
+    """Return the errors (T, N, 2) after alignment, in the frame of the desired formation.
 
-    The track (T, N, 2) is of vehicles from their places (N, 3).
+    The track (T, N, 2) is relative to the places (N, 3) of the vehicles.
     """
     return _aligned(track_ne_m, places_ned_m)[0]
 
 
 def _aligned(track_ne_m: Array, places_ned_m: Array) -> tuple[Array, Array]:
-    """Errors as of `shape_errors_ne_m`, and the turns (T,) that were taken out, as unit complex numbers."""
+    """Return the errors of `shape_errors_ne_m` and the removed rotations (T,) as unit complex numbers."""
     pos_ned_m = np.broadcast_to(places_ned_m, (len(track_ne_m), *places_ned_m.shape)).copy()
     pos_ned_m[..., :2] += track_ne_m
     error = formation_error(_flight(pos_ned_m, places_ned_m))
@@ -77,16 +77,17 @@ def _aligned(track_ne_m: Array, places_ned_m: Array) -> tuple[Array, Array]:
 
 
 def shape_over_time_m(track_ne_m: Array, places_ned_m: Array) -> Array:
-    """(T,) rms over the vehicles of their horizontal shape error."""
+    """Return the horizontal shape error (T,), rms over the vehicles."""
     square = (shape_errors_ne_m(track_ne_m, places_ned_m) ** 2).sum(axis=-1)
     return np.asarray(np.sqrt(square.mean(axis=1)))
 
 
 def judge_cut(shape_m: Array, *, cut_at_s: float, cut_s: float) -> CutResult:
-    """Split (T,) shape errors every `TRACK_PERIOD_S`, from the formation on, by the channel's absence.
+    """Evaluate an outage from shape errors (T,) every `TRACK_PERIOD_S`, starting at the formation.
 
-    The error is back when its rms over the last `SMOOTHED_S` falls below `RECOVERED_FACTOR` times what it was
-    before the cut, or `RECOVERED_M` if that is more, and stays there for `SETTLED_S`.
+    The formation has recovered when the rms of the error over the last `SMOOTHED_S` falls below
+    `RECOVERED_FACTOR` times its value before the outage, or `RECOVERED_M` if that is larger, and stays there
+    for `SETTLED_S`.
     """
     cut, back = round(cut_at_s / TRACK_PERIOD_S), round((cut_at_s + cut_s) / TRACK_PERIOD_S)
     before_m = _rms(shape_m[:cut])
@@ -109,9 +110,9 @@ def judge_cut(shape_m: Array, *, cut_at_s: float, cut_s: float) -> CutResult:
 def judge_liar(
     track_ne_m: Array, without_ne_m: Array, places_ned_m: Array, *, liar: int, from_s: float
 ) -> Pull:
-    """Compare two tracks (T, N, 2) of one seed from ``from_s`` after the formation on, without the liar.
+    """Compare two tracks (T, N, 2) of one seed from ``from_s`` after the formation, except the biased UAV.
 
-    All is NaN if one of them ends before that.
+    All results are NaN if a track ends before that.
     """
     begin = round(from_s / TRACK_PERIOD_S)
     length = min(len(track_ne_m), len(without_ne_m))
@@ -153,7 +154,7 @@ def _flight(pos_ned_m: Array, places_ned_m: Array) -> Flight:
 
 
 def _running_mean(values: Array, window: int) -> Array:
-    """Mean of the last ``window`` rows at every row, of all there are at the first ones."""
+    """Return the mean of the last ``window`` rows at every row; of fewer at the first rows."""
     sums = np.cumsum(values, axis=0)
     sums[window:] = sums[window:] - sums[:-window]
     counts = np.minimum(np.arange(1, len(values) + 1), window)

@@ -1,4 +1,4 @@
-"""Judgement of losses, a cut of the channel and a lying vehicle."""
+"""Judgement of message losses, a channel outage and a vehicle with biased ranging."""
 
 import math
 from collections.abc import Sequence
@@ -42,13 +42,13 @@ GROWTH_MOST = 1.5
 RECOVERY_MOST_S = 10.0
 PULL_MOST_M = 0.3
 CUT_SEEN, LIE_SEEN = 0.9, 0.95
-"""Shares of the cut and of the lie that the flight itself must show: else there was nothing to withstand."""
+"""Shares of outage and bias that must be measured in the flight; otherwise the fault was not effective."""
 LOSS_SEEN, COMPLETED_MOST = 0.28, 0.75
-"""Share of beacons that the losses must take, and of ranging sessions that they may leave, likewise"""
+"""Smallest share of lost beacons, and largest share of completed ranging sessions, likewise"""
 
 
 def judge_trouble(book: Book, images: Path | None) -> Section:
-    """Check what the issue asks for when the radio fails or a vehicle lies."""
+    """Check the requirements for a failing radio and for biased ranging."""
     plan, cut_case = book.plan, cut(book.plan)
     shapes_m = _shapes_over_time(book, cut_case)
     cuts = [judge_cut(shape_m, cut_at_s=plan.cut_s, cut_s=plan.cut_s) for shape_m in shapes_m]
@@ -72,15 +72,15 @@ def judge_trouble(book: Book, images: Path | None) -> Section:
             usual_m=float(np.mean([each.before_m for each in cuts])) if cuts else math.nan,
         )
     return Section(
-        title="Losses, a cut channel, a liar",
+        title="Losses, a channel outage, biased ranging",
         conditions=_conditions(plan),
         checks=(
             formed_check(book, cases),
             *sound_checks(book, cases),
             pairs_check("with and without losses", growth.count),
-            *(pairs_check(f"with and without a liar {since}", len(of)) for since, of in pulls.items()),
+            *(pairs_check(f"with and without ranging bias {since}", len(of)) for since, of in pulls.items()),
             Check(
-                name="losses: share of the beacons that hosts lost", unit="", at_least=LOSS_SEEN,
+                name="losses: share of the beacons lost at the hosts", unit="", at_least=LOSS_SEEN,
                 value=book.mean(LOSSY, "beacons_lost_fraction").value,
             ),
             Check(
@@ -92,34 +92,36 @@ def judge_trouble(book: Book, images: Path | None) -> Section:
                 value=growth.value, unit="", at_most=GROWTH_MOST,
             ),
             Check(
-                name="cut: time without any distance, shortest", unit="s", at_least=CUT_SEEN * plan.cut_s,
+                name="outage: time without any distance, shortest", unit="s", at_least=CUT_SEEN * plan.cut_s,
                 value=min(_known(book.values(cut_case, "longest_silence_s")), default=math.nan),
             ),
             Check(
-                name="cut: flights with a collision",
+                name="outage: flights with a collision",
                 value=float(book.collided(cut_case)) if book.flown(cut_case) else math.nan, unit="",
                 at_most=0.0,
             ),
             Check(
-                name="cut: recovery from the channel's return, slowest",
+                name="outage: recovery after the channel's return, slowest",
                 value=max((each.recovery_s for each in cuts), default=math.nan), unit="s",
                 at_most=RECOVERY_MOST_S,
             ),
             Check(
-                name="liar: error of the distances that it measures, median, smallest", unit="m",
+                name="ranging bias: error of the measured distances, median, smallest", unit="m",
                 value=min(_lies_m(book, plan), default=math.nan), at_least=LIE_SEEN * LIE_M,
             ),
             Check(
-                name=f"liar in flight: displacement of another within the shape over {PULL_WINDOW_S:g} s, "
+                name="ranging bias in flight: displacement of another in the shape over "
+                f"{PULL_WINDOW_S:g} s, "
                 "largest",
                 value=_worst(pulls["in flight"], "displacement_m"), unit="m", at_most=PULL_MOST_M,
             ),
             Check(
-                name=f"liar in flight: displacement of another in space over {PULL_WINDOW_S:g} s, largest",
+                name=f"ranging bias in flight: displacement of another in space over {PULL_WINDOW_S:g} s, "
+                "largest",
                 value=_worst(pulls["in flight"], "moved_m"), unit="m", at_most=PULL_MOST_M,
             ),
             Check(
-                name="liar from the start: lasting displacement of another within the shape, largest",
+                name="ranging bias from the start: lasting displacement of another in the shape, largest",
                 value=_worst(pulls["from the start"], "lasting_m"), unit="m", at_most=PULL_MOST_M,
             ),
         ),
@@ -145,32 +147,32 @@ def judge_trouble(book: Book, images: Path | None) -> Section:
         ),
         figures=()
         if images is None
-        else (("codesign-cut.png", "shape error over time through a cut of the channel"),),
+        else (("codesign-cut.png", "shape error over time through a channel outage"),),
     )  # fmt: skip
 
 
 def _conditions(plan: CodesignPlan) -> str:
     return f"""8 UAVs with FTM in 5 N.
 
-Losses: {DROPPED:.0%} of the received beacons and of the ranging results, on top of the channel's.
+Losses: {DROPPED:.0%} of the received beacons and of the ranging results, in addition to the channel's losses.
 
-Cut: no frame gets through from {plan.cut_s:.3g} s after the formation was reached, for {plan.cut_s:.3g} s.
-The formation is back when its horizontal shape error, rms over UAVs and {SMOOTHED_S:g} s, is below
-{RECOVERED_FACTOR:g} times the rms from before the cut or {RECOVERED_M:g} m, whichever is more, and stays
+Outage: no frame is received from {plan.cut_s:.3g} s after the formation is reached, for {plan.cut_s:.3g} s.
+The formation has recovered when its horizontal shape error, rms over UAVs and {SMOOTHED_S:g} s, is below
+{RECOVERED_FACTOR:g} times the rms before the outage or {RECOVERED_M:g} m, whichever is larger, and stays
 there for {SETTLED_S:g} s.
 
-Liar: all distances that UAV {LIAR} measures are {LIE_M:g} m too long, from {plan.liar_after_s:.3g} s after
-the formation was reached or from the start on. The other seven are compared with the same seed's flight
-without lies, in space, and within their shape: there each flight's seven are laid over their places first,
-which takes out how far they were shifted and turned as a whole. What they are displaced by is averaged over
-{PULL_WINDOW_S:g} s, or over all the time (lasting). Until it begins to lie in flight both flights are the
-same, so displacement is all its doing; with lies from the start the two form at different times, in other
-gusts, and the lasting displacement within the shape alone tells.
+Ranging bias: all distances measured by UAV {LIAR} are {LIE_M:g} m too long, from {plan.liar_after_s:.3g} s
+after the formation is reached, or from the start. The other seven UAVs are compared with the flight of the
+same seed without bias: in space, and in their shape after the best alignment with the desired places, which
+removes the common translation and rotation. Displacements are averaged over {PULL_WINDOW_S:g} s, or over the
+whole time (lasting). With a bias in flight both flights are identical until it begins, so the displacement is
+entirely due to it. With a bias from the start the two formations are reached at different times and in
+different gusts, so only the lasting displacement in the shape is meaningful.
 """
 
 
 def _shapes_over_time(book: Book, case: CodesignCase) -> list[Array]:
-    """(T,) of every flight that formed."""
+    """Return the shape error (T,) of every flight that formed."""
     places_ned_m = case.scenario(book.plan, 1).places_ned_m()
     return [
         shape_over_time_m(flight.track_ne_m, places_ned_m) for flight in book.flown(case) if flight.track_mm
@@ -178,7 +180,7 @@ def _shapes_over_time(book: Book, case: CodesignCase) -> list[Array]:
 
 
 def _pulls(book: Book, case: CodesignCase, from_s: float) -> list[Pull]:
-    """Of the seeds that have both flights."""
+    """Return the displacements for the seeds that have both flights."""
     places_ned_m = case.scenario(book.plan, 1).places_ned_m()
     return [
         judge_liar(lying.track_ne_m, usual.track_ne_m, places_ned_m, liar=LIAR, from_s=from_s)
@@ -197,7 +199,7 @@ def _lies_m(book: Book, plan: CodesignPlan) -> list[float]:
 
 
 def _worst(pulls: Sequence[Pull], what: str) -> float:
-    """Largest; NaN if it is not known of one of them, or there are none."""
+    """Return the largest value; NaN if one is missing or there are none."""
     return float(np.max([getattr(pull, what) for pull in pulls])) if pulls else math.nan
 
 
@@ -211,9 +213,9 @@ def _cut_table(book: Book, case: CodesignCase, cuts: Sequence[CutResult]) -> Rep
 
     recovered = sum(math.isfinite(each.recovery_s) for each in cuts)
     return ReportTable(
-        caption="The cut: shape error, m, and seconds from the channel's return to the recovery, which is 0 "
-        "for a flight that was within the bounds by then; the largest error, rms over "
-        f"{SMOOTHED_S:g} s, of the worst flight; and flights that left the bounds at all.",
+        caption="Outage: shape error, m, and seconds from the channel's return to the recovery, which is 0 "
+        "for a flight that is within the bounds at the return; the largest error, rms over "
+        f"{SMOOTHED_S:g} s, of the worst flight; and the flights that left the bounds.",
         columns=(
             "before", "during", "after the recovery", "recovery s", "recovered", "largest during",
             "largest after", "left the bounds", "collided", "nearest m",
@@ -244,17 +246,17 @@ def _liar_table(pulls: dict[str, list[Pull]]) -> ReportTable:
             ),
         ))  # fmt: skip
     return ReportTable(
-        caption="The liar: the other seven's shape error, the largest displacement of one of them, and how "
-        "far they were shifted and turned as a whole, m and degrees; of displacements, shift and turn the "
-        "mean of the flights and the worst flight.",
+        caption="Ranging bias: shape error of the other seven UAVs, the largest displacement of one of them, "
+        "and their common translation and rotation, m and degrees; displacements, translation and rotation "
+        "as mean of the flights and worst flight.",
         columns=(
-            "lies",
+            "bias",
             "shape without",
             "shape with",
-            "displaced within the shape",
+            "displaced in the shape",
             "lasting",
             "displaced in space",
-            "their centre shifted",
+            "centre shifted",
             "turned °",
         ),
         rows=tuple(rows),

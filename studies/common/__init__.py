@@ -1,4 +1,4 @@
-"""What studies share: command line, jobs in worker processes, requirements, tables and Markdown reports.
+"""Shared parts of the studies: command line, jobs in worker processes, checks, tables and Markdown reports.
 
-Import `runner` and `report`. The content of a report is left to each study.
+Import `runner` and `report`. Each study supplies the content of its report.
 """

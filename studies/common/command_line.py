@@ -1,4 +1,4 @@
-"""What the command lines of the validations share. Exit status: 0 all is met, 1 it is not, 2 bad input."""
+"""Shared parts of the validations' command lines. Exit status: 0 all checks met, 1 not all, 2 bad input."""
 
 import contextlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -11,17 +11,17 @@ from msgspec import Struct
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from studies.common.report import Section, markdown, show, write
+from studies.common.report import Section, figures_folder, figures_link, markdown, show, write
 from studies.common.runner import Subject, run_subjects
 
 FINE, MISSED, BAD_INPUT = 0, 1, 2
 WIDTH = 120
-"""Columns where there is no terminal to ask."""
+"""Columns of the output if it is not a terminal."""
 P = TypeVar("P")
 
 
 class Page(Struct, frozen=True, kw_only=True):
-    """What is written of a validation."""
+    """File name, title and introduction of a validation's page."""
 
     file_name: str
     title: str
@@ -29,22 +29,22 @@ class Page(Struct, frozen=True, kw_only=True):
 
 
 def chosen(program: str, only: str, names: Iterable[str], messages: Console) -> list[str]:
-    """Names in ``--only``; ends the program with one line if they are not among ``names``."""
-    wanted = [name.strip() for name in only.split(",") if name.strip()]
-    if not wanted or not set(wanted) <= set(names):
+    """Return the names in ``--only``; exit with an error message if one is not among ``names``."""
+    selected = [name.strip() for name in only.split(",") if name.strip()]
+    if not selected or not set(selected) <= set(names):
         messages.print(f"{program}: --only {only!r}: expected some of {', '.join(names)}")
         raise typer.Exit(BAD_INPUT)
-    return wanted
+    return selected
 
 
 @contextlib.contextmanager
 def progress_lines(
     messages: Console,
 ) -> Iterator[tuple[Callable[[str, int, int], None], Callable[[str], None]]]:
-    """Show a bar for everything that is named, or where no bar is drawn a line now and then.
+    """Show a progress bar for each name; without a terminal, print a line when a name is complete.
 
-    Gives two functions: one is told a name, how much of it is done and how much there is, the other a line
-    that stays.
+    Yields two functions: the first takes a name, the number of its finished jobs and their total; the second
+    prints a permanent line.
     """
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=messages) as progress:
@@ -63,21 +63,22 @@ def progress_lines(
 def run_with_progress(
     plan: P, subjects: Mapping[str, Subject[P]], *, out: Path | None, messages: Console
 ) -> list[Section]:
-    """Do it all, with a line of progress for every subject; figures go to ``images`` in ``out``."""
+    """Run all subjects with a progress line for each; figures are written to ``images`` in ``out``."""
     with progress_lines(messages) as (note, _):
-        images = None if out is None else out / "images"
+        images = None if out is None else figures_folder(out)
         return run_subjects(plan, subjects, images=images, progress=note)
 
 
-def tell(
+def report_and_exit(
     sections: list[Section], *, page: Page, out: Path | None, json: bool, stdout: TextIO, px4: bool
 ) -> NoReturn:
-    """Write the page if there is a folder for it, print the result, and end the program by it.
+    """Write the page if ``out`` is given, print the result and exit with the status of the checks.
 
-    ``px4``: numbers of a real PX4 stand beside ours.
+    ``px4``: include the numbers of a real PX4.
     """
     if out is not None:
-        write(out / page.file_name, markdown(sections, title=page.title, introduction=page.introduction))
+        text = markdown(sections, title=page.title, introduction=page.introduction, figures=figures_link(out))
+        write(out / page.file_name, text)
     if json:
         print(msgspec.json.encode(_numbers(sections, px4=px4)).decode(), file=stdout)
     else:

@@ -1,5 +1,6 @@
-"""What a validation found: checks against requirements and tables, as Markdown and on the terminal."""
+"""Results of a validation: checks against requirements and tables, as Markdown and on the terminal."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,7 +12,7 @@ PASSED, FAILED = "yes", "**no**"
 
 
 class Check(Struct, frozen=True, kw_only=True):
-    """One number and what is asked of it; ``at_least`` and ``at_most`` are inclusive, None is no bound."""
+    """One number and its required range; ``at_least`` and ``at_most`` are inclusive, None is no bound."""
 
     name: str
     value: float
@@ -38,13 +39,13 @@ class Check(Struct, frozen=True, kw_only=True):
 
     @property
     def cells(self) -> tuple[str, str, str, str]:
-        """What, value, requirement and verdict."""
+        """Name, value, requirement and verdict."""
         verdict = PASSED if self.passed else FAILED
         return self.name, f"{_number(self.value)} {self.unit}".rstrip(), self.requirement, verdict
 
 
 class ReportTable(Struct, frozen=True, kw_only=True):
-    """Numbers that explain the checks."""
+    """Table of numbers that explain the checks."""
 
     caption: str
     columns: tuple[str, ...]
@@ -52,7 +53,7 @@ class ReportTable(Struct, frozen=True, kw_only=True):
 
 
 class Section(Struct, frozen=True, kw_only=True):
-    """One subject."""
+    """One subject of a report."""
 
     title: str
     conditions: str
@@ -63,10 +64,25 @@ class Section(Struct, frozen=True, kw_only=True):
     """(file name, what it shows)"""
 
 
+def figures_folder(out: Path) -> Path:
+    """Return the folder for figures of pages in ``out``: ``../images`` where it exists, else ``images``."""
+    shared = out.parent / "images"
+    return shared if shared.is_dir() else out / "images"
+
+
+def figures_link(out: Path | None) -> str:
+    """Return the path of the figures' folder from a page in ``out``, with slashes."""
+    return "images" if out is None else Path(os.path.relpath(figures_folder(out), out)).as_posix()
+
+
 def markdown(
-    sections: Sequence[Section], *, introduction: str, title: str = "Validation of one vehicle"
+    sections: Sequence[Section],
+    *,
+    introduction: str,
+    title: str = "Validation of one vehicle",
+    figures: str = "images",
 ) -> str:
-    """Give the whole page; figures are in ``images/`` beside it."""
+    """Return the whole page; its figures are in ``images/`` beside it."""
     parts = [f"# {title}\n", introduction]
     for section in sections:
         parts += [f"## {section.title}\n", section.conditions]
@@ -82,12 +98,12 @@ def markdown(
             parts.append(_markdown_table(columns, rows))
         for table in section.tables:
             parts += [f"{table.caption}\n", _markdown_table(table.columns, table.rows)]
-        parts += [f"![{shows}](images/{name})\n" for name, shows in section.figures]
+        parts += [f"![{shows}]({figures}/{name})\n" for name, shows in section.figures]
     return "\n".join(parts).rstrip() + "\n"
 
 
 def write(path: Path, text: str) -> None:
-    """Write the page, with its folder."""
+    """Write the page; creates its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text, encoding="utf-8")
 
@@ -118,7 +134,7 @@ def _markdown_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> st
 
 
 def _number(value: float) -> str:
-    """Three significant digits, and no exponent for anything of the size of daily life."""
+    """Format with three significant digits, without exponent from 1e-4 to 1e5."""
     if value == 0.0 or 1e-4 <= abs(value) < 1e5:
         digits = f"{value:.3g}" if abs(value) < 1e3 else f"{value:.0f}"
         return "0" if digits == "-0" else digits

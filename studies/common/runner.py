@@ -1,4 +1,4 @@
-"""All jobs of a validation in worker processes, and their judgement subject by subject."""
+"""Run all jobs of a validation in worker processes and judge the results of each subject."""
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -11,19 +11,19 @@ from studies.common.report import Section
 
 WORKERS = 2
 P = TypeVar("P")
-"""A plan: how much is measured."""
+"""Plan: number and length of the measurements."""
 
 Job = tuple[Callable[[Any], Any], Any]
-"""A function of a module, for it goes to another process, and its argument."""
+"""A function at module level, because it is pickled for another process, and its argument."""
 Results = dict[str, list[Any]]
 
 
 class Subject(Struct, Generic[P], frozen=True):
-    """What can be validated on its own: its jobs by group, and what is made of them."""
+    """Subject that can be validated by itself: its jobs by group, and the judgement of their results."""
 
     jobs: Callable[[P], dict[str, list[Job]]]
     judge: Callable[[P, Results, Path | None], Section]
-    """Given the results in the jobs' order, and the folder for figures, if they are wanted"""
+    """Arguments: plan, results in the order of the jobs, folder for figures or None"""
 
 
 def run_subjects(
@@ -33,9 +33,9 @@ def run_subjects(
     images: Path | None,
     progress: Callable[[str, int, int], None],
 ) -> list[Section]:
-    """Do what the subjects need, and judge it.
+    """Run the jobs of the subjects and judge their results.
 
-    ``progress`` is told the subject, how many of its jobs are done, and how many there are.
+    ``progress`` is called with the subject, the number of its finished jobs and their total.
     """
     results: dict[str, Results] = {}
     with ProcessPoolExecutor(WORKERS) as pool:

@@ -1,4 +1,4 @@
-"""Standard output for results alone."""
+"""Reserve standard output for results."""
 
 import os
 import sys
@@ -6,9 +6,9 @@ from typing import TextIO
 
 
 def keep_stdout() -> TextIO:
-    """Give a stream for the results, and let standard output be standard error for everybody else.
+    """Return a stream for the results, and redirect standard output to standard error.
 
-    Bullet prints a line of its own on standard output, at its import or when the process ends.
+    Bullet prints a line on standard output, at its import or when the process ends.
     """
     sys.stdout.flush()
     stdout = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")

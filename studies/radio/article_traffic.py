@@ -1,7 +1,7 @@
-"""What a swarm's radios are given to do, without the swarm: beacons and ranging of applications that hover.
+"""Record the radio traffic of a hovering swarm, beacons and ranging, without simulating its vehicles.
 
-The applications' own schedule (`autopilot.onboard.radio.traffic`) hears and measures through the emulator;
-what it hands over is kept, so that the emulator can be played the same again by itself.
+The applications' scheduler (`autopilot.onboard.radio.traffic`) sends, receives and ranges through the
+emulator; its transmissions are recorded, so that they can be replayed without the applications.
 """
 
 import math
@@ -19,11 +19,11 @@ from netsim.wire.messages import Delivery, FtmResult, RxItem, TxBatch
 SWAY_M = 0.2
 SWAY_HZ = 0.3
 TILT_RAD = 0.1
-"""Of vehicles that hold their places in wind: more or less, so that no link stands still."""
+"""Approximate motion of vehicles that hold their positions in wind, so that no link is static."""
 
 
 class Step(Struct, frozen=True, kw_only=True):
-    """One interval of the lockstep: what is handed over for it and how the vehicles move."""
+    """One lockstep interval: the transmissions submitted for it, and the state of the vehicles."""
 
     at_us: int
     to_us: int
@@ -34,28 +34,28 @@ class Step(Struct, frozen=True, kw_only=True):
 
 
 def emulator_of(scenario: Scenario) -> Emulator:
-    """Give a fresh emulator with the scenario's radio."""
+    """Return a new emulator with the scenario's radio."""
     seed = np.random.SeedSequence([scenario.run.seed])
     return Emulator(config=scenario.radio, stations=scenario.agents, seed=seed)
 
 
 def record(scenario: Scenario, seconds: float) -> list[Step]:
-    """Let the applications of a scenario talk for some time."""
+    """Record the traffic of a scenario's applications for ``seconds``."""
     emulator, step_us = emulator_of(scenario), scenario.run.step_us
     places_ned_m = scenario.places_ned_m()
-    talkers = [_Talker(scenario, i, places_ned_m[i]) for i in range(scenario.agents)]
+    applications = [_Application(scenario, i, places_ned_m[i]) for i in range(scenario.agents)]
     arrived: list[dict[int, list[RxItem]]] = [{}, {}]
     steps = []
     for number in range(round(1e6 * seconds / step_us)):
         now_us = number * step_us
-        # an interval's deliveries are seen two steps after it began
-        for station, heard in arrived.pop(0).items():
-            for item in heard:
-                talkers[station].hear(item, now_us)
+        # deliveries of an interval are available two steps after its start
+        for station, received in arrived.pop(0).items():
+            for item in received:
+                applications[station].receive(item, now_us)
         batches = tuple(
             TxBatch(station=i, now_us=now_us, items=items)
-            for i, talker in enumerate(talkers)
-            if (items := talker.traffic.due(talker.own, now_us, now_us + step_us, ranging=True))
+            for i, application in enumerate(applications)
+            if (items := application.traffic.due(application.own, now_us, now_us + step_us, ranging=True))
         )
         pos_ned_m, vel_ned_m_s, q_ned_frd = _motion(places_ned_m, 1e-6 * now_us)
         step = Step(
@@ -72,7 +72,7 @@ def record(scenario: Scenario, seconds: float) -> list[Step]:
 
 
 def advance(emulator: Emulator, step: Step) -> dict[int, list[RxItem]]:
-    """Hand a step's items over and simulate it; returns what has reached each station."""
+    """Submit the transmissions of a step and simulate it; return the received items by station."""
     for batch in step.batches:
         emulator.submit(batch)
     return emulator.advance(
@@ -84,8 +84,8 @@ def advance(emulator: Emulator, step: Step) -> dict[int, list[RxItem]]:
     )
 
 
-class _Talker:
-    """One vehicle's application as far as the radio is concerned."""
+class _Application:
+    """Radio part of one vehicle's application."""
 
     def __init__(self, scenario: Scenario, station: int, place_ned_m: Array) -> None:
         config = scenario.vehicle(station, run_id="bench", radio_endpoint=None, log_path=None)
@@ -101,16 +101,16 @@ class _Talker:
             rng=np.random.default_rng([scenario.run.seed, station]),
         )
 
-    def hear(self, item: RxItem, now_us: int) -> None:
+    def receive(self, item: RxItem, now_us: int) -> None:
         if isinstance(item, Delivery):
-            self.traffic.hearing.pages.put(item.source, item.payload)
-            self.traffic.hearing.read(now_us)
+            self.traffic.table.pages.put(item.source, item.payload)
+            self.traffic.table.read(now_us)
         elif isinstance(item, FtmResult):
             self.traffic.measured(item)
 
 
 def _motion(places_ned_m: Array, time_s: float) -> tuple[Array, Array, Array]:
-    """Positions (n, 3), velocities (n, 3) and attitudes (n, 4) of vehicles that sway, each for itself."""
+    """Positions (n, 3), velocities (n, 3) and attitudes (n, 4) of vehicles that sway independently."""
     stations = len(places_ned_m)
     phases = np.arange(3 * stations).reshape(stations, 3) + 2.0 * math.pi * SWAY_HZ * time_s
     half_rad = 0.5 * TILT_RAD * np.sin(phases[:, 0])

@@ -1,6 +1,7 @@
-"""What the emulated radio costs: saturated stations beside a peer's run of the same; a swarm's traffic.
+"""Benchmark of the emulated radio: saturated stations, optionally against a peer program; a swarm's traffic.
 
-Time is read here and nowhere below: wall time, and processor time, which others on the machine lengthen less.
+No module below this one reads the clock. Wall time and processor time are measured; processor time is less
+sensitive to other load on the machine.
 """
 
 import gc
@@ -11,7 +12,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 
 from msgspec import Struct
 
@@ -23,16 +23,15 @@ from netsim.wire.messages import RxBatch, TxBatch, decode, encode
 from studies.radio.article_traffic import Step, advance, emulator_of, record
 from studies.radio.saturation_section import MODES
 
-WIFI_LAB = Path(__file__).parents[2] / "scripts" / "wifi_lab.py"
 PAYLOAD_BYTES = 1000
 FASTER_LIMIT = 10.0
-"""Least ratio of speeds, emulator over peer"""
+"""Smallest allowed ratio of speeds, emulator over peer"""
 REAL_TIME_LIMIT = 0.15
-"""Of one core at real time, for the article's swarm"""
+"""Largest allowed share of one core at real time, for the article's swarm"""
 
 
 class RadioCost(Struct, frozen=True, kw_only=True):
-    """Time that was spent on a simulated second, seconds."""
+    """Time spent on a simulated second, in seconds."""
 
     wall_s: float
     cpu_s: float
@@ -44,33 +43,33 @@ class SaturatedCost(Struct, frozen=True, kw_only=True):
     stations: int
     rate_mbps: int
     process: RadioCost
-    """A process from its start to its end"""
+    """Complete process"""
     run: RadioCost
-    """Without start-up and end"""
+    """Without start-up and exit of the process"""
     floor: RadioCost
-    """Python's event queue alone: as many events, which do nothing; those of the air are compiled"""
+    """Python's event queue only: as many events without effect; the channel's events are compiled"""
     events: float
     peer: RadioCost | None
-    """Another program's process"""
+    """Complete process of the peer program"""
     faster_wall: float | None
-    """Speed over the peer's, both as whole processes, by wall time"""
+    """Speed over the peer's speed, complete processes, wall time"""
     faster_cpu: float | None
     faster_run: float | None
-    """The same without our start-up, by processor time"""
+    """The same without our start-up, processor time"""
 
 
 class ArticleCost(Struct, frozen=True, kw_only=True):
-    """A swarm's traffic in the lockstep's steps: medians over the repetitions, per simulated second."""
+    """A swarm's traffic in lockstep: medians over the repetitions, per simulated second."""
 
     stations: int
     emulator: RadioCost
     with_messages: RadioCost
-    """With decoding what comes from, and encoding what goes to the other processes"""
+    """Including decoding and encoding of the messages from and to other processes"""
     floor: RadioCost
     events: float
     frames: float
     steps_run: float
-    """Share of the steps in which the air was not quiet"""
+    """Share of the steps in which the channel was not idle"""
 
 
 def bench_saturated(
@@ -78,11 +77,11 @@ def bench_saturated(
 ) -> SaturatedCost:
     """Run emulator and peer in turn.
 
-    Raises subprocess.CalledProcessError or OSError for a peer that fails.
+    Raises subprocess.CalledProcessError or OSError if the peer fails.
     """
     command = [
-        sys.executable, str(WIFI_LAB), "saturation", "--stations", str(stations), "--rate-mbps",
-        str(rate_mbps), "--payload", str(PAYLOAD_BYTES), "--seconds", str(seconds), "--json",
+        sys.executable, "-m", "coflight", "radio", "saturation", "--stations", str(stations),
+        "--rate-mbps", str(rate_mbps), "--payload", str(PAYLOAD_BYTES), "--seconds", str(seconds), "--json",
     ]  # fmt: skip
 
     def run() -> None:
@@ -117,7 +116,7 @@ def bench_saturated(
 
 
 def bench_article(scenario: Scenario, *, seconds: float, repeats: int) -> ArticleCost:
-    """Record a swarm's traffic once and play it to a fresh emulator again and again."""
+    """Record a swarm's traffic once and replay it ``repeats`` times, each to a new emulator."""
     steps = record(scenario, seconds)
     with _scheduling() as intervals:
         frames, steps_run = play(scenario, steps)
@@ -139,9 +138,9 @@ def bench_article(scenario: Scenario, *, seconds: float, repeats: int) -> Articl
 
 
 def play(scenario: Scenario, steps: Sequence[Step]) -> tuple[int, int]:
-    """Simulate recorded steps as the time master asks for them; returns frames sent and steps run.
+    """Simulate recorded steps as the time master requests them; return frames sent and steps run.
 
-    What is quiet is skipped: see `harness.simulator.emulator_client`.
+    Idle steps are skipped: see `harness.simulator.emulator_client`.
     """
     emulator, run, frames = emulator_of(scenario), 0, 0
     for step in steps:
@@ -154,7 +153,7 @@ def play(scenario: Scenario, steps: Sequence[Step]) -> tuple[int, int]:
 
 
 class _Packed(Struct, frozen=True, kw_only=True):
-    """A step as its messages bring it."""
+    """A step as encoded messages."""
 
     at_us: int
     to_us: int
@@ -188,7 +187,7 @@ def _play_messages(scenario: Scenario, steps: Sequence[_Packed]) -> None:
         vel_ned_m_s = unpack_rows(packed.vel_ned_m_s, stations=stations, columns=3)
         q_ned_frd = unpack_rows(packed.q_ned_frd, stations=stations, columns=4)
         if pos_ned_m is None or vel_ned_m_s is None or q_ned_frd is None:
-            raise RuntimeError("messages that were encoded a moment ago cannot be decoded")
+            raise RuntimeError("messages that this benchmark encoded cannot be decoded")
         step = Step(
             at_us=packed.at_us,
             to_us=packed.to_us,
@@ -204,19 +203,19 @@ def _play_messages(scenario: Scenario, steps: Sequence[_Packed]) -> None:
 
 
 _Intervals = list[tuple[int, list[int]]]
-"""Runs of the event queue: (until when, times of what was scheduled before and during it), nanoseconds."""
+"""Runs of the event queue: (end, times of the events scheduled before and during it), nanoseconds."""
 
 
 @contextmanager
 def _scheduling() -> Iterator[_Intervals]:
-    """Note all that is scheduled with event queues."""
+    """Record the times of all events scheduled with event queues."""
     intervals: _Intervals = []
     times_ns: list[int] = []
     schedule, run_until = EventQueue.at, EventQueue.run_until
 
     def noted_at(queue: EventQueue, time_ns: int, *call: object) -> object:
         times_ns.append(time_ns)
-        return schedule(queue, time_ns, *call)  # type: ignore[arg-type]  # whatever they are
+        return schedule(queue, time_ns, *call)  # type: ignore[arg-type]  # any callback and its arguments
 
     def noted_run_until(queue: EventQueue, time_ns: int) -> None:
         run_until(queue, time_ns)
@@ -233,7 +232,7 @@ def _scheduling() -> Iterator[_Intervals]:
 
 
 def _play_empty(intervals: _Intervals) -> None:
-    """Schedule and run as many events at the same times, which do nothing."""
+    """Schedule and run events without effect at the same times."""
     queue = EventQueue()
     for until_ns, times_ns in intervals:
         for time_ns in times_ns:
@@ -246,7 +245,7 @@ def _nothing(_argument: None) -> None:
 
 
 def _cost(work: Callable[[], object], simulated_s: float) -> RadioCost:
-    """Of one call in this process; what lives before it is not walked, as in the emulator's process."""
+    """Return the cost of a call; older objects are frozen for garbage collection, as in the emulator."""
     gc.collect()
     gc.freeze()
     wall_s, cpu_s = time.perf_counter(), time.thread_time()
@@ -259,7 +258,7 @@ def _cost(work: Callable[[], object], simulated_s: float) -> RadioCost:
 
 
 def _process_cost(command: Sequence[str], simulated_s: float) -> RadioCost:
-    """Of a process and its children."""
+    """Return the cost of a process and its children."""
     wall_s, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

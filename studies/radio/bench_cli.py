@@ -1,4 +1,4 @@
-"""The radio benchmark's command line. Exit status: 0 it costs what it may, 1 it costs more, 2 bad input."""
+"""Command line of the radio benchmark. Exit status: 0 limits met, 1 a limit is exceeded, 2 bad input."""
 
 import shlex
 import subprocess
@@ -31,20 +31,21 @@ bench_radio_app = typer.Typer(add_completion=False, pretty_exceptions_enable=Fal
 
 @bench_radio_app.command()
 def bench_radio(
-    stations: Annotated[int, typer.Option(help="That are saturated.", min=1, max=1000)] = 20,
-    rate_mbps: Annotated[int, typer.Option(help=f"Of {', '.join(map(str, MODES))}.")] = 6,
-    seconds: Annotated[float, typer.Option(help="Simulated.", min=0.5)] = 10.0,
+    stations: Annotated[int, typer.Option(help="Number of saturated stations.", min=1, max=1000)] = 20,
+    rate_mbps: Annotated[int, typer.Option(help=f"Data rate, one of {', '.join(map(str, MODES))}.")] = 6,
+    seconds: Annotated[float, typer.Option(help="Simulated time.", min=0.5)] = 10.0,
     peer: Annotated[
-        str, typer.Option(help="Program that simulates the same, run in turn with ours.", metavar="COMMAND")
+        str,
+        typer.Option(help="Program that simulates the same case; run in turn with ours.", metavar="COMMAND"),
     ] = "",
     peer_seconds: Annotated[
-        float | None, typer.Option(help="That the peer simulates, if not --seconds.", min=0.5)
+        float | None, typer.Option(help="Simulated time of the peer, if not --seconds.", min=0.5)
     ] = None,
-    scenario: Annotated[Path, typer.Option(help="Whose swarm's traffic is played.")] = ARTICLE,
-    repeats: Annotated[int, typer.Option(help="Of everything; the medians count.", min=1)] = 3,
-    json: Annotated[bool, typer.Option("--json", help="The numbers alone on stdout.")] = False,  # noqa: FBT002
+    scenario: Annotated[Path, typer.Option(help="Scenario whose traffic is replayed.")] = ARTICLE,
+    repeats: Annotated[int, typer.Option(help="Number of repetitions; the medians count.", min=1)] = 3,
+    json: Annotated[bool, typer.Option("--json", help="Print only the numbers, as JSON.")] = False,  # noqa: FBT002
 ) -> None:
-    """Measure what the emulated radio costs, and how much faster it is than a peer."""
+    """Measure the run time of the emulated radio, and its speed relative to a peer program."""
     messages = Console(stderr=True, highlight=False)
     if rate_mbps not in MODES:
         messages.print(f"bench_radio: --rate-mbps {rate_mbps}: expected one of {', '.join(map(str, MODES))}")
@@ -78,10 +79,10 @@ def _saturated_table(cost: SaturatedCost) -> Table:
         title=f"{cost.stations} saturated stations at {cost.rate_mbps} Mbit/s, per simulated second",
         title_justify="left",
     )
-    for column in ("", "wall, s", "processor, s", "times real time", "peer's time over it"):
+    for column in ("", "wall, s", "processor, s", "real-time factor", "peer's time over ours"):
         table.add_column(column, justify="left" if not column else "right")
     rows = [("process", cost.process), ("without start-up", cost.run)]
-    rows.append((f"Python's event queue alone ({cost.events:.0f} events)", cost.floor))
+    rows.append((f"Python's event queue only ({cost.events:.0f} events)", cost.floor))
     for name, one in rows:
         table.add_row(name, *_cells(one), f"{cost.peer.wall_s / one.wall_s:.1f}" if cost.peer else "")
     if cost.peer is not None:
@@ -93,16 +94,16 @@ def _article_table(cost: ArticleCost, name: str) -> Table:
     table = Table(
         title=(
             f"{cost.stations} UAVs' traffic ({name}): {cost.frames:.0f} frames a second, "
-            f"{100 * cost.steps_run:.0f} % of the steps not quiet; per simulated second"
+            f"{100 * cost.steps_run:.0f} % of the steps not idle; per simulated second"
         ),
         title_justify="left",
     )
-    for column in ("", "wall, s", "processor, s", "times real time"):
+    for column in ("", "wall, s", "processor, s", "real-time factor"):
         table.add_column(column, justify="left" if not column else "right")
     table.add_row("emulator", *_cells(cost.emulator))
-    table.add_row("with its messages", *_cells(cost.with_messages))
-    table.add_row(f"Python's event queue alone ({cost.events:.0f} events)", *_cells(cost.floor))
-    table.add_row("allowed", "", f"{REAL_TIME_LIMIT:.4f}", "")
+    table.add_row("with messages", *_cells(cost.with_messages))
+    table.add_row(f"Python's event queue only ({cost.events:.0f} events)", *_cells(cost.floor))
+    table.add_row("limit", "", f"{REAL_TIME_LIMIT:.4f}", "")
     return table
 
 

@@ -1,4 +1,4 @@
-"""Periodic broadcasts against ns-3's runs."""
+"""Periodic broadcasts compared with ns-3."""
 
 import math
 from pathlib import Path
@@ -17,13 +17,13 @@ RATIO_TOLERANCE = 0.03
 DELAY_TOLERANCE = 0.10
 LONG_PERIOD_S = 0.1
 CAPACITY_HZ = 2_000.0
-"""Frames of 0.5 ms that fit, more or less: a channel that is offered more soon forgets the phases."""
+"""Approximate capacity for frames of 0.5 ms; above it the initial phases soon have no influence."""
 SURE = 2.0
-"""Standard errors of a difference of two means that are allowed it beside its tolerance."""
+"""Standard errors of a difference of two means that are added to its tolerance."""
 SAME_INSTANT_S = 2.0
-"""Without jitter every tick is the same."""
+"""Length of runs without jitter, in which every tick is the same."""
 LEAST_RATIO = 0.05
-"""Of what is delivered less often than this the delay says nothing."""
+"""Below this delivery ratio the delay is not compared."""
 
 
 class _Run(Struct, frozen=True, kw_only=True):
@@ -44,7 +44,7 @@ def _broadcast(run: _Run) -> BroadcastResult:
 
 
 def jobs(plan: RadioPlan) -> dict[str, list[Job]]:
-    """Every row with as many ticks as ns-3's run had, the longest runs first."""
+    """Return the jobs of every row, as many ticks as in ns-3's run, the longest runs first."""
     rows = sorted(_rows(plan), key=lambda row: -row.stations * row.stations / row.period_s)
     return {
         _key(row): [(_broadcast, _Run(row=row, seed=seed)) for seed in range(1, _seeds(plan, row) + 1)]
@@ -60,28 +60,28 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
     delays_ms = {key: mean_of([run.mean_delay_ms for run in group]) for key, group in results.items()}
     for row in rows:
         key, name = _key(row), _name(row)
-        wanted, wanted_ms = theirs(row)
-        spare = SURE * difference_error(ratios[key], wanted) if _is_drawn(row) else 0.0
-        spare_ms = SURE * difference_error(delays_ms[key], wanted_ms) if _is_drawn(row) else 0.0
+        reference, reference_ms = theirs(row)
+        spare = SURE * difference_error(ratios[key], reference) if _is_drawn(row) else 0.0
+        spare_ms = SURE * difference_error(delays_ms[key], reference_ms) if _is_drawn(row) else 0.0
         checks.append(
             Check(
                 name=f"{name}: delivered", value=ratios[key].value, unit="",
-                at_least=max(wanted.value - RATIO_TOLERANCE - spare, 0.0),
-                at_most=min(wanted.value + RATIO_TOLERANCE + spare, 1.0),
+                at_least=max(reference.value - RATIO_TOLERANCE - spare, 0.0),
+                at_most=min(reference.value + RATIO_TOLERANCE + spare, 1.0),
             )
         )  # fmt: skip
-        if wanted.value > LEAST_RATIO:
+        if reference.value > LEAST_RATIO:
             checks.append(
                 Check(
                     name=f"{name}: mean delay", value=delays_ms[key].value, unit="ms",
-                    at_least=(1.0 - DELAY_TOLERANCE) * wanted_ms.value - spare_ms,
-                    at_most=(1.0 + DELAY_TOLERANCE) * wanted_ms.value + spare_ms,
+                    at_least=(1.0 - DELAY_TOLERANCE) * reference_ms.value - spare_ms,
+                    at_most=(1.0 + DELAY_TOLERANCE) * reference_ms.value + spare_ms,
                 )
             )  # fmt: skip
         p95_ms = mean_of([run.p95_ms for run in results[key]])
-        delay = f"{delays_ms[key].text(3)} ({wanted_ms.text(3)})" if row.mean_delay_ms else ""
+        delay = f"{delays_ms[key].text(3)} ({reference_ms.text(3)})" if row.mean_delay_ms else ""
         cells.append((
-            name, str(len(results[key])), f"{ratios[key].text(4)} ({wanted.text(4)})",
+            name, str(len(results[key])), f"{ratios[key].text(4)} ({reference.text(4)})",
             delay, f"{p95_ms.value:.2f}" if row.mean_delay_ms else "",
         ))  # fmt: skip
     figures: tuple[tuple[str, str], ...] = ()
@@ -91,22 +91,22 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
             [(row, (ratios[_key(row)], delays_ms[_key(row)]), theirs(row)) for row in rows],
             long_s=LONG_PERIOD_S,
         )
-        figures = (("radio-broadcast.png", "delivery and delay of broadcasts beside ns-3's"),)
+        figures = (("radio-broadcast.png", "delivery and delay of broadcasts, compared with ns-3"),)
     return Section(
         title="Periodic broadcasts",
         conditions=(
-            "All stations tick together; at each tick each sends one datagram of 300 B of UDP to everybody, "
-            "after jitter that is uniform below the given bound and drawn afresh, or at a phase that it drew "
-            "once for good: 802.11a at 6 Mbit/s, DCF, no acknowledgement, no repetition, all in range, no "
-            "channel errors. ns-3's rows are one run of ns-3 3.37 each; ours have as many ticks (60 s of "
-            "0.1 s, or 20 s) and are the mean of several runs. With phases drawn once in periods shorter "
-            "than 100 ms single runs differ by more than is allowed, ns-3's among themselves too: "
-            f"there our mean is compared with ns-3's of several seeds, and {SURE:g} standard errors of the "
-            "difference are allowed beside. Delivered is the share of receptions that there could have been; "
-            "the delay is from the application's call to the end of the frame. Required is the delivery "
-            f"ratio within {RATIO_TOLERANCE:g} and, where it is over {LEAST_RATIO:g}, the mean delay within "
-            f"{100 * DELAY_TOLERANCE:.0f} %. Stations that send in the same instant on an idle medium, which "
-            "is jitter 0, all collide.\n"
+            "All stations have synchronous ticks. At each tick each station broadcasts one datagram of 300 "
+            "B of UDP, after a new uniform jitter below the given bound, or at a phase that is drawn once: "
+            "802.11a at 6 Mbit/s, DCF, no acknowledgements, no retransmissions, all stations in range, no "
+            "channel errors. A row of ns-3 is one run of ns-3 3.37; ours have as many ticks (60 s at 0.1 "
+            "s, or 20 s) and are the mean of several runs. With phases drawn once and periods below 100 "
+            "ms, single runs differ by more than the tolerance, in ns-3 as well: there our mean is "
+            f"compared with the mean of several ns-3 seeds, and {SURE:g} standard errors of the difference "
+            "are added to the tolerance. Delivered is the share of the possible receptions; the delay is "
+            "from the application's call to the end of the frame. The delivery ratio must agree within "
+            f"{RATIO_TOLERANCE:g}, and where it is above {LEAST_RATIO:g}, the mean delay within "
+            f"{100 * DELAY_TOLERANCE:.0f} %. With jitter 0 all stations send at the same instant on an idle "
+            "medium, so all frames collide.\n"
         ),
         checks=tuple(checks),
         tables=(
@@ -121,7 +121,7 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
 
 
 def theirs(row: Broadcasts) -> tuple[Mean, Mean]:
-    """Give ns-3's delivery ratio and mean delay in ms: the row's, or the mean of its seeds."""
+    """Return ns-3's delivery ratio and mean delay in ms: those of the row, or the mean over its seeds."""
     draws = ns3_phase_draws().get((row.stations, row.period_s)) if _is_drawn(row) else None
     ratios, delays_ms = zip(*(draws or [(row.delivery_ratio, row.mean_delay_ms)]), strict=True)
     return mean_of(ratios), mean_of(delays_ms)
@@ -132,9 +132,9 @@ def _rows(plan: RadioPlan) -> list[Broadcasts]:
 
 
 def _seeds(plan: RadioPlan, row: Broadcasts) -> int:
-    """Give the number of runs: the fewer datagrams one has, the more."""
+    """Return the number of runs, larger for runs with fewer datagrams."""
     if row.jitter_s == 0.0:
-        return 1  # nothing is drawn that could matter
+        return 1  # deterministic
     if _is_drawn(row) and row.stations / row.period_s < CAPACITY_HZ:
         return plan.phase_seeds
     in_one = row.stations * row.seconds / row.period_s
@@ -142,7 +142,7 @@ def _seeds(plan: RadioPlan, row: Broadcasts) -> int:
 
 
 def _is_drawn(row: Broadcasts) -> bool:
-    """Whether what is delivered hangs on the phases that were drawn."""
+    """Whether the result depends on the phases that were drawn."""
     return row.jitter_s < 0.0 and row.period_s < LONG_PERIOD_S
 
 

@@ -1,4 +1,4 @@
-"""The command line of the radio's validation: see `studies.common.command_line`."""
+"""Command line of the radio's validation: see `studies.common.command_line`."""
 
 import sys
 from pathlib import Path
@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from harness.launch import kernel_cache
-from studies.common.command_line import Page, chosen, run_with_progress, tell
+from studies.common.command_line import Page, chosen, report_and_exit, run_with_progress
 from studies.common.runner import Subject
 from studies.radio import broadcast_section, error_section, mesh_section, ranging_section, saturation_section
 from studies.radio.plan import QUICK_RADIO, RadioPlan
@@ -21,17 +21,17 @@ SUBJECTS: dict[str, Subject[RadioPlan]] = {
     "ftm": Subject(ranging_section.jobs, ranging_section.judge),
     "per": Subject(error_section.jobs, error_section.judge),
 }
-"""The longest jobs come first."""
+"""In the order of execution: the longest jobs first."""
 ORDER = ("saturation", "broadcast", "per", "ftm", "ftm-mesh")
-"""Of the page."""
-INTRODUCTION = """The 802.11 emulator without a flight, against ns-3 3.37, Bianchi's model and the figures
-of the standard. Every number comes from
+"""Order of the sections on the page."""
+INTRODUCTION = """The 802.11 emulator without a flight, compared with ns-3 3.37, Bianchi's model and the
+figures of the standard. All numbers are produced by
 
     python scripts/validate_radio.py
 
-which simulates everything again and takes some minutes on two cores; with `--out docs` it writes this page
-and its figures. What ns-3 and Bianchi's model gave stands in `tests/reference`. All runs follow from their
-seeds: the same sources give the same numbers.
+which repeats all simulations in some minutes on two cores; with `--out docs` it writes this page and its
+figures. The reference results of ns-3 and Bianchi's model are in `studies/reference`. All runs are determined
+by their seeds: the same sources give the same numbers.
 """
 PAGE = Page(file_name="radio-validation.md", title="Validation of the radio", introduction=INTRODUCTION)
 
@@ -45,12 +45,13 @@ def validate_radio(
         ORDER
     ),
     seeds: Annotated[int | None, typer.Option(help="Runs of each condition.", min=1)] = None,
-    json: Annotated[bool, typer.Option("--json", help="The numbers alone on stdout.")] = False,  # noqa: FBT002
+    json: Annotated[bool, typer.Option("--json", help="Print only the numbers, as JSON.")] = False,  # noqa: FBT002
     out: Annotated[
-        Path | None, typer.Option(help="Folder for radio-validation.md and images/; none writes nothing.")
+        Path | None,
+        typer.Option(help="Folder for radio-validation.md and images/; without it no file is written."),
     ] = None,
 ) -> None:
-    """Measure how right the emulated radio is, by what others measured on the same work."""
+    """Compare the emulated radio with reference results for the same traffic."""
     messages = Console(stderr=True, highlight=False)
     names = chosen("validate_radio", only, ORDER, messages)
     plan = QUICK_RADIO if quick else RadioPlan()
@@ -60,4 +61,4 @@ def validate_radio(
     subjects = {name: subject for name, subject in SUBJECTS.items() if name in names}
     judged = dict(zip(subjects, run_with_progress(plan, subjects, out=out, messages=messages), strict=True))
     sections = [judged[name] for name in ORDER if name in judged]
-    tell(sections, page=PAGE, out=out, json=json, stdout=sys.stdout, px4=False)
+    report_and_exit(sections, page=PAGE, out=out, json=json, stdout=sys.stdout, px4=False)

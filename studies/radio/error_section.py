@@ -1,4 +1,4 @@
-"""Packet error rates against ns-3's models."""
+"""Packet error rates compared with ns-3's models."""
 
 from pathlib import Path
 
@@ -20,8 +20,8 @@ DRAWN_BYTES = 1458
 DRAWN_POINTS = 701
 
 
-def jobs(plan: RadioPlan) -> dict[str, list[Job]]:  # noqa: ARG001  # one shape
-    """One job for each of ns-3's curves: ours at the same ratios."""
+def jobs(plan: RadioPlan) -> dict[str, list[Job]]:  # noqa: ARG001  # common signature
+    """Return one job for each of ns-3's curves: our rates at the same signal-to-noise ratios."""
     return {"curves": [(_rates, curve) for curve in ns3_error_curves()]}
 
 
@@ -32,8 +32,8 @@ def _rates(curve: ErrorCurve) -> tuple[float, ...]:
     )
 
 
-def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:  # noqa: ARG001  # one shape
-    """Compare where the curves come down to 10 %."""
+def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:  # noqa: ARG001  # common signature
+    """Compare the signal-to-noise ratios at which the curves reach 10 %."""
     curves = ns3_error_curves()
     rates: list[tuple[float, ...]] = results["curves"]
     ours_db = [crossing_db(curve.snr_db, per, TARGET) for curve, per in zip(curves, rates, strict=True)]
@@ -58,21 +58,22 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:  #
             for fine_db in [tuple(np.linspace(curve.snr_db[0], curve.snr_db[-1], DRAWN_POINTS).tolist())]
         ]
         save_error_rates(images / "radio-per.png", drawn)
-        figures = (("radio-per.png", "packet error rates of all modes beside ns-3's"),)
+        figures = (("radio-per.png", "packet error rates of all modes, compared with ns-3"),)
     return Section(
         title="Packet error rates",
         conditions=(
-            "Frames of one length over white Gaussian noise, their preamble not counted: non-HT modes at "
-            "20 MHz beside ns-3's NIST model, VHT modes with one spatial stream at 80 MHz beside its tables, "
-            "which come from link simulations. The signal-to-noise ratio is that of the power in the "
-            f"channel. Compared is the ratio at which the packet error rate is {TARGET:g}, on both sides by "
-            "interpolation between the same points, 0.5 dB apart. Required is the same within "
-            f"{TOLERANCE_DB['nist']:g} dB of NIST and {TOLERANCE_DB['table']:g} dB of the tables.\n"
+            "Frames of one length in white Gaussian noise, without their preamble: non-HT modes at 20 MHz "
+            "compared with ns-3's NIST model, VHT modes with one spatial stream at 80 MHz compared with "
+            "its tables, which come from link simulations. The signal-to-noise ratio (SNR) refers to the "
+            "power in the channel. The compared value is the SNR at which the packet error rate is "
+            f"{TARGET:g}; both are interpolated between the same points, 0.5 dB apart. It must agree within "
+            f"{TOLERANCE_DB['nist']:g} dB with NIST and within {TOLERANCE_DB['table']:g} dB with the "
+            "tables.\n"
         ),
         checks=tuple(checks),
         tables=(
             ReportTable(
-                caption=f"SNR at PER {TARGET:g}, dB (ns-3; ours less it):",
+                caption=f"SNR at PER {TARGET:g}, dB (ns-3; difference):",
                 columns=("mode", *(f"{length} B" for length in lengths)),
                 rows=tuple(
                     (mode, *(cells.get((mode, length), "") for length in lengths))

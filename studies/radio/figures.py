@@ -1,4 +1,4 @@
-"""Figures of the radio's validation: drawn from numbers with matplotlib's objects alone. PNG files."""
+"""Figures of the radio's validation as PNG files, drawn with matplotlib's object interface."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,7 +18,7 @@ RANGING_TICKS_M = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 
 
 def save_saturation(path: Path, rows: Sequence[tuple[str, Saturated, Mean]]) -> None:
-    """Throughput over the number of stations: (``ns3`` or ``bianchi``, reference, ours)."""
+    """Plot throughput over the number of stations: (``ns3`` or ``bianchi``, reference, ours)."""
     figure = Figure(figsize=(10.0, 4.4), layout="constrained")
     left, right = figure.subplots(1, 2)
     for axes, reference, title in (
@@ -46,9 +46,9 @@ def save_saturation(path: Path, rows: Sequence[tuple[str, Saturated, Mean]]) -> 
 def save_broadcast(
     path: Path, rows: Sequence[tuple[Broadcasts, tuple[Mean, Mean], tuple[Mean, Mean]]], *, long_s: float
 ) -> None:
-    """Delivery ratio and mean delay over the number of stations: (row, ours, ns-3's).
+    """Plot delivery ratio and mean delay over the number of stations: (row, ours, ns-3's).
 
-    Rows of the period ``long_s`` on the left with a curve for each jitter, shorter ones on the right.
+    Rows of the period ``long_s`` are on the left with a curve for each jitter, shorter periods on the right.
     """
     figure = Figure(figsize=(10.0, 7.6), layout="constrained")
     grid = figure.subplots(2, 2)
@@ -60,7 +60,7 @@ def save_broadcast(
         counts = [stations for stations, *_ in curve]
         for place in range(2):
             if place == 1 and jitter_s == 0.0:
-                continue  # nothing arrives, so nothing is late
+                continue  # nothing is delivered, so there is no delay
             axes = grid[place][column]
             _errorbar(axes, counts, [ours[place] for _, ours, _ in curve], color=f"C{i}", label=label)
             _errorbar(
@@ -88,7 +88,7 @@ def _jitter(jitter_s: float) -> str:
 def save_error_rates(
     path: Path, curves: Sequence[tuple[ErrorCurve, Sequence[float], Sequence[float]]]
 ) -> None:
-    """Packet error rate over the ratio: (ns-3's as dots, our ratios in dB and rates as lines)."""
+    """Plot packet error rate over SNR: (ns-3's curve as dots, our ratios in dB and rates as lines)."""
     figure = Figure(figsize=(10.0, 4.4), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     for axes, model, title in (
@@ -113,7 +113,7 @@ def save_error_rates(
 def save_ranging(
     path: Path, *, frames: Sequence[int], spreads: Mapping[int, tuple[float, list[float]]]
 ) -> None:
-    """Error's sigma over the round trips of a session by width: (sigma of one round trip, sigmas)."""
+    """Plot the error's sigma over the round trips of a session, by width: (sigma of one trip, sigmas)."""
     figure = Figure(figsize=(6.4, 4.2), layout="constrained")
     axes = figure.subplots()
     trips = np.array(frames) - 1
@@ -135,19 +135,19 @@ def save_ranging(
 
 
 def save_mesh(path: Path, periods: Mapping[float, Sequence[Mesh]]) -> None:
-    """Shares and delay over the number of stations, by period."""
+    """Plot shares and delay over the number of stations, by period."""
     figure = Figure(figsize=(10.0, 6.4), layout="constrained")
     grid = figure.subplots(2, len(periods), sharex=True, sharey="row", squeeze=False)
     for column, (period_s, row) in enumerate(periods.items()):
         shares, delays = grid[0][column], grid[1][column]
         counts = [mesh.stations for mesh in row]
-        shares.plot(counts, [mesh.wanted for mesh in row], "k--", linewidth=1.0, label="air time wanted")
+        shares.plot(counts, [mesh.requested for mesh in row], "k--", linewidth=1.0, label="requested")
         shares.plot(
             counts,
-            [min(1.0 / mesh.wanted, 1.0) for mesh in row],
+            [min(1.0 / mesh.requested, 1.0) for mesh in row],
             "k:",
             linewidth=1.0,
-            label="what fits of it",
+            label="fits",
         )
         for label, marker, means in (
             ("sessions completed", "o", [mesh.completed for mesh in row]),

@@ -1,4 +1,4 @@
-"""Fine Time Measurement between all pairs against the air time that it needs."""
+"""Fine Time Measurement between all pairs compared with the air time that it needs."""
 
 from pathlib import Path
 
@@ -15,12 +15,12 @@ from studies.radio.statistics import Mesh, mean_of
 PERIODS_S = (0.1, 0.05)
 FRAMES = 8
 FITS, FULL = 0.6, 1.2
-"""Share of the time that the sessions want: below the first nearly all must come about, above the second they
-cannot."""
+"""Requested shares of the air time: up to `FITS` nearly all sessions must complete, from `FULL` on the
+channel is full."""
 COMPLETED = 0.98
 LOST, SHARED = 0.25, 0.15
-"""Of a full channel's capacity: what collisions and sessions that fail half-way may take, and what stations
-that wait at the same time may save."""
+"""Shares of a full channel's capacity: loss by collisions and aborted sessions, gain by stations that wait at
+the same time."""
 DELAYED = 3.0
 
 
@@ -42,7 +42,7 @@ def _range_mesh(run: _Run) -> MeshResult:
 
 
 def jobs(plan: RadioPlan) -> dict[str, list[Job]]:
-    """Every number of stations with every seed, the longest runs first."""
+    """Return the jobs of every number of stations with every seed, the longest runs first."""
     return {
         _key(period_s, stations): [
             (_range_mesh, _Run(stations=stations, period_s=period_s, seconds=plan.mesh_s, seed=seed))
@@ -54,7 +54,7 @@ def jobs(plan: RadioPlan) -> dict[str, list[Job]]:
 
 
 def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
-    """Check that round trips come about as far as the sessions' air time lets them."""
+    """Check the completed round trips against the available air time."""
     counts = range(2, plan.mesh_stations + 1)
     periods = {period_s: [_means(results[_key(period_s, n)]) for n in counts] for period_s in PERIODS_S}
     checks = [check for period_s, row in periods.items() for check in _checks(period_s, row)]
@@ -65,25 +65,25 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
     return Section(
         title="Fine Time Measurement of all pairs",
         conditions=(
-            "n stations on a circle of 30 m range to every other one once in a period, 80 MHz, VHT MCS 0, "
-            f"AC_VO, {FRAMES} frames in a burst, requests spread evenly over the period from a phase of each "
-            "station's own on, with a time-out of one period. Wanted is the air time of one session alone "
-            "times the sessions asked for. Completed are the sessions that gave a distance; a burst that "
-            f"does not get through in its time ends with fewer than {FRAMES - 1} round trips, so what the "
-            "channel carried are the round trips, of those asked for. Where less than "
-            f"{100 * FITS:.0f} % of the time is wanted nearly all sessions must complete. Where more than "
-            f"{100 * FULL:.0f} % is wanted the channel is full: of the round trips there must be the share "
-            f"that fits, one over what is wanted, less at most {100 * LOST:.0f} % for collisions and for "
-            f"sessions that fail half-way, and at most {100 * SHARED:.0f} % more, for stations that wait at "
-            f"the same time; and a session takes at least {DELAYED:g} times as long as between two stations "
-            f"alone. Mean of {plan.seeds} runs of {plan.mesh_s:g} s.\n"
+            "n stations on a circle of 30 m range to each other station once in a period: 80 MHz, VHT MCS 0, "
+            f"AC_VO, {FRAMES} frames in a burst. The requests of a station are spread evenly over the period "
+            "from an individual phase on, with a time-out of one period. The requested air time is that of a "
+            "single session times the number of requested sessions. Completed are the sessions that return a "
+            f"distance; a burst that exceeds its time ends with fewer than {FRAMES - 1} round trips, so the "
+            "channel's throughput is the share of the requested round trips. If less than "
+            f"{100 * FITS:.0f} % of the time is requested, nearly all sessions must complete. If more than "
+            f"{100 * FULL:.0f} % is requested, the channel is full: the share of round trips must be the one "
+            f"that fits, 1 over the requested air time, less at most {100 * LOST:.0f} % for collisions and "
+            f"aborted sessions, plus at most {100 * SHARED:.0f} % for stations that wait at the same time; "
+            f"and a session takes at least {DELAYED:g} times as long as between two stations only. Mean of "
+            f"{plan.seeds} runs of {plan.mesh_s:g} s.\n"
         ),
         checks=tuple(checks),
         tables=(
             ReportTable(
                 caption="By number of stations (delay ± standard error):",
                 columns=(
-                    "period, s", "n", "sessions/s", "air wanted", "completed", "round trips", "delay, ms",
+                    "period, s", "n", "sessions/s", "air requested", "completed", "round trips", "delay, ms",
                     "busy",
                 ),
                 rows=tuple(_cells(period_s, mesh) for period_s, row in periods.items() for mesh in row),
@@ -94,19 +94,19 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
 
 
 def _checks(period_s: float, row: list[Mesh]) -> list[Check]:
-    """Requirements of one period; the first of the row are two stations."""
+    """Return the checks of one period; the first entry of the row has two stations."""
     checks = []
     for mesh in row:
         name = f"n = {mesh.stations} every {period_s:g} s"
-        if mesh.wanted <= FITS:
+        if mesh.requested <= FITS:
             checks.append(
                 Check(name=f"{name}: completed", value=mesh.completed.value, unit="", at_least=COMPLETED)
             )
-        elif mesh.wanted >= FULL:
+        elif mesh.requested >= FULL:
             checks += [
                 Check(
-                    name=f"{name}: round trips of those asked for", value=mesh.round_trips.value, unit="",
-                    at_least=(1.0 - LOST) / mesh.wanted, at_most=(1.0 + SHARED) / mesh.wanted,
+                    name=f"{name}: share of the requested round trips", value=mesh.round_trips.value, unit="",
+                    at_least=(1.0 - LOST) / mesh.requested, at_most=(1.0 + SHARED) / mesh.requested,
                 ),
                 Check(
                     name=f"{name}: delay over that of two stations",
@@ -120,7 +120,7 @@ def _cells(period_s: float, mesh: Mesh) -> tuple[str, ...]:
     sessions_s = mesh.stations * (mesh.stations - 1) / period_s
     shares = (mesh.completed.value, mesh.round_trips.value)
     return (
-        f"{period_s:g}", str(mesh.stations), f"{sessions_s:.0f}", f"{100 * mesh.wanted:.0f} %",
+        f"{period_s:g}", str(mesh.stations), f"{sessions_s:.0f}", f"{100 * mesh.requested:.0f} %",
         *(f"{100 * share:.1f} %" for share in shares), mesh.delay_ms.text(2),
         f"{100 * mesh.busy.value:.0f} %",
     )  # fmt: skip
@@ -133,7 +133,7 @@ def _key(period_s: float, stations: int) -> str:
 def _means(runs: list[MeshResult]) -> Mesh:
     return Mesh(
         stations=runs[0].stations,
-        wanted=float(np.mean([run.airtime_fraction for run in runs])),
+        requested=float(np.mean([run.airtime_fraction for run in runs])),
         completed=mean_of([run.completed_fraction for run in runs]),
         round_trips=mean_of([run.completed_fraction * run.round_trips_mean / (FRAMES - 1) for run in runs]),
         delay_ms=mean_of([run.mean_delay_ms for run in runs]),

@@ -1,4 +1,4 @@
-"""What others measured on the same work: the tables in tests/reference, whose README says how."""
+"""Reference results for the same traffic: tables in studies/reference; its README states their origin."""
 
 import csv
 from collections.abc import Iterator
@@ -8,13 +8,13 @@ from msgspec import Struct
 
 from netsim.model.config import BandwidthMhz, Mode
 
-REFERENCE = Path(__file__).parents[2] / "tests" / "reference"
+REFERENCE = Path(__file__).parents[2] / "studies" / "reference"
 NS3_PAYLOAD_OVERHEAD_BYTES = 8 + 20 + 8
-"""UDP, IPv4 and LLC/SNAP headers around a payload of UDP."""
+"""UDP, IPv4 and LLC/SNAP headers around a UDP payload."""
 BIANCHI_PACKET_BYTES = 1500
 BIANCHI_UDP_BYTES = BIANCHI_PACKET_BYTES + 8 - NS3_PAYLOAD_OVERHEAD_BYTES
-"""ns-3 sends its reference's packets without IP and UDP, so 1500 B and LLC/SNAP: as many bytes of MAC payload
-as this much UDP payload makes."""
+"""UDP payload with the same MAC payload as the reference's packets, which have LLC/SNAP but neither IP nor
+UDP."""
 
 
 class Saturated(Struct, frozen=True, kw_only=True):
@@ -28,17 +28,17 @@ class Saturated(Struct, frozen=True, kw_only=True):
 
 
 class Broadcasts(Struct, frozen=True, kw_only=True):
-    """What became of periodic broadcasts; a negative jitter is a phase for good, uniform in the period."""
+    """Result of periodic broadcasts; a negative jitter is a phase drawn once, uniform in the period."""
 
     stations: int
     payload_bytes: int
     period_s: float
     jitter_s: float
     seconds: float
-    """For how long ns-3 let them send"""
+    """Simulated time in ns-3"""
     delivery_ratio: float
     mean_delay_ms: float
-    """0 if nothing arrived"""
+    """0 if nothing was delivered"""
 
 
 class ErrorCurve(Struct, frozen=True, kw_only=True):
@@ -54,7 +54,7 @@ class ErrorCurve(Struct, frozen=True, kw_only=True):
 
 
 def ns3_saturation() -> list[Saturated]:
-    """Runs of ns-3 3.37: 802.11a, UDP, control frames at 6 Mbit/s."""
+    """Return runs of ns-3 3.37: 802.11a, UDP, control frames at 6 Mbit/s."""
     return [
         Saturated(
             stations=int(row["n"]),
@@ -68,7 +68,7 @@ def ns3_saturation() -> list[Saturated]:
 
 
 def bianchi() -> list[Saturated]:
-    """Bianchi's model as ns-3 checks itself by it, for packets of `BIANCHI_PACKET_BYTES`."""
+    """Return the values of Bianchi's model in ns-3's own test, for packets of `BIANCHI_PACKET_BYTES`."""
     return [
         Saturated(
             stations=int(row["n"]),
@@ -82,7 +82,7 @@ def bianchi() -> list[Saturated]:
 
 
 def ns3_broadcasts() -> list[Broadcasts]:
-    """Runs of ns-3 3.37: 802.11a at 6 Mbit/s, UDP."""
+    """Return runs of ns-3 3.37: 802.11a at 6 Mbit/s, UDP."""
     return [
         Broadcasts(
             stations=int(row["n"]),
@@ -98,9 +98,9 @@ def ns3_broadcasts() -> list[Broadcasts]:
 
 
 def ns3_phase_draws() -> dict[tuple[int, float], list[tuple[float, float]]]:
-    """Delivery ratio and mean delay in ms of ns-3's runs with further seeds, by (stations, period in s).
+    """Return delivery ratio and mean delay (ms) of ns-3's runs with further seeds, by (stations, period, s).
 
-    Of rows whose stations draw their phases once, and send so often that what is delivered hangs on them.
+    For rows with phases drawn once and periods so short that the result depends on the phases.
     """
     draws: dict[tuple[int, float], list[tuple[float, float]]] = {}
     for row in _rows("ns3_broadcast_phases.csv"):
@@ -110,12 +110,12 @@ def ns3_phase_draws() -> dict[tuple[int, float], list[tuple[float, float]]]:
 
 
 def _broadcast_seconds(period_s: float) -> float:
-    """Length of ns-3's run: with these its program gives the table's rows digit by digit."""
+    """Return the length of ns-3's run; with it the ns-3 program reproduces the rows of the table exactly."""
     return 60.0 if period_s == 0.1 else 20.0  # two sets of runs
 
 
 def ns3_error_curves() -> list[ErrorCurve]:
-    """ns-3 3.37's models: NIST for non-HT modes, its tables of link simulations for VHT."""
+    """Return ns-3 3.37's error models: NIST for non-HT modes, tables of link simulations for VHT."""
     points: dict[tuple[str, int, int], list[tuple[float, float]]] = {}
     for row in _rows("ns3_per.csv"):
         column = "per_table" if row["mode"].startswith("vht") else "per_nist"
@@ -123,7 +123,7 @@ def ns3_error_curves() -> list[ErrorCurve]:
         points.setdefault(key, []).append((float(row["snr_db"]), float(row[column])))
     return [
         ErrorCurve(
-            mode=mode,  # type: ignore[arg-type]  # the table names no others
+            mode=mode,  # type: ignore[arg-type]  # the table contains no others
             width_mhz=width_mhz,  # type: ignore[arg-type]
             frame_bytes=frame_bytes,
             model="table" if mode.startswith("vht") else "nist",

@@ -1,24 +1,24 @@
-"""How much the radio's validation simulates."""
+"""Number and length of the runs in the radio's validation."""
 
 from msgspec import Struct
 
 
 class RadioPlan(Struct, frozen=True, kw_only=True):
-    """How much is simulated."""
+    """Number and length of the runs."""
 
     seeds: int = 3
     """Runs of each condition; their mean is judged"""
     stations: int = 100
-    """Rows of the references with more are left out"""
+    """Reference rows with more stations are skipped"""
     packets: int = 4_000
-    """Delivered in each saturated run, more or less: the same relative error for every rate"""
+    """Delivered in each saturated run, approximately: the same relative error for every rate"""
     datagrams: int = 30_000
-    """Sent in all runs of a condition of the broadcasts, so that few stations make more runs, up to four
-    times ``seeds``"""
+    """Broadcasts sent in all runs of a condition together; conditions with few stations have more runs, at
+    most four times ``seeds``"""
     phase_seeds: int = 6
-    """Runs of the broadcasts whose stations draw their phases once in a short period: few draws, so more"""
+    """Runs of broadcasts in short periods with phases drawn once, which have few draws each"""
     sessions: int = 2_000
-    """Of Fine Time Measurement in each condition and seed"""
+    """Fine Time Measurement sessions in each condition and seed"""
     mesh_stations: int = 12
     mesh_s: float = 2.0
 

@@ -1,4 +1,4 @@
-"""Fine Time Measurement of one pair against its figures."""
+"""Fine Time Measurement of one pair compared with its reference figures."""
 
 import math
 from pathlib import Path
@@ -17,7 +17,7 @@ from studies.radio.statistics import mean_of
 BIAS_M = 0.7
 BIAS_LIMIT_M = 0.01
 BIAS_SESSIONS = 2_000
-"""That the limit is asked for: its mean has a standard error of 3 mm at 20 MHz."""
+"""Sessions in each mean that is compared with the limit; its standard error is 3 mm at 20 MHz."""
 WIDTHS: tuple[BandwidthMhz, ...] = (20, 40, 80)
 ROUND_TRIP_M: dict[BandwidthMhz, float] = {20: 0.384, 40: 0.161}
 """Measured over cable (Zubow et al., WONS 2022): 2563 and 1075 ps, times c/2."""
@@ -29,7 +29,7 @@ AIRTIMES_MS: tuple[tuple[BandwidthMhz, Mode, float], ...] = (
     (20, "ofdm24", 1.18),
     (80, "vht_mcs0", 1.50),
 )
-"""Of a session of eight measurement frames at AC_VO, computed from the standard's timing."""
+"""Air time of a session of eight measurement frames at AC_VO, computed from the standard's timing."""
 AIRTIME_TOLERANCE = 0.05
 
 
@@ -54,7 +54,7 @@ def _range_pair(pair: _Pair) -> FtmResultSummary:
 
 
 def jobs(plan: RadioPlan) -> dict[str, list[Job]]:
-    """Every width with every seed; every length of a burst; every air time."""
+    """Return the jobs: every width with every seed, every burst length, every air time."""
     groups: dict[str, list[Job]] = {
         f"width/{width}": [
             (_range_pair, _Pair(width_mhz=width, sessions=BIAS_SESSIONS, seed=seed))
@@ -87,11 +87,12 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
             )
         )  # fmt: skip
         if width in ROUND_TRIP_M:
-            wanted_m = ROUND_TRIP_M[width]
+            reference_m = ROUND_TRIP_M[width]
             checks.append(
                 Check(
                     name=f"{width} MHz: sigma of a round trip", value=trip.value, unit="m",
-                    at_least=(1.0 - SIGMA_TOLERANCE) * wanted_m, at_most=(1.0 + SIGMA_TOLERANCE) * wanted_m,
+                    at_least=(1.0 - SIGMA_TOLERANCE) * reference_m,
+                    at_most=(1.0 + SIGMA_TOLERANCE) * reference_m,
                 )
             )  # fmt: skip
         rows.append((
@@ -121,11 +122,11 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
                 at_most=(1.0 + AIRTIME_TOLERANCE) * airtime_ms,
             )
         )  # fmt: skip
-    everybody = [run for group in results.values() for run in group]
+    all_runs = [run for group in results.values() for run in group]
     checks.append(
         Check(
-            name=f"sessions that failed, of {sum(run.failed + run.completed for run in everybody)}",
-            value=sum(run.failed for run in everybody), unit="", at_most=0.0,
+            name=f"sessions that failed, of {sum(run.failed + run.completed for run in all_runs)}",
+            value=sum(run.failed for run in all_runs), unit="", at_most=0.0,
         )
     )  # fmt: skip
     figures: tuple[tuple[str, str], ...] = ()
@@ -135,14 +136,14 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
     return Section(
         title="Fine Time Measurement of one pair",
         conditions=(
-            "Sessions one after the other over 30 m, without fading, with crystals that are off by up to "
-            f"20 ppm and {BIAS_M:g} m of calibration offset, in the most robust format of the width. "
-            f"{FRAMES} measurement frames make {FRAMES - 1} round trips, whose scatter within a session is "
-            "the sigma of one. Their white errors average, so the sigma of a session's error is a round "
-            "trip's over the root of their number, which is asked of "
-            f"{plan.sessions} sessions with each number of frames. The air time counts a session's frames, "
-            "SIFS, and AIFS with mean backoff of each exchange; required is what the standard's timing "
-            "gives.\n"
+            "Sessions in sequence over 30 m, without fading, with crystal errors of up to 20 ppm and "
+            f"{BIAS_M:g} m of calibration offset, in the most robust format of the width. {FRAMES} "
+            f"measurement frames result in {FRAMES - 1} round trips, whose scatter within a session is the "
+            "sigma of a round trip. Their errors are white and average out, so the sigma of a session's "
+            "error is the sigma of a round trip over the root of their number; this is checked with "
+            f"{plan.sessions} sessions for each number of frames. The air time is the sum of a session's "
+            "frames, SIFS, and AIFS with mean backoff of each exchange; it is compared with the standard's "
+            "timing.\n"
         ),
         checks=tuple(checks),
         tables=(
@@ -159,5 +160,5 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
 
 
 def _known(value: float | None) -> float:
-    """NaN, which meets no requirement, for what too few sessions could tell."""
+    """Return the value, or NaN, which fails every check, if there were too few sessions for one."""
     return math.nan if value is None else value

@@ -1,4 +1,4 @@
-"""Saturated stations against ns-3's runs and Bianchi's model."""
+"""Saturated stations compared with ns-3 and Bianchi's model."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -39,7 +39,7 @@ def _saturate(run: _Run) -> SaturationResult:
 
 
 def jobs(plan: RadioPlan) -> dict[str, list[Job]]:
-    """Every row of both references with each seed."""
+    """Return the jobs of every row of both references with each seed."""
     groups: dict[str, list[Job]] = {}
     for name, row in _rows(plan):
         payload_bytes = BIANCHI_UDP_BYTES if name == "bianchi" else row.payload_bytes
@@ -63,7 +63,7 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
     rows = _rows(plan)
     checks = tuple(
         Check(
-            name=f"{_TOLD[name]}, {row.rate_mbps} Mbit/s{', RTS' if row.rts else ''}, n = {row.stations}",
+            name=f"{_LABELS[name]}, {row.rate_mbps} Mbit/s{', RTS' if row.rts else ''}, n = {row.stations}",
             value=ours[_key(name, row)].value,
             unit="Mbit/s",
             at_least=(1.0 - TOLERANCE) * row.throughput_mbps,
@@ -77,35 +77,40 @@ def judge(plan: RadioPlan, results: Results, images: Path | None) -> Section:
             images / "radio-saturation.png",
             [(name, row, ours[_key(name, row)]) for name, row in rows],
         )
-        figures = (("radio-saturation.png", "throughput of saturated stations beside ns-3's and Bianchi's"),)
+        figures = (
+            (
+                "radio-saturation.png",
+                "throughput of saturated stations, compared with ns-3 and Bianchi's model",
+            ),
+        )
     worst = max(abs(_deviation(ours[_key(name, row)], row)) for name, row in rows)
     collisions = {key: mean_of([r.collisions_fraction for r in group]) for key, group in results.items()}
     return Section(
         title="Saturated stations",
         conditions=(
-            "Stations that always have a datagram for one more station, the sink: 802.11a, DCF, RTS at "
-            "6 Mbit/s, all in range and none stronger than another, no channel errors, no retry limit. "
-            "ns-3's rows are one run of ns-3 3.37 each, with 1000 B of UDP, and have 1 % of noise. "
-            "Bianchi's are the values by which ns-3 checks itself (DIFS after collisions, corrected for "
-            f"finite windows): packets of {BIANCHI_PACKET_BYTES} B over LLC/SNAP without IP and UDP, here "
-            f"{BIANCHI_UDP_BYTES} B of UDP, whose frame has as many bytes. Required is the throughput "
-            f"within {100 * TOLERANCE:.0f} %, the mean of {plan.seeds} runs of about {plan.packets} "
-            f"datagrams. The greatest deviation is {100 * worst:.1f} %.\n"
+            "Each station always has a datagram for a common sink: 802.11a, DCF, RTS at 6 Mbit/s, all "
+            "stations in range with equal power, no channel errors, no retry limit. A row of ns-3 is one "
+            "run of ns-3 3.37 with 1000 B of UDP and has a statistical error of 1 %. Bianchi's values are "
+            "those of ns-3's own test (DIFS after collisions, corrected for finite windows) for packets of "
+            f"{BIANCHI_PACKET_BYTES} B over LLC/SNAP without IP and UDP; ours have {BIANCHI_UDP_BYTES} B of "
+            f"UDP, which results in frames of the same length. The throughput, mean of {plan.seeds} runs of "
+            f"about {plan.packets} datagrams, must agree within {100 * TOLERANCE:.0f} %. The greatest "
+            f"deviation is {100 * worst:.1f} %.\n"
         ),
         checks=checks,
         tables=tuple(
             ReportTable(
-                caption=f"Ours ± standard error, Mbit/s ({told}; deviation; frames that collide):",
+                caption=f"Ours ± standard error, Mbit/s ({label}; deviation; share of colliding frames):",
                 columns=("n", *(_column(*column) for column in _columns(rows, name))),
                 rows=_cells(rows, name, ours, collisions),
             )
-            for name, told in _TOLD.items()
+            for name, label in _LABELS.items()
         ),
         figures=figures,
     )
 
 
-_TOLD = {"ns3": "ns-3", "bianchi": "Bianchi"}
+_LABELS = {"ns3": "ns-3", "bianchi": "Bianchi"}
 
 
 def _rows(plan: RadioPlan) -> list[tuple[str, Saturated]]:
@@ -118,7 +123,7 @@ def _key(name: str, row: Saturated) -> str:
 
 
 def _payload_mbps(key: str, result: SaturationResult) -> float:
-    """Throughput of what the reference counts as payload."""
+    """Return the throughput of the payload as the reference counts it."""
     scale = BIANCHI_PACKET_BYTES / BIANCHI_UDP_BYTES if key.startswith("bianchi") else 1.0
     return scale * result.throughput_mbps
 
@@ -138,7 +143,7 @@ def _column(rate_mbps: int, rts: bool) -> str:  # noqa: FBT001  # a key of the t
 def _cells(
     rows: Sequence[tuple[str, Saturated]], name: str, ours: dict[str, Mean], collisions: dict[str, Mean]
 ) -> tuple[tuple[str, ...], ...]:
-    """One row for each number of stations."""
+    """Return one row for each number of stations."""
     cells = {}
     for which, row in rows:
         if which == name:

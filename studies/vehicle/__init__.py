@@ -1,1 +1,1 @@
-"""How well one vehicle flies, measured (docs/validation.md is made of it), and what a step of it costs."""
+"""Flight performance of one vehicle (generates docs/results/validation.md), and the benchmark of its step."""

@@ -1,8 +1,8 @@
-"""Allocation over random demands, against what the motors really do and what is achievable at all.
+"""Control allocation for random demands, compared with the motors' torque and with the achievable set.
 
-The oracle knows nothing of the allocator: thrust follows Gazebo's motor curve, and which torques exist is
-geometry. Four rotors that each give 0 to 1 of their range reach, in the plane of roll and pitch torque, a
-zonotope: the sum of four segments, one for each rotor's lever.
+The reference is independent of the allocator: thrust follows Gazebo's motor curve, and the achievable torques
+follow from geometry. Four rotors with 0 to 1 of their range reach a zonotope in the plane of roll and pitch
+torque: the sum of four segments, one for each rotor's lever.
 """
 
 import numpy as np
@@ -16,31 +16,31 @@ from harness.world.physics.model import IRIS
 
 IDLE_N = IRIS.thrust_n_s2 * IRIS.armed_speed_rad_s**2
 RANGE_N = IRIS.thrust_n_s2 * (IRIS.armed_speed_rad_s + IRIS.control_speed_rad_s) ** 2 - IDLE_N
-"""Thrust of a rotor at control 0 while armed, and what control 1 adds."""
+"""Thrust of an armed rotor at control 0 (`IDLE_N`), and the increase at control 1 (`RANGE_N`)."""
 _MARGIN = 1e-6
-"""Of the achievable set: nearer to its border rounding decides."""
+"""Distance from the border of the achievable set within which rounding decides."""
 
 
 class AllocationResult(Struct, frozen=True, kw_only=True):
-    """The worst of all demands."""
+    """Largest errors over all demands."""
 
     demands: int
     achievable: int
-    """Demands whose roll and pitch torque some rotor thrusts give"""
+    """Demands with airmode whose roll and pitch torque is achievable"""
     lowest_control: float
     highest_control: float
     lost_torque_n_m: float
-    """Roll and pitch torque that was achievable and not given"""
+    """Achievable roll and pitch torque that was not produced"""
     turned_rad: float
-    """Between the roll and pitch torque given and the one asked for, where that was not achievable"""
+    """Angle between the produced and the demanded roll and pitch torque, where that is not achievable"""
     misreported_n_m: float
-    """Torque given, about any axis, against what the allocator says that it gave"""
+    """Produced torque about any axis less the torque that the allocator reports"""
     added_thrust: float
-    """Collective over the demand without airmode"""
+    """Collective thrust above the demand without airmode"""
 
 
 def check_allocation(demands: int, seed: int) -> AllocationResult:
-    """Ask for ``demands`` random thrusts 0..1 and torques -2..2, with and without airmode."""
+    """Allocate ``demands`` random thrusts 0..1 and torques -2..2, with and without airmode."""
     params = AllocationParams()
     rng = np.random.default_rng(seed)
     thrusts = rng.uniform(0.0, 1.0, demands)
@@ -57,17 +57,17 @@ def check_allocation(demands: int, seed: int) -> AllocationResult:
     scale = levers @ mixer(params) * RANGE_N  # (3, 3) N m per normalised torque
     speed_rad_s = IRIS.armed_speed_rad_s + IRIS.control_speed_rad_s * controls
     given_n_m = IRIS.thrust_n_s2 * speed_rad_s**2 @ levers.T
-    wanted_n_m = torques @ scale.T
-    # without airmode the collective may not rise, which takes torque away: the promise is airmode's
-    promised = airmode & _is_achievable(wanted_n_m[:, :2], levers[:2] * RANGE_N)
-    refused = airmode & ~_is_achievable(wanted_n_m[:, :2], levers[:2] * RANGE_N, margin=-_MARGIN)
-    turned = _angle(given_n_m[refused, :2], wanted_n_m[refused, :2])
+    demanded_n_m = torques @ scale.T
+    # without airmode the collective may not rise, which limits the torque: only airmode guarantees it
+    promised = airmode & _is_achievable(demanded_n_m[:, :2], levers[:2] * RANGE_N)
+    refused = airmode & ~_is_achievable(demanded_n_m[:, :2], levers[:2] * RANGE_N, margin=-_MARGIN)
+    turned = _angle(given_n_m[refused, :2], demanded_n_m[refused, :2])
     return AllocationResult(
         demands=demands,
         achievable=int(promised.sum()),
         lowest_control=float(controls.min()),
         highest_control=float(controls.max()),
-        lost_torque_n_m=float(np.abs(given_n_m - wanted_n_m)[promised, :2].max()),
+        lost_torque_n_m=float(np.abs(given_n_m - demanded_n_m)[promised, :2].max()),
         turned_rad=float(np.abs(turned).max()),
         misreported_n_m=float(np.abs(given_n_m - (torques - unallocated) @ scale.T).max()),
         added_thrust=float((collective - thrusts)[~airmode].max()),
@@ -75,7 +75,7 @@ def check_allocation(demands: int, seed: int) -> AllocationResult:
 
 
 def _is_achievable(torque_n_m: Array, generators_n_m: Array, margin: float = _MARGIN) -> NDArray[np.bool_]:
-    """(n,) whether (n, 2) torques lie in the zonotope of ``generators_n_m`` (2, 4), by a margin.
+    """Return (n,) whether torques (n, 2) are inside the zonotope of ``generators_n_m`` (2, 4) by a margin.
 
     For each side's normal, |normal . (torque - centre)| is at most half the sum of |normal . generator|.
     """
@@ -89,6 +89,6 @@ def _is_achievable(torque_n_m: Array, generators_n_m: Array, margin: float = _MA
 
 
 def _angle(first: Array, second: Array) -> Array:
-    """(n,) angle between (n, 2) vectors, 0 where the first vanishes."""
+    """Return the angles (n,) between vectors (n, 2), 0 where the first is zero."""
     cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
     return np.asarray(np.where(np.hypot(*first.T) > 1e-9, np.arctan2(cross, (first * second).sum(axis=1)), 0))

@@ -1,4 +1,4 @@
-"""Upsets and allocation against their requirements."""
+"""Upset recovery and control allocation against their requirements."""
 
 from pathlib import Path
 
@@ -28,7 +28,7 @@ _ALLOCATION_SEED = 1
 
 
 def upset_jobs(plan: VehiclePlan) -> dict[str, list[Job]]:
-    """Recoveries of the controller, throws of the whole vehicle."""
+    """Return the recoveries of the controller and the upsets of the complete vehicle."""
     return {
         "recover": [(recover, seed) for seed in range(plan.recoveries)],
         "throw": [(throw, seed) for seed in range(plan.throws)],
@@ -36,7 +36,7 @@ def upset_jobs(plan: VehiclePlan) -> dict[str, list[Job]]:
 
 
 def judge_upsets(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
-    """Check the slowest."""
+    """Check the slowest recoveries."""
     recoveries: list[Upset] = results["recover"]
     catches: list[Catch] = results["throw"]
     checks = (
@@ -45,7 +45,7 @@ def judge_upsets(plan: VehiclePlan, results: Results, images: Path | None) -> Se
             at_most=LIMIT_S,
         ),
         Check(
-            name="whole vehicle: thrust axis where it is wanted, slowest",
+            name="whole vehicle: thrust axis aligned with its setpoint, slowest",
             value=max(case.aligned_s for case in catches), unit="s", at_most=LIMIT_S,
         ),
         Check(
@@ -53,7 +53,7 @@ def judge_upsets(plan: VehiclePlan, results: Results, images: Path | None) -> Se
             value=max(case.within_limit_s for case in catches), unit="s", at_most=LIMIT_S,
         ),
         Check(
-            name="whole vehicle: from its place at the end, worst",
+            name="whole vehicle: distance from its position at the end, worst",
             value=max(case.away_m for case in catches), unit="m", at_most=0.5,
         ),
     )  # fmt: skip
@@ -61,8 +61,8 @@ def judge_upsets(plan: VehiclePlan, results: Results, images: Path | None) -> Se
         ("controller: rate at the start, rad/s", [case.start_rate_rad_s for case in recoveries]),
         ("controller: tilt at the start, deg", [case.tilt_deg[0] for case in recoveries]),
         ("controller: upright after, s", [case.upright_s for case in recoveries]),
-        ("vehicle: tilt when let go, deg", [case.start_tilt_deg for case in catches]),
-        ("vehicle: rate when let go, rad/s", [case.start_rate_rad_s for case in catches]),
+        ("vehicle: tilt at release, deg", [case.start_tilt_deg for case in catches]),
+        ("vehicle: rate at release, rad/s", [case.start_rate_rad_s for case in catches]),
         ("vehicle: aligned after, s", [case.aligned_s for case in catches]),
         ("vehicle: height lost, m", [case.sunk_m for case in catches]),
         ("vehicle: attitude estimate's greatest error, deg", [case.attitude_error_deg for case in catches]),
@@ -78,15 +78,16 @@ def judge_upsets(plan: VehiclePlan, results: Results, images: Path | None) -> Se
     return Section(
         title="Upsets",
         conditions=(
-            f"{plan.recoveries} starts of the controller at 30 m in random attitudes, turned over ones "
-            f"first, with rates of up to {RATE_MAX_RAD_S:g} rad/s, over a 6-DOF Iris with the inertial "
-            f"sensors' noise, asked for level flight: upright is a tilt that stays below {UPRIGHT_DEG:g} "
-            f"degrees. And {plan.throws} throws of the whole vehicle, estimator in the loop, from its hold "
-            "at 30 m: for 0.15 to 0.9 s its motors are flown towards a random attitude, then it has them "
-            "back. The hold leans against the speed that it was given, so there the thrust axis has to "
-            f"come within {ALIGNED_DEG:g} degrees of the one that the position controller wants and stay "
-            f"so; {CATCH_S:g} s later it is back in its place. Those {ALIGNED_DEG:g} degrees are ours: "
-            "what is wanted moves while it brakes, and within 10 degrees of that it takes up to 2.3 s.\n"
+            f"Controller: {plan.recoveries} starts at 30 m in random attitudes, first those that are upside "
+            f"down, with rates of up to {RATE_MAX_RAD_S:g} rad/s. The plant is a 6-DOF Iris with the "
+            "inertial sensors' noise, and level flight is commanded. The vehicle is upright when its tilt "
+            f"stays below {UPRIGHT_DEG:g} degrees. Whole vehicle: {plan.throws} upsets with the estimator "
+            "in the loop, from position hold at 30 m: for 0.15 to 0.9 s a second controller flies its "
+            "motors towards a random attitude and then releases them. Position hold tilts the vehicle to "
+            f"brake the speed gained, so here the thrust axis must stay within {ALIGNED_DEG:g} degrees of "
+            f"the position controller's setpoint, and {CATCH_S:g} s later the vehicle must be back at its "
+            f"position. The {ALIGNED_DEG:g} degrees are a choice of this study: the setpoint moves during "
+            "braking, and an alignment within 10 degrees takes up to 2.3 s.\n"
         ),
         checks=checks,
         tables=(
@@ -104,7 +105,7 @@ def judge_upsets(plan: VehiclePlan, results: Results, images: Path | None) -> Se
 
 
 def allocation_jobs(plan: VehiclePlan) -> dict[str, list[Job]]:
-    """One job: it takes seconds."""
+    """Return one job, which takes some seconds."""
     return {"all": [(_check_allocation, plan.demands)]}
 
 
@@ -112,22 +113,22 @@ def _check_allocation(demands: int) -> AllocationResult:
     return check_allocation(demands, _ALLOCATION_SEED)
 
 
-def judge_allocation(plan: VehiclePlan, results: Results, images: Path | None) -> Section:  # noqa: ARG001  # one shape
-    """Check the worst demand."""
+def judge_allocation(plan: VehiclePlan, results: Results, images: Path | None) -> Section:  # noqa: ARG001  # common signature
+    """Check the worst of all demands."""
     worst: AllocationResult = results["all"][0]
     return Section(
         title="Allocation",
         conditions=(
-            f"{worst.demands} random demands of thrust 0 to 1 and torque up to twice what is full, with "
-            f"and without airmode, against the motors' curve; for {worst.achievable} with airmode some "
-            "rotor thrusts give the roll and pitch torque asked for. Torques that are refused must keep "
-            "their direction.\n"
+            f"{worst.demands} random demands of thrust 0 to 1 and torque up to twice full scale, with and "
+            "without airmode, evaluated with the motors' thrust curve. The roll and pitch torques of "
+            f"{worst.achievable} demands with airmode are achievable. Torques that are not achievable must "
+            "keep their direction.\n"
         ),
         checks=(
             Check(name="lowest control", value=worst.lowest_control, unit="", at_least=0.0),
             Check(name="highest control", value=worst.highest_control, unit="", at_most=1.0),
             Check(
-                name="achievable roll and pitch torque that was not given", value=worst.lost_torque_n_m,
+                name="achievable roll and pitch torque that was not produced", value=worst.lost_torque_n_m,
                 unit="N m", at_most=ROUNDING_N_M,
             ),
             Check(
@@ -135,11 +136,11 @@ def judge_allocation(plan: VehiclePlan, results: Results, images: Path | None) -
                 at_most=ROUNDING_N_M,
             ),
             Check(
-                name="torque given against torque reported", value=worst.misreported_n_m, unit="N m",
+                name="torque produced against torque reported", value=worst.misreported_n_m, unit="N m",
                 at_most=ROUNDING_N_M,
             ),
             Check(
-                name="thrust that torque added without airmode", value=worst.added_thrust, unit="",
+                name="thrust added for torque without airmode", value=worst.added_thrust, unit="",
                 at_most=1e-12,
             ),
         ),

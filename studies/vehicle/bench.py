@@ -1,9 +1,8 @@
-"""What one step of one vehicle costs, part by part: a recorded flight's bytes, played to a fresh vehicle.
+"""Benchmark of one vehicle's step by part: the bytes of a recorded flight are replayed to a new vehicle.
 
-The sequence is that of the vehicle's process: bytes in, a compiled step or else messages and a whole step,
-bytes out; sockets, the radio and the log are left out. The vehicle flies itself to its place, as in a swarm
-of one, so nobody has to be told anything: equal bytes make an equal flight. Wall time is read here and
-nowhere below.
+The sequence is that of the vehicle's process: bytes in, a compiled fast step or else messages and a full
+step, bytes out; without sockets, radio and log. The vehicle flies to its place autonomously, as in a swarm of
+one, so no commands are needed: the same bytes reproduce the flight. No module below this one reads the clock.
 """
 
 import gc
@@ -38,9 +37,9 @@ from harness.world.wind import WindConfig
 from studies.vehicle.solo import STEP_S, Solo
 
 LIMIT_US = 60.0
-"""Mean of a whole step, streams off, on a quiet machine"""
+"""Mean of a step, streams off, on an idle machine"""
 CHILD_STEPS = 4_000
-"""Of the flight without compiler, which is slow: after this many the mean no longer moves."""
+"""Steps of the slow replay without compiler; the mean has converged after them."""
 _PARTS: tuple[tuple[str, type, tuple[str, ...]], ...] = (
     ("steps of an inertial sample", FastSteps, ("step",)),
     ("decode", HilParser, ("push",)),
@@ -50,12 +49,12 @@ _PARTS: tuple[tuple[str, type, tuple[str, ...]], ...] = (
     ("monitor and commander", Monitor, ("update",)),
     ("monitor and commander", Commander, ("update",)),
     ("on-board application", OnboardApp, ("on_timer", "on_mavlink", "on_radio")),
-    ("setpoints and land detector", Pilot, ("feel", "fly")),
+    ("setpoints and land detector", Pilot, ("update_land_state", "update")),
     ("control", FlightController, ("update",)),
     ("services", Services, ("on_timer", "on_message")),
     ("streams", MessageStreams, ("on_timer",)),
 )
-"""Part, class and methods; what is called within another part is taken off that one."""
+"""Part, class and methods; the time of a nested part is subtracted from the outer one."""
 REST = "the step around them"
 
 
@@ -64,24 +63,24 @@ class Recording(Struct, frozen=True, kw_only=True):
 
     stream: list[bytes]
     armed_from: int
-    """First step in which it was armed; the costs are of those from there on"""
+    """First armed step; costs are measured from it on"""
 
 
 class StepCost(Struct, frozen=True, kw_only=True):
     """Means over the steps, microseconds."""
 
     step_us: float
-    """Processor time from bytes in to bytes out: who else runs on the machine is not in it"""
+    """Processor time from bytes in to bytes out, without other processes on the machine"""
     floor_us: float
-    """Decoding and encoding alone"""
+    """Decoding and encoding only"""
     parts_us: dict[str, float]
-    """Of a pass with stop-watches in it, scaled to ``step_us``"""
+    """From an instrumented pass, scaled to ``step_us``"""
     longest_us: float
-    """Wall time that 99 % of the steps stay below"""
+    """99 % quantile of the wall time"""
 
 
 def record_flight(seconds: float) -> Recording:
-    """Fly to a place 5 m up in the article's wind and stay there."""
+    """Record a flight to a position 5 m above the start and its hold, in the article's wind."""
     with Solo(_config(), wind=WindConfig(), seed=np.random.SeedSequence(17), recording=False) as solo:
         solo.stream = []
         armed_from = None
@@ -95,7 +94,7 @@ def record_flight(seconds: float) -> Recording:
 
 
 def measure(recording: Recording, *, streams: bool, repeats: int) -> StepCost:
-    """Play the flight ``repeats`` times and take the quickest: what else runs here only adds."""
+    """Replay the flight ``repeats`` times and return the fastest: other load only adds time."""
     step_us, longest_us = min(_play(recording, streams=streams) for _ in range(repeats))
     passes = [_play_by_part(recording, streams=streams) for _ in range(repeats)]
     parts_us = {part: min(spent_us[part] for spent_us in passes) for part in passes[0]}
@@ -109,7 +108,7 @@ def measure(recording: Recording, *, streams: bool, repeats: int) -> StepCost:
 
 
 def measure_without_compiler(recording: Recording) -> StepCost:
-    """Play the air-borne beginning in a process of its own with NUMBA_DISABLE_JIT=1, streams off."""
+    """Replay the first airborne steps in a child process with NUMBA_DISABLE_JIT=1, streams off."""
     short = Recording(
         stream=recording.stream[: recording.armed_from + CHILD_STEPS], armed_from=recording.armed_from
     )
@@ -125,13 +124,13 @@ def measure_without_compiler(recording: Recording) -> StepCost:
 
 
 def play_file(path: str) -> None:
-    """Be the child: play what is in the file once and write the cost as the last line of stderr."""
+    """Run in the child: replay the recording in the file once; the last line on stderr is the cost."""
     recording = msgspec.msgpack.decode(Path(path).read_bytes(), type=Recording)
     sys.stderr.write(msgspec.json.encode(measure(recording, streams=False, repeats=1)).decode() + "\n")
 
 
 class _Process:
-    """The vehicle's process without its edges: see ``autopilot.__main__``."""
+    """The vehicle's process without its sockets: see ``autopilot.__main__``."""
 
     def __init__(self, *, streams: bool) -> None:
         self.host = Host(_config(), None)
@@ -150,7 +149,7 @@ class _Process:
 
 
 def _play(recording: Recording, *, streams: bool) -> tuple[float, float]:
-    """Mean processor time and 99 % quantile of the wall time of the steps from the arming on."""
+    """Return mean processor time and 99 % quantile of the wall time of the steps since arming."""
     process, wall_us = _Process(streams=streams), []
     with _no_collection():
         for data in recording.stream[: recording.armed_from]:
@@ -162,24 +161,24 @@ def _play(recording: Recording, *, streams: bool) -> tuple[float, float]:
             wall_us.append(1e-3 * (time.perf_counter_ns() - wall_ns))
         spent_ns = time.thread_time_ns() - start_ns
     if not process.host.vehicle.commander.armed:
-        raise RuntimeError("the recorded flight did not come about again")
+        raise RuntimeError("the replay did not reproduce the recorded flight: the vehicle is not armed")
     return 1e-3 * spent_ns / len(wall_us), float(np.quantile(wall_us, 0.99))
 
 
 def _play_floor(recording: Recording) -> float:
-    """Mean of decoding and of encoding an answer, microseconds."""
+    """Return the mean time to decode the input and encode a response, microseconds."""
     parser, encoder = HilParser(*TO_VEHICLE), HilEncoder(system=1, component=1)
-    answer = HilActuatorControls(1, [0.7] * 4 + [0.0] * 12, 129, 1)
+    response = HilActuatorControls(1, [0.7] * 4 + [0.0] * 12, 129, 1)
     flown = recording.stream[recording.armed_from :]
     start_ns = time.thread_time_ns()
     for data in flown:
         parser.push(data)
-        encoder.encode(answer)
+        encoder.encode(response)
     return 1e-3 * (time.thread_time_ns() - start_ns) / len(flown)
 
 
 def _play_by_part(recording: Recording, *, streams: bool) -> dict[str, float]:
-    """Mean of every part, microseconds, by stop-watches around its methods."""
+    """Return the mean time of every part, microseconds, from timers around its methods."""
     process, watch = _Process(streams=streams), _StopWatch()
     originals = []
     try:
@@ -202,17 +201,17 @@ def _play_by_part(recording: Recording, *, streams: bool) -> dict[str, float]:
 
 
 class _StopWatch:
-    """Wall time by part, each without the parts that it calls."""
+    """Wall time by part, without the nested parts."""
 
     def __init__(self) -> None:
         self.spent_ns: dict[str, int] = {}
         self._within_ns = 0
-        """Spent in parts called by the present one"""
+        """Time in parts that the current part has called"""
 
     def around(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
         self.spent_ns.setdefault(part, 0)
 
-        def timed(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401  # stands for any function
+        def timed(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401  # any function
             outer_ns, self._within_ns = self._within_ns, 0
             wall_ns = time.perf_counter_ns()
             try:
@@ -227,7 +226,7 @@ class _StopWatch:
 
 @contextmanager
 def _no_collection() -> Iterator[None]:
-    """As in the vehicle's process: what lives at the start is not walked in flight."""
+    """Freeze the existing objects as in the vehicle's process: garbage collection skips them in flight."""
     gc.collect()
     gc.freeze()
     try:

@@ -1,4 +1,4 @@
-"""The benchmark's command line. Exit status: 0 a step costs what it may, 1 it costs more."""
+"""Command line of the vehicle benchmark. Exit status: 0 a step is within its time limit, 1 it is not."""
 
 from typing import Annotated
 
@@ -17,14 +17,14 @@ bench_app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 @bench_app.command()
 def bench(
     seconds: Annotated[float, typer.Option(help="Length of the flight.", min=20.0)] = 60.0,
-    repeats: Annotated[int, typer.Option(help="Passes, of which the quickest counts.", min=1)] = 3,
-    json: Annotated[bool, typer.Option("--json", help="The numbers alone on stdout.")] = False,  # noqa: FBT002
+    repeats: Annotated[int, typer.Option(help="Number of passes; the fastest counts.", min=1)] = 3,
+    json: Annotated[bool, typer.Option("--json", help="Print only the numbers, as JSON.")] = False,  # noqa: FBT002
 ) -> None:
-    """Play a recorded flight to a vehicle and print what its steps cost, in microseconds."""
+    """Replay a recorded flight to a vehicle and print the time of its steps in microseconds."""
     messages = Console(stderr=True, highlight=False)
     kernel_cache.prepare(messages.print)
     stdout = keep_stdout()
-    messages.print(f"recording a flight of {seconds:g} s, and playing it")
+    messages.print(f"recording and replaying a flight of {seconds:g} s")
     recording = record_flight(seconds)
     costs = {
         "streams off": measure(recording, streams=False, repeats=repeats),
@@ -40,9 +40,7 @@ def bench(
 
 
 def _table(costs: dict[str, StepCost], steps: int) -> Table:
-    table = Table(
-        title=f"Microseconds per step, mean of {steps} steps from the arming on", title_justify="left"
-    )
+    table = Table(title=f"Microseconds per step, mean of {steps} steps since arming", title_justify="left")
     table.add_column("part")
     for name in costs:
         table.add_column(name, justify="right")
@@ -50,7 +48,7 @@ def _table(costs: dict[str, StepCost], steps: int) -> Table:
         table.add_row(part, *(f"{cost.parts_us.get(part, 0.0):.1f}" for cost in costs.values()))
     table.add_section()
     table.add_row("whole step", *(f"{cost.step_us:.1f}" for cost in costs.values()), style="bold")
-    table.add_row("99 % of the steps, by the clock", *(f"{cost.longest_us:.0f}" for cost in costs.values()))
-    table.add_row("decode and encode alone", *(f"{cost.floor_us:.1f}" for cost in costs.values()))
-    table.add_row("allowed", f"{LIMIT_US:g}", "", "")
+    table.add_row("99 % quantile, wall time", *(f"{cost.longest_us:.0f}" for cost in costs.values()))
+    table.add_row("decode and encode only", *(f"{cost.floor_us:.1f}" for cost in costs.values()))
+    table.add_row("limit", f"{LIMIT_US:g}", "", "")
     return table

@@ -1,4 +1,4 @@
-"""What is validated of one vehicle."""
+"""Subjects of the validation of one vehicle."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -25,6 +25,6 @@ def run(
     images: Path | None,
     progress: Callable[[str, int, int], None],
 ) -> list[Section]:
-    """Fly what the subjects of these names need, and judge it: see `run_subjects`."""
+    """Fly and judge the named subjects: see `run_subjects`."""
     chosen = {name: SUBJECTS[name] for name in subjects}
     return run_subjects(plan, chosen, images=images, progress=progress)

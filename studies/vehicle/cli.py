@@ -1,4 +1,4 @@
-"""The command line of the vehicle's validation: see `studies.common.command_line`."""
+"""Command line of the vehicle's validation: see `studies.common.command_line`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -8,20 +8,20 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from harness.launch import kernel_cache
-from studies.common.command_line import BAD_INPUT, Page, chosen, run_with_progress, tell
+from studies.common.command_line import BAD_INPUT, Page, chosen, report_and_exit, run_with_progress
 from studies.common.standard_output import keep_stdout
 from studies.vehicle.campaign import SUBJECTS
 from studies.vehicle.plan import QUICK, VehiclePlan
 
 __all__ = ["BAD_INPUT", "validate_app"]
 
-INTRODUCTION = """How well one vehicle flies: the autopilot as it flies in a swarm, over the swarm's physics
-and sensors, in one process (`studies.vehicle.solo`). Every number comes from
+INTRODUCTION = """Flight performance of a single vehicle: the same autopilot, physics and sensors as in a
+swarm, in one process (`studies.vehicle.solo`). All numbers are produced by
 
     python scripts/validate_vehicle.py
 
-which flies everything again and takes some minutes on two cores; with `--out docs` it writes this page and
-its figures. All flights follow from their seeds: the same sources give the same numbers.
+which repeats all flights in some minutes on two cores; with `--out docs` it writes this page and its figures.
+All flights are determined by their seeds: the same sources give the same numbers.
 """
 PAGE = Page(file_name="validation.md", title="Validation of one vehicle", introduction=INTRODUCTION)
 
@@ -35,12 +35,12 @@ def validate(
         str, typer.Option(help=f"Some of {', '.join(SUBJECTS)}.", metavar="NAME,NAME")
     ] = ",".join(SUBJECTS),
     seeds: Annotated[int | None, typer.Option(help="Flights of each condition.", min=1)] = None,
-    json: Annotated[bool, typer.Option("--json", help="The numbers alone on stdout.")] = False,  # noqa: FBT002
+    json: Annotated[bool, typer.Option("--json", help="Print only the numbers, as JSON.")] = False,  # noqa: FBT002
     out: Annotated[
-        Path | None, typer.Option(help="Folder for validation.md and images/; none writes nothing.")
+        Path | None, typer.Option(help="Folder for validation.md and images/; without it no file is written.")
     ] = None,
 ) -> None:
-    """Measure how well one vehicle flies, and compare it with what is required and with a real PX4."""
+    """Measure the flight performance of one vehicle against its requirements and a real PX4."""
     messages = Console(stderr=True, highlight=False)
     names = chosen("validate_vehicle", only, SUBJECTS, messages)
     plan = QUICK if quick else VehiclePlan()
@@ -50,4 +50,4 @@ def validate(
     stdout = keep_stdout()
     subjects = {name: SUBJECTS[name] for name in names}
     sections = run_with_progress(plan, subjects, out=out, messages=messages)
-    tell(sections, page=PAGE, out=out, json=json, stdout=stdout, px4=True)
+    report_and_exit(sections, page=PAGE, out=out, json=json, stdout=stdout, px4=True)

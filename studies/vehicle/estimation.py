@@ -1,10 +1,10 @@
-"""Whether the estimator is as good as it says: consistency, white innovations, outages, wrong compasses.
+"""Estimator tests: consistency, whiteness of innovations, GPS outages, compass errors.
 
-A consistent filter's errors have the covariance that it reports: the normalised estimation error squared
-(NEES), e' P^-1 e, of three numbers averages to three, and its innovations are white with the variance that it
-expected (Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001,
-section 5.4). That is to be asked only of data that obey the filter's model to the letter: white sensor noises
-of known size, biases that walk as the filter believes. Pure functions of their seeds.
+The errors of a consistent filter have the covariance that it reports: the normalised estimation error squared
+(NEES), e' P^-1 e, of three numbers averages to three, and its innovations are white with the predicted
+variance (Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001,
+section 5.4). This holds only for data that match the filter's model exactly: white sensor noises of the
+assumed size, and biases with the assumed random walk. All results are determined by their seeds.
 """
 
 from collections.abc import Sequence
@@ -44,14 +44,14 @@ MATCHED_PARAMS = EstimatorParams(
     mag_noise_gauss=0.004,
     heading_gate=5.0,
 )
-"""What a filter that knows the simulated sensors to the letter is told.
+"""Parameters that match the simulated sensors exactly.
 
-PX4's gate of 2.6 sigma for the heading would refuse one honest measurement of a hundred: a truncated noise.
+PX4's heading gate of 2.6 sigma would reject one valid measurement in a hundred, which truncates the noise.
 """
 ALIGNED_STEPS = 251
-"""Steps of the alignment's window, the first one included."""
+"""Steps of the alignment window, including the first."""
 SETTLED_S = 15.0
-"""5 s at rest and 10 s of flight: then the start is forgotten."""
+"""5 s at rest and 10 s of flight, after which the initial errors have decayed."""
 EPOCH_S = 0.5
 STATES = {"attitude": 0, "velocity": 3, "position": 6, "gyro bias": 9, "accelerometer bias": 12}
 """First error of each group of three."""
@@ -61,36 +61,36 @@ LAGS = 20
 
 @dataclass(frozen=True, kw_only=True)
 class Consistency:
-    """Result of a Monte Carlo campaign of r runs, each looked at in the same e epochs."""
+    """Result of a Monte Carlo campaign of r runs, each evaluated at the same e epochs."""
 
     time_s: Array
-    """(e,) of the horizon"""
+    """(e,) time of the fusion horizon"""
     nees: dict[str, Array]
-    """(r, e) by group of states, of three degrees of freedom each"""
+    """(r, e) by group of states; each has three degrees of freedom"""
     innovations: dict[str, list[Array]]
-    """By measurement and run: (n, axes) over their standard deviations"""
+    """By measurement and run: (n, axes), each divided by its standard deviation"""
     refused: int
-    """Measurements, of all runs; none should be"""
+    """Rejected measurements of all runs; expected is 0"""
 
     def band(self) -> tuple[float, float]:
-        """Give the two-sided 95 % band of the mean of one epoch's r normalised errors, per degree of freedom.
+        """Return the two-sided 95 % band of the mean of one epoch's r NEES, per degree of freedom.
 
-        Runs are independent and an epoch is one draw of each, so r NEES of 3 add up to chi-squared of 3 r.
+        Runs are independent, so the sum of r NEES of 3 degrees of freedom is chi-squared with 3 r.
         """
         freedom = 3 * next(iter(self.nees.values())).shape[0]
         low, high = chi2.ppf((0.025, 0.975), freedom) / freedom
         return float(low), float(high)
 
     def mean(self, group: str) -> Array:
-        """(e,) NEES of each epoch averaged over the runs, per degree of freedom: one if consistent."""
+        """Return the NEES of each epoch, mean over the runs, per degree of freedom, (e,); 1 if consistent."""
         mean: Array = self.nees[group].mean(axis=0) / 3.0
         return mean
 
     def overall(self, group: str) -> tuple[float, tuple[float, float]]:
-        """Mean over all runs and epochs, per degree of freedom, and its 95 % band.
+        """Return the mean over all runs and epochs, per degree of freedom, and its 95 % band.
 
-        Epochs of a run are correlated. Their series' own autocorrelation rho says how many independent ones
-        they are worth, n / (1 + 2 sum rho) (Bartlett), summed up to the first lag that is not positive.
+        Epochs of a run are correlated. Their effective number is n / (1 + 2 sum rho) (Bartlett), with the
+        autocorrelation rho of the series, summed up to the first lag at which it is not positive.
         """
         nees = self.nees[group]
         runs, epochs = nees.shape
@@ -107,14 +107,14 @@ class Consistency:
         return float(nees.mean()) / 3.0, (float(low), float(high))
 
     def inside(self, group: str) -> float:
-        """Share of epochs whose mean is inside the band: 0.95 of a consistent filter, in the long run."""
+        """Return the share of epochs whose mean is inside the band; 0.95 is expected if consistent."""
         low, high = self.band()
         mean = self.mean(group)
         return float(np.mean((mean > low) & (mean < high)))
 
 
 def pooled(campaigns: Sequence[Consistency]) -> Consistency:
-    """Take the runs of campaigns that looked at the same epochs for those of one."""
+    """Return one campaign with the runs of several campaigns, which have the same epochs."""
     first = campaigns[0]
     return Consistency(
         time_s=first.time_s,
@@ -128,7 +128,7 @@ def pooled(campaigns: Sequence[Consistency]) -> Consistency:
 
 
 def matched_noise(rng: np.random.Generator, params: EstimatorParams = MATCHED_PARAMS) -> Noise:
-    """Draw a vehicle whose sensors are what `MATCHED_PARAMS` believe, biases that walk included."""
+    """Draw sensor noises and biases with the statistics in `MATCHED_PARAMS`, bias random walks included."""
     _, _, gyro_walk_psd, accel_walk_psd = params.process_noise_psd
     return Noise(
         gps_bias_m=0.0,
@@ -144,14 +144,14 @@ def matched_noise(rng: np.random.Generator, params: EstimatorParams = MATCHED_PA
 def consistency(
     *, runs: int = 20, duration_s: float = 60.0, seed: int = 1, path: Path = figure_eight
 ) -> Consistency:
-    """Fly ``runs`` times with sensors drawn anew and gather errors and what the filter thinks of them."""
+    """Fly ``runs`` times with new sensor draws; collect errors, reported covariances and innovations."""
     nees: list[Array] = []
     innovations: dict[str, list[Array]] = {name: [] for name in MEASUREMENTS}
     time_s = np.empty(0)
     refused = 0
     for rng in map(np.random.default_rng, np.random.SeedSequence(seed).spawn(runs)):
         flight = simulate(path, duration_s, rng, matched_noise(rng))
-        time_s, of_run, normalised, refused_in_run = _look(flight)
+        time_s, of_run, normalised, refused_in_run = _evaluate(flight)
         nees.append(of_run)
         refused += refused_in_run
         for name, series in normalised.items():
@@ -165,17 +165,17 @@ def consistency(
     )
 
 
-def _look(flight: SimulatedFlight) -> tuple[Array, Array, dict[str, Array], int]:
-    """One run: epochs (e,), NEES (e, groups), normalised innovations by measurement, count of refusals."""
+def _evaluate(flight: SimulatedFlight) -> tuple[Array, Array, dict[str, Array], int]:
+    """Return epochs (e,), NEES (e, groups), normalised innovations and the count of rejections of one run."""
     estimator = Estimator(MATCHED_PARAMS)
-    # what no filter can know: where the first second's pressure puts the frame's height
+    # the height of the frame follows from the first second's pressure, an error unobservable for any filter
     ground_m = atmosphere.altitude_m(flight.pressure_pa[:ALIGNED_STEPS:SLOW_STEPS]).mean() - SITE.altitude_m
     seen: list[tuple[int, Array, Array]] = []
     series: dict[str, list[Array]] = {name: [] for name in MEASUREMENTS}
     last_us = dict.fromkeys(MEASUREMENTS, -1)
     every = round(EPOCH_S / STEP_S)
 
-    def look(k: int, estimator: Estimator) -> None:
+    def sample(k: int, estimator: Estimator) -> None:
         if k * STEP_S < SETTLED_S:
             return
         aidings = estimator.aidings
@@ -187,7 +187,7 @@ def _look(flight: SimulatedFlight) -> tuple[Array, Array, dict[str, Array], int]
         if k % every == 0 and (diagnostics := estimator.diagnostics) is not None:
             seen.append((diagnostics.horizon_us, diagnostics.x, diagnostics.covariance))
 
-    feed(estimator, flight, look)
+    feed(estimator, flight, sample)
     state = estimator.state
     origin_m = geodetic_to_ned(
         state.origin_lat_deg,
@@ -205,7 +205,7 @@ def _look(flight: SimulatedFlight) -> tuple[Array, Array, dict[str, Array], int]
 
 
 def _nees(flight: SimulatedFlight, horizon_us: int, x: Array, cov: Array, origin_m: Array) -> Array:
-    """(groups,) normalised estimation error squared of each three numbers at the horizon."""
+    """Return the NEES of each group of three states at the fusion horizon, (groups,)."""
     k = horizon_us // STEP_US - 1
     turn = flight.rotations_ned_frd[k] * Rotation.from_quat(x[:4], scalar_first=True).inv()
     error = np.concatenate(
@@ -223,22 +223,22 @@ def _nees(flight: SimulatedFlight, horizon_us: int, x: Array, cov: Array, origin
 
 @dataclass(frozen=True, kw_only=True)
 class Whiteness:
-    """How far a measurement's innovations are from white noise of the expected variance."""
+    """Comparison of a measurement's innovations with white noise of the expected variance."""
 
     inside: float
-    """Share of sample autocorrelations, of all runs, axes, lags, within +-1.96 / sqrt(n): 0.95 if white."""
+    """Share of autocorrelations, over all runs, axes and lags, within +-1.96 / sqrt(n): 0.95 if white."""
     tested: int
-    """Of how many"""
+    """Number of autocorrelations"""
     band: tuple[float, float]
     """95 % band of that share, for independent tests"""
     mean_square: float
-    """Of the normalised innovations: one if their variance is what the filter expected"""
+    """Of the normalised innovations: 1 if their variance is the one the filter predicted"""
     mean_square_band: tuple[float, float]
-    """95 % band of that, chi-squared of as many degrees of freedom as there are numbers"""
+    """95 % band of the mean square: chi-squared with one degree of freedom for each innovation"""
     greatest: float
-    """Of the autocorrelations averaged over runs and axes, over all lags"""
+    """Largest over all lags of the autocorrelation averaged over runs and axes"""
     greatest_limit: float
-    """Limit of that at 95 % for all lags together (Bonferroni)"""
+    """Its 95 % limit for all lags together (Bonferroni)"""
 
 
 def whiteness(runs: list[Array], lags: int = LAGS) -> Whiteness:
@@ -267,7 +267,7 @@ def whiteness(runs: list[Array], lags: int = LAGS) -> Whiteness:
 
 
 def outage_drift_m(seed: int, *, outage_s: float = 10.0) -> float:
-    """Horizontal drift of the estimate over a GPS outage in calm hover, after 30 s, Iris's sensors."""
+    """Return the horizontal drift of the estimate in a GPS outage after 30 s of calm hover."""
     fixes_until_s = 30.1
     flight = simulate(rest, 30.0 + outage_s, np.random.default_rng(seed))
     known = {k: fix for k, fix in flight.fixes.items() if k * STEP_S < fixes_until_s}
@@ -278,18 +278,18 @@ def outage_drift_m(seed: int, *, outage_s: float = 10.0) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class WrongCompass:
-    """What became of a flight whose compass is turned by a constant from the start."""
+    """Result of a flight whose compass has a constant heading error from the start."""
 
     caught_s: float | None
-    """From the onset of motion to the reset of the heading"""
+    """From the start of motion to the reset of the heading; None if it was not reset"""
     heading_error_rad: float
     """rms over the last ten seconds"""
     resets: int
-    """Of the heading"""
+    """Number of heading resets"""
 
 
 def wrong_compass(seed: int, error_rad: float, *, path: Path = figure_eight) -> WrongCompass:
-    """Fly 40 s, in motion from the fifth second on, with a compass turned about the body's z."""
+    """Fly 40 s, in motion from 5 s on, with a compass turned by ``error_rad`` about the body's z axis."""
     onset_s = 5.0
     flight = simulate(path, 40.0, np.random.default_rng(seed))
     turned = Rotation.from_rotvec([0.0, 0.0, error_rad]).apply(flight.field_gauss)

@@ -1,4 +1,4 @@
-"""The estimator against its requirements; the arithmetic is `studies.vehicle.estimation`'s."""
+"""The estimator against its requirements; the computation is in `studies.vehicle.estimation`."""
 
 import math
 from pathlib import Path
@@ -28,7 +28,7 @@ HEADING_LIMIT_DEG = 10.0
 
 
 def jobs(plan: VehiclePlan) -> dict[str, list[Job]]:
-    """Consistency is one job for each seed, for its runs are drawn together."""
+    """Return the jobs; consistency has one job for each seed, because its runs share the draws."""
     return {
         "consistency": [(_consistency, (plan.estimator_runs, seed)) for seed in CAMPAIGN_SEEDS],
         "outage": [(outage_drift_m, seed) for seed in range(plan.seeds)],
@@ -46,15 +46,15 @@ def _turned_compass(seed: int) -> WrongCompass:
 
 
 def judge(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
-    """Check consistency, whiteness, outage and a compass that is turned round."""
+    """Check consistency, whiteness, drift in an outage and a compass turned by 180 degrees."""
     campaigns: list[Consistency] = results["consistency"]
     found = pooled(campaigns)
     drifts_m: list[float] = results["outage"]
     compasses: list[WrongCompass] = results["compass"]
     checks = [
-        _nees_check(group, told, one)
+        _nees_check(group, label, one)
         for group in REQUIRED
-        for told, one in (
+        for label, one in (
             *((f"seed {seed}", one) for seed, one in zip(CAMPAIGN_SEEDS, campaigns, strict=True)),
             ("all seeds", found),
         )
@@ -81,8 +81,8 @@ def judge(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
             at_most=DRIFT_LIMIT_M,
         ),
         Check(
-            name="compass turned by 180°: caught after motion begins, slowest", value=max(caught_s), unit="s",
-            at_most=CAUGHT_LIMIT_S,
+            name="compass turned by 180°: detected after motion begins, slowest", value=max(caught_s),
+            unit="s", at_most=CAUGHT_LIMIT_S,
         ),
         Check(
             name="compass turned by 180°: heading at the end, worst rms",
@@ -102,18 +102,18 @@ def judge(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
     return Section(
         title="Estimator",
         conditions=(
-            "Consistency is asked of data that obey the filter's model: for each of the seeds "
+            "Consistency is tested with data that match the filter's model: for each of the seeds "
             f"{', '.join(map(str, CAMPAIGN_SEEDS))} a campaign of {plan.estimator_runs} Monte Carlo runs of "
-            "a figure of eight with white sensor noises of the size that the filter is told and biases that "
-            f"walk as it believes, from {SETTLED_S:g} s on. The normalised estimation error squared (NEES) "
-            "is the mean over all runs and epochs of a campaign, and required is the two-sided 95 % "
-            "chi-squared band of that mean: epochs of a run are not independent, and count for as many as "
-            "their own autocorrelation leaves of them. All seeds are required to be inside, each by itself "
-            "and their runs together; of a consistent filter one of these bands is missed in about one "
-            "draw of seeds of four. Innovations, of all seeds, are white if the greatest of their mean "
-            "autocorrelations at 20 lags stays below its limit at 95 % for all lags together. "
-            f"{len(drifts_m)} outages; {len(compasses)} flights in which the compass is turned by 180 "
-            "degrees from the start on.\n"
+            "a figure of eight, with white sensor noises and bias random walks of the configured size, "
+            f"evaluated from {SETTLED_S:g} s on. The normalised estimation error squared (NEES) is the mean "
+            "over all runs and epochs of a campaign and must be inside the two-sided 95 % chi-squared band "
+            "of that mean. The epochs of a run are correlated, so the band uses the effective number of "
+            "epochs that follows from their autocorrelation. Each seed must be inside, and so must all runs "
+            "together; a consistent filter misses one of these bands in about one of four draws of the "
+            "seeds. The innovations of all seeds are white if the greatest of their mean autocorrelations "
+            "at 20 lags is below the 95 % limit for all lags together. Further tests: "
+            f"{len(drifts_m)} GPS outages, and {len(compasses)} flights with a compass that is turned by "
+            "180 degrees from the start.\n"
         ),
         checks=tuple(checks),
         tables=(
@@ -121,7 +121,7 @@ def judge(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
                 caption="NEES per degree of freedom of all groups (in brackets its 95 % band), by seed:",
                 columns=("seed", *found.nees),
                 rows=tuple(
-                    (str(seed), *(_told(one, group) for group in found.nees))
+                    (str(seed), *(_nees_cell(one, group) for group in found.nees))
                     for seed, one in zip(CAMPAIGN_SEEDS, campaigns, strict=True)
                 ),
             ),
@@ -137,7 +137,7 @@ def judge(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
                 ),
             ),
             ReportTable(
-                caption="Innovations (in brackets the 95 % band of a white one):",
+                caption="Innovations (in brackets the 95 % band of white noise):",
                 columns=("measurement", "autocorrelations within ±1.96/√n", "mean square"),
                 rows=tuple(rows),
             ),
@@ -146,7 +146,10 @@ def judge(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
                 columns=("what", "median", "greatest"),
                 rows=tuple(
                     (name, *(f"{value:.3g}" for value in np.quantile(values, (0.5, 1.0))))
-                    for name, values in (("drift, m", drifts_m), ("compass caught after, s", caught_s))
+                    for name, values in (
+                        ("drift, m", drifts_m),
+                        ("compass error detected after, s", caught_s),
+                    )
                 ),
             ),
         ),
@@ -154,14 +157,14 @@ def judge(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
     )
 
 
-def _nees_check(group: str, told: str, found: Consistency) -> Check:
+def _nees_check(group: str, label: str, found: Consistency) -> Check:
     mean, (low, high) = found.overall(group)
     return Check(
-        name=f"{group}: NEES per degree of freedom, {told}", value=mean, unit="", at_least=low, at_most=high
+        name=f"{group}: NEES per degree of freedom, {label}", value=mean, unit="", at_least=low, at_most=high
     )
 
 
-def _told(found: Consistency, group: str) -> str:
+def _nees_cell(found: Consistency, group: str) -> str:
     mean, (low, high) = found.overall(group)
     outside = "" if low <= mean <= high else ", outside"
     return f"{mean:.3f} ({low:.3f} to {high:.3f}){outside}"

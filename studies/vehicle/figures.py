@@ -1,4 +1,4 @@
-"""Figures of the validation: drawn from arrays with matplotlib's objects alone. PNG files."""
+"""Figures of the validation as PNG files, drawn from arrays with matplotlib's object interface."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,7 +16,7 @@ OURS, OBSERVED, PX4 = "C0", "C2", "0.6"
 def save_hover_error(
     path: Path, *, period_s: float, without: Array, with_observer: Array, required_m: float
 ) -> None:
-    """Distance from the setpoint over time of one flight in the same wind, without and with observer (T,)."""
+    """Plot distances from the setpoint (T,) of two flights in the same wind, without and with observer."""
     figure = Figure(figsize=(8.0, 3.6), layout="constrained")
     axes = figure.subplots()
     for distance_m, colour, label in (
@@ -43,7 +43,7 @@ def save_hover_error(
 def save_against_px4(
     path: Path, *, names: Sequence[str], px4_m: Array, ours_m: Array, observed_m: Array, tolerance: float
 ) -> None:
-    """Bars of the rms per row: real PX4 with the tolerance, default cascade and observer (n, seeds)."""
+    """Plot the rms of each row as bars: real PX4 with tolerance, default cascade and observer (n, seeds)."""
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")
     axes = figure.subplots()
     at, width = np.arange(len(names)), 0.27
@@ -73,7 +73,7 @@ def save_steps(
     moves: Sequence[tuple[str, Array, float]],
     velocities: Sequence[tuple[str, Array]],
 ) -> None:
-    """Responses (T,) over what was asked for, with their labels and, for moves, the time allowed."""
+    """Plot responses (T,) over the commanded step, with labels and, for moves, the allowed time."""
     figure = Figure(figsize=(9.0, 4.0), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
     for i, (label, trace, allowed_s) in enumerate(moves):
@@ -95,7 +95,7 @@ def save_steps(
 
 
 def save_upsets(path: Path, *, period_s: float, tilts_deg: Array, limit_s: float, upright_deg: float) -> None:
-    """Tilt over time of every recovery (n, T), and the corner by which it must be small."""
+    """Plot the tilt of every recovery (n, T) over time, with the required limit."""
     figure = Figure(figsize=(8.0, 3.8), layout="constrained")
     axes = figure.subplots()
     time_s = period_s * np.arange(tilts_deg.shape[1])
@@ -116,7 +116,7 @@ def save_upsets(path: Path, *, period_s: float, tilts_deg: Array, limit_s: float
 
 
 def save_nees(path: Path, *, time_s: Array, means: Mapping[str, Array], band: tuple[float, float]) -> None:
-    """NEES per degree of freedom over time (e,), mean of the runs, with the band of one epoch."""
+    """Plot NEES per degree of freedom (e,) over time, mean of the runs, with the band of one epoch."""
     figure = Figure(figsize=(8.0, 3.8), layout="constrained")
     axes = figure.subplots()
     axes.axhspan(*band, color="0.88", label="95 % band of one epoch")

@@ -1,6 +1,6 @@
-"""Position hold in wind: how far from the setpoint, and how far the estimate from the truth.
+"""Position hold in wind: position error about the setpoint and estimation error.
 
-The conditions in which a real PX4 was measured, and those of the article's scenario.
+The conditions are those of the measurement of a real PX4, and those of the article's scenario.
 """
 
 import math
@@ -17,10 +17,10 @@ from studies.vehicle.solo import PLAIN, Solo, Track, solo_config
 
 HEIGHT_M = 5.0
 SETTLE_S = 12.0
-"""From the switch to offboard to the beginning of the measurement."""
+"""From the switch to offboard to the start of the measurement."""
 MEASURE_S = 60.0
 TRACE_EVERY = 25
-"""Of the recorded steps that a result keeps for figures: ten a second."""
+"""Steps between the samples of a result's trace: 10 Hz."""
 
 PX4_ESTIMATOR = {
     "EKF2_ACC_NOISE": 0.35,
@@ -32,11 +32,11 @@ PX4_ESTIMATOR = {
     "EKF2_BARO_NOISE": 3.5,
     "EKF2_MAG_NOISE": 0.05,
 }
-"""PX4's defaults, which are wider than ours: with them the estimate is as noisy as PX4's. Those of
-accelerometer, GPS velocity, barometer and compass were looked up in a recent PX4's source, not in v1.17's."""
+"""PX4's default noises, larger than this autopilot's; they make the estimate as noisy as PX4's. Those of
+accelerometer, GPS velocity, barometer and compass are from a recent PX4 source, not from v1.17."""
 
 WITHOUT_OBSERVER = {"CF_DOB_EN": 0.0}
-"""PX4's default cascade and gains."""
+"""Turns the disturbance observer off: PX4's default cascade and gains."""
 
 Sensors = Literal["table", "gazebo", "consumer"]
 SENSORS: dict[Sensors, SensorsConfig] = {
@@ -44,18 +44,18 @@ SENSORS: dict[Sensors, SensorsConfig] = {
     "gazebo": SensorsConfig(profile="gazebo"),
     "consumer": SensorsConfig(profile="consumer"),
 }
-"""``table``: as PX4 was measured: Gazebo's noise, near-perfect GPS at 10 Hz that is 10 ms old (two steps)."""
+"""``table``: as in the PX4 measurement: Gazebo's noise, near-perfect GPS at 10 Hz, 10 ms old (two steps)."""
 
 
 class Hover(Struct, frozen=True, kw_only=True):
-    """One flight to make; everything about it."""
+    """Conditions of one flight."""
 
     seed: int
     mean_n: float
     gust_rms_n: float
-    """Per horizontal axis; time constant 2 s, vertical 0.3 of it"""
+    """Per horizontal axis, vertical 0.3 of it; time constant 2 s"""
     imu_noise: float = 1.0
-    """Of the inertial sensor's errors"""
+    """Scale of the inertial sensor's errors"""
     plant: Literal["plain", "iris"] = "iris"
     sensors: Sensors = "table"
     observer: bool = True
@@ -71,7 +71,7 @@ class HoverResult(Struct, frozen=True, kw_only=True):
     total_m: float
     """About the setpoint, as a vector"""
     controlled_m: float
-    """Estimated position about the setpoint, as a vector: what the controller answers for"""
+    """Estimated position about the setpoint, as a vector: the error of the controller"""
     estimate_m: float
     """Estimated about true position, as a vector"""
     attitude_deg: float
@@ -88,7 +88,7 @@ def fly_hover(hover: Hover) -> HoverResult:
 
 
 def track_hover(hover: Hover) -> Track:
-    """Fly it and give the part that is measured."""
+    """Fly and return the measured part of the flight."""
     sensors = SENSORS[hover.sensors]
     config = solo_config(
         params=(PX4_ESTIMATOR if hover.px4_estimator else {}) | ({} if hover.observer else WITHOUT_OBSERVER),
@@ -116,7 +116,7 @@ def track_hover(hover: Hover) -> Track:
 
 
 def measure(track: Track) -> HoverResult:
-    """Root mean squares about the setpoint, `HEIGHT_M` over the start."""
+    """Return root mean squares about the setpoint, `HEIGHT_M` above the start."""
     setpoint_ned_m = np.array((0.0, 0.0, -HEIGHT_M))
     error = track.pos_ned_m - setpoint_ned_m
     north, east, down = np.sqrt((error**2).mean(axis=0)).tolist()
@@ -133,5 +133,5 @@ def measure(track: Track) -> HoverResult:
 
 
 def vector_rms(vectors: Array) -> float:
-    """Root mean square length of (T, k) vectors."""
+    """Return the root mean square length of (T, k) vectors."""
     return math.sqrt(float((vectors**2).sum(axis=1).mean()))

@@ -1,4 +1,4 @@
-"""Hover against a real PX4, and what the disturbance observer makes of it."""
+"""Hover compared with a real PX4, and hover with the disturbance observer."""
 
 import math
 from collections.abc import Iterable
@@ -21,7 +21,7 @@ WINDY_LIMIT_M = 0.20
 CALM_LIMIT_M = 0.06
 ATTITUDE_LIMIT_DEG = 0.7
 LITTLE_NOISE = 0.1
-"""Of the inertial sensor's errors, in the row that PX4 flew with little of them."""
+"""Scale of the inertial sensor's errors in the row that PX4 flew with little IMU noise."""
 
 
 class Px4Row(Struct, frozen=True, kw_only=True):
@@ -55,7 +55,7 @@ PX4_ROWS = (
 """PX4 v1.17.0, none_iris, default gains; offboard hold at 5 m for 60 s over a plain 6-DOF body."""
 
 OUR_ESTIMATOR = "calm, our estimator's noises"
-_SENSORS_TOLD: dict[Sensors, str] = {
+_SENSOR_LABELS: dict[Sensors, str] = {
     "table": "Gazebo, GPS 10 Hz",
     "gazebo": "Gazebo, GPS 5 Hz, 0.12 s late",
     "consumer": "consumer",
@@ -67,7 +67,7 @@ def _jobs(hovers: Iterable[Hover]) -> list[Job]:
 
 
 def px4_jobs(plan: VehiclePlan) -> dict[str, list[Job]]:
-    """Every row without and with the observer, and the calm one with our estimator, on the same seeds."""
+    """Return the jobs: every row without and with observer, calm with our noises; all on the same seeds."""
     groups = {
         f"{row.name}/{observer}": _jobs(
             Hover(
@@ -124,18 +124,18 @@ def judge_px4(plan: VehiclePlan, results: Results, images: Path | None) -> Secti
             px4_m=np.array([row.total_m for row in PX4_ROWS]), ours_m=ours, observed_m=observed,
             tolerance=TOLERANCE,
         )  # fmt: skip
-        figures = (("validation-px4.png", "rms about the setpoint beside a real PX4's"),)
+        figures = (("validation-px4.png", "rms about the setpoint, compared with a real PX4"),)
     return Section(
         title="Hover as a real PX4",
         conditions=(
-            "The default cascade with PX4's gains (disturbance observer off) in the conditions in which a "
-            f"real PX4 v1.17 was measured: offboard hold at 5 m for {plan.measure_s:g} s over a plain "
-            "6-DOF body of 1.55 kg with linear drag of 0.25 N/(m/s), wind force at 45 degrees with "
-            "first-order Gauss-Markov gusts (2 s, 0.3 of it vertical), Gazebo-classic's inertial noise, "
-            "near-perfect GPS at 10 Hz. The estimator has PX4's default noises (`EKF2_*`), which are "
-            "wider than ours: with ours less tilt is estimated wrongly, and the calm rms is too small to "
-            f"lie in the band (a row of the table). Required is PX4's rms within {100 * TOLERANCE:.0f} %, "
-            f"mean of {max(plan.seeds // 2, 1)} seeds. Little IMU noise is {LITTLE_NOISE:g} of it.\n"
+            "The default cascade with PX4's gains and without the disturbance observer, in the conditions "
+            f"of a measurement of a real PX4 v1.17: offboard hold at 5 m for {plan.measure_s:g} s, a 6-DOF "
+            "body of 1.55 kg with linear drag of 0.25 N/(m/s), wind force at 45 degrees with first-order "
+            "Gauss-Markov gusts (2 s, 0.3 of it vertical), Gazebo-classic's inertial noise, near-perfect "
+            "GPS at 10 Hz. The estimator uses PX4's default noises (`EKF2_*`), which are larger than ours: "
+            "with ours the tilt error is smaller, and the calm rms is below the required band (see the "
+            f"table). The mean of {max(plan.seeds // 2, 1)} seeds must be within {100 * TOLERANCE:.0f} % of "
+            f"PX4's rms. Little IMU noise is {LITTLE_NOISE:g} of the normal noise.\n"
         ),
         checks=tuple(checks),
         tables=(
@@ -191,7 +191,7 @@ def judge_hover(plan: VehiclePlan, results: Results, images: Path | None) -> Sec
         *(
             Check(
                 name=f"{wind}, consumer: tilt estimate, rms", value=_mean(flights, "tilt_deg"), unit="deg",
-                at_most=untold_tilt_deg(len(flights)),
+                at_most=unobservable_tilt_deg(len(flights)),
             )
             for wind, flights in consumer.items()
         ),
@@ -201,7 +201,7 @@ def judge_hover(plan: VehiclePlan, results: Results, images: Path | None) -> Sec
         flights: list[HoverResult] = results[f"{name}/{sensors}"]
         totals = [flight.total_m for flight in flights]
         rows.append((
-            f"{name}, {_SENSORS_TOLD[sensors]}", _axes(flights),
+            f"{name}, {_SENSOR_LABELS[sensors]}", _axes(flights),
             f"{np.mean(totals):.3f} ± {np.std(totals):.3f}",
             f"{_mean(flights, 'controlled_m'):.3f}", f"{_mean(flights, 'estimate_m'):.3f}",
             f"{_mean(flights, 'attitude_deg'):.2f}", f"{_mean(flights, 'tilt_deg'):.2f}",
@@ -219,14 +219,14 @@ def judge_hover(plan: VehiclePlan, results: Results, images: Path | None) -> Sec
         conditions=(
             "The Iris as in the article's scenario (rotor drag and rolling moment on), default settings, "
             f"observer on: offboard hold at 5 m for {plan.measure_s:g} s, {plan.seeds} seeds. The "
-            "requirements are asked with Gazebo's sensors and the near-perfect GPS of the comparison "
-            "above. The table adds, on half of the seeds, Gazebo's own GPS, which is older and rarer, and "
-            "the consumer profile. With the latter the error about the setpoint is GPS's of 1.5 m, so "
-            "`own` gives it in the estimator's frame; and the accelerometer's bias of 0.09 m/s^2 per axis "
-            "is a tilt error that hovering cannot tell from tilt: 0.09 / 9.81 = 0.5 degrees about each axis, "
-            "in the mean of many vehicles 0.65 in all. Of the consumer profile no more tilt error than that "
-            "is required, with 1.96 standard errors of the mean of so few flights: the estimator must not "
-            "learn wrong what it cannot know.\n"
+            "requirements apply to Gazebo's sensors with the near-perfect GPS of the comparison above. The "
+            "table adds, for half of the seeds, Gazebo's default GPS (lower rate, longer delay), and the "
+            "consumer profile. With the consumer profile the error about the setpoint is dominated by the "
+            "GPS error of 1.5 m; column `own` is the error in the estimator's frame. Its accelerometer bias "
+            "of 0.09 m/s^2 per axis cannot be distinguished from tilt in hover: it causes a tilt error of "
+            "0.09 / 9.81 = 0.5 degrees about each axis, and a total of 0.65 degrees in the mean of many "
+            "vehicles. The limit of the consumer profile's tilt error is this mean plus 1.96 standard errors "
+            "for the number of flights: the estimator must not add to the unobservable part.\n"
         ),
         checks=checks,
         tables=(
@@ -248,10 +248,10 @@ def judge_hover(plan: VehiclePlan, results: Results, images: Path | None) -> Sec
     )
 
 
-def untold_tilt_deg(flights: int) -> float:
-    """Give the 97.5 % limit of a mean over flights of the tilt that the consumer accelerometer's bias makes.
+def unobservable_tilt_deg(flights: int) -> float:
+    """Return the 97.5 % limit of the mean tilt error over flights due to the consumer accelerometer's bias.
 
-    Turn-on and drift are normal about two axes, so their length over gravity has Rayleigh's distribution:
+    Turn-on bias and drift are normal on two axes, so their magnitude over gravity is Rayleigh distributed:
     mean sigma sqrt(pi / 2), variance sigma^2 (2 - pi / 2).
     """
     model = PROFILES["consumer"].accel_m_s2
@@ -266,7 +266,7 @@ def _mean(flights: list[HoverResult], field: str) -> float:
 
 
 def _summary(flights: list[HoverResult]) -> tuple[str, str, str]:
-    """Per axis, 3-D with its spread, and the estimate."""
+    """Return the rms per axis, the 3-D rms with its spread, and the estimation error, as text."""
     totals = [flight.total_m for flight in flights]
     spread = f"{np.mean(totals):.3f} ± {np.std(totals):.3f}"
     return _axes(flights), spread, f"{_mean(flights, 'estimate_m'):.3f}"

@@ -1,4 +1,4 @@
-"""Steps of position and velocity against their requirements."""
+"""Step responses of position and velocity against their requirements."""
 
 from pathlib import Path
 
@@ -33,7 +33,7 @@ VELOCITY_OVERSHOOT = 0.10
 
 
 def jobs(plan: VehiclePlan) -> dict[str, list[Job]]:
-    """Each step on every seed: the mean is to be of the response, not of the noise."""
+    """Return the jobs of each step on every seed; the mean over the seeds suppresses the noise."""
     seeds = range(plan.seeds)
     groups: dict[str, list[Job]] = {
         f"{distance_m:g} m": [(fly_move, Move(seed=seed, distance_m=distance_m)) for seed in seeds]
@@ -47,7 +47,7 @@ def jobs(plan: VehiclePlan) -> dict[str, list[Job]]:
 
 
 def judge(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
-    """Check overshoot and the time until it is settled."""
+    """Check overshoot and settling time."""
     limits = ControlParams().trajectory
     checks, rows = [], []
     moves: list[tuple[str, MoveResponse, float]] = []
@@ -95,17 +95,17 @@ def judge(plan: VehiclePlan, results: Results, images: Path | None) -> Section:
     return Section(
         title="Steps",
         conditions=(
-            "The whole vehicle, estimator and Gazebo's sensors (GPS 5 Hz, 0.12 s late) in the loop, in "
-            "calm air at 10 m, observer on. A companion streams the jerk-limited reference of a move as "
-            "offboard setpoints at 50 Hz; velocities are streamed bare. The response is the mean of "
-            f"{plan.seeds} flights with different noise, on random courses. Settled is what "
-            "stays within 5 % of the step or 0.1 m, whichever is more; allowed are 1.15 times the minimum "
-            "time at the limits of speed, acceleration and jerk, and a second.\n"
+            "The complete vehicle with the estimator and Gazebo's sensors (GPS 5 Hz, 0.12 s late) in the "
+            "loop, in calm air at 10 m, observer on. A companion computer streams the jerk-limited reference "
+            "of a move as offboard setpoints at 50 Hz; velocity steps are streamed without shaping. The "
+            f"response is the mean of {plan.seeds} flights with different noise and random courses. It is "
+            "settled when it stays within 5 % of the step or 0.1 m, whichever is larger. The limit is 1.15 "
+            "times the minimum time at the limits of speed, acceleration and jerk, plus 1 s.\n"
         ),
         checks=tuple(checks),
         tables=(
             ReportTable(
-                caption="The worst single flight has the noise of its hover in it:",
+                caption="The overshoot of the worst single flight includes its noise in hover:",
                 columns=("step", "minimum time", "settled", "overshoot", "of the worst flight"),
                 rows=tuple(rows),
             ),

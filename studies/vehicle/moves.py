@@ -1,8 +1,8 @@
-"""Moves: position steps along jerk-limited references and bare velocity steps, by the whole vehicle.
+"""Step responses of the complete vehicle: jerk-limited position steps, unshaped velocity steps.
 
-A companion would do the same: it streams the reference of a move, or a velocity, as offboard setpoints. The
-sensors' noise moves a vehicle that only hovers by some centimetres, so the response is the mean of several
-flights that differ in nothing but their noise and their course; the worst single flight is told beside it.
+The setpoints are streamed in offboard mode, as by a companion computer. Sensor noise moves a hovering vehicle
+by some centimetres, so the response is the mean of several flights that differ in noise and course only. The
+worst single flight is reported as well.
 """
 
 import math
@@ -18,47 +18,47 @@ from studies.vehicle.solo import STEP_S, Solo, solo_config
 
 HEIGHT_M = 10.0
 LEAD_S = 2.0
-"""Of hover before the step, the origin of its trace."""
+"""Hover before the step, which is the origin of the trace."""
 TRACE_EVERY = 5
 """Steps between the samples of a trace: 50 Hz."""
 TRACE_S = STEP_S * TRACE_EVERY
 BAND_M = 0.1
 BAND_FRACTION = 0.05
-"""Settled is what stays within 5 % of the step or 0.1 m, whichever is more."""
+"""Settled: within 5 % of the step or 0.1 m, whichever is larger."""
 _SETTLE_S = 5.0
 
 
 class Move(Struct, frozen=True, kw_only=True):
-    """One flight to make: a position step of some metres."""
+    """Conditions of one flight: a position step."""
 
     seed: int
     distance_m: float
 
 
 class VelocityStep(Struct, frozen=True, kw_only=True):
-    """One flight to make: from rest to a velocity, unshaped."""
+    """Conditions of one flight: an unshaped velocity step from rest."""
 
     seed: int
     vel_ned_m_s: tuple[float, float, float]
 
 
 class MoveResponse(Struct, frozen=True, kw_only=True):
-    """A step, and what came of it in the mean of several flights."""
+    """Mean response to a step over several flights."""
 
     overshoot: float
-    """Beyond the target over the step, of the mean response; 0 if none"""
+    """Of the mean response, as a fraction of the step; 0 if none"""
     worst_overshoot: float
     """Of the worst single flight, noise included"""
     settled_s: float
-    """From the step on, of the mean response"""
+    """Settling time of the mean response"""
     trace: tuple[float, ...]
-    """Mean response along the step, every `TRACE_S`, from the step on"""
+    """Mean response along the step, every `TRACE_S`, starting at the step"""
 
 
 def minimum_time_s(distance_m: float, limits: TrajectoryParams) -> float:
-    """Time of a horizontal move from rest to rest at the limits of jerk J, acceleration A and speed V.
+    """Return the minimum time of a horizontal move, rest to rest, limited in jerk J, acceleration A, speed V.
 
-    Jerk alone: four phases of (d / 2 J)^(1/3). With A reached: twice A/2J + sqrt((A/2J)^2 + d/A). With V
+    Jerk limit only: four phases of (d / 2 J)^(1/3). With A reached: twice A/2J + sqrt((A/2J)^2 + d/A). With V
     reached as well: d/V + V/A + A/J; without A, d/V + 2 sqrt(V/J).
     """
     speed, acc, jerk = limits.xy_cruise_m_s, limits.acc_xy_m_s2, limits.jerk_m_s3
@@ -72,12 +72,12 @@ def minimum_time_s(distance_m: float, limits: TrajectoryParams) -> float:
 
 
 def allowed_s(distance_m: float, limits: TrajectoryParams | None = None) -> float:
-    """Give what a move may take until it has settled: 1.15 times the minimum time and a second."""
+    """Return the limit of a move's settling time: 1.15 times the minimum time plus 1 s."""
     return 1.15 * minimum_time_s(distance_m, limits or ControlParams().trajectory) + 1.0
 
 
 def fly_move(move: Move) -> Array:
-    """(T,) way along the step over the way asked for, every `TRACE_S`."""
+    """Fly a position step; return the distance over the commanded distance, (T,), every `TRACE_S`."""
     limits = ControlParams().trajectory
     course_rad = _course_rad(move.seed)
     along = np.array((math.cos(course_rad), math.sin(course_rad), 0.0))
@@ -98,9 +98,9 @@ def fly_move(move: Move) -> Array:
 
 
 def fly_velocity_step(step: VelocityStep) -> Array:
-    """(T,) speed along the step over the speed asked for, every `TRACE_S`, for 8 s."""
-    wanted = np.array(step.vel_ned_m_s)
-    speed_m_s = float(np.linalg.norm(wanted))
+    """Fly a velocity step; return the speed over the commanded speed, (T,), every `TRACE_S`, for 8 s."""
+    commanded = np.array(step.vel_ned_m_s)
+    speed_m_s = float(np.linalg.norm(commanded))
     with _hovering(step.seed) as solo:
         solo.set_velocity(0.0, 0.0, 0.0)
         solo.offboard()
@@ -109,11 +109,11 @@ def fly_velocity_step(step: VelocityStep) -> Array:
         solo.set_velocity(*step.vel_ned_m_s)
         solo.run(8.0)
         track = solo.track.after(start_s)
-    return np.asarray(track.vel_ned_m_s[::TRACE_EVERY] @ wanted / speed_m_s**2)
+    return np.asarray(track.vel_ned_m_s[::TRACE_EVERY] @ commanded / speed_m_s**2)
 
 
 def respond(traces: list[Array], *, band: float) -> MoveResponse:
-    """Judge the flights of one step; ``band`` is what counts as settled, over the step."""
+    """Return the mean response of the flights; ``band`` is the settling band, a fraction of the step."""
     all_traces = np.array(traces)
     mean = all_traces.mean(axis=0)
     outside = np.flatnonzero(np.abs(mean - 1.0) > band)
@@ -126,12 +126,12 @@ def respond(traces: list[Array], *, band: float) -> MoveResponse:
 
 
 def band_of(distance_m: float) -> float:
-    """Part of a move within which it counts as settled."""
+    """Return the settling band of a move as a fraction of its distance."""
     return max(BAND_FRACTION, BAND_M / distance_m)
 
 
 def _hovering(seed: int) -> Solo:
-    """Take off to 10 m in calm air, with the sensors of Gazebo."""
+    """Return a vehicle that has taken off to 10 m in calm air, with Gazebo's sensors."""
     sensors = SENSORS["gazebo"]
     config = solo_config(seed=seed, gps_delay_s=sensors.gps_model().delay_s)
     solo = Solo(config, sensors=sensors, seed=np.random.SeedSequence([seed, 2]))

@@ -1,4 +1,4 @@
-"""How much a vehicle's validation flies."""
+"""Number and length of the flights in a vehicle's validation."""
 
 from msgspec import Struct
 
@@ -8,12 +8,12 @@ __all__ = ["QUICK", "Job", "Results", "VehiclePlan"]
 
 
 class VehiclePlan(Struct, frozen=True, kw_only=True):
-    """How much is flown."""
+    """Number and length of the flights and cases."""
 
     seeds: int = 20
-    """Flights of each condition; of the comparison with PX4 half as many"""
+    """Flights of each condition; half as many in the comparison with PX4"""
     measure_s: float = 60.0
-    """Of each hover"""
+    """Measured time of each hover"""
     recoveries: int = 400
     throws: int = 30
     demands: int = 100_000

@@ -1,8 +1,8 @@
-"""The Iris as a rigid body of six degrees of freedom, the controllers' second witness beside PyBullet.
+"""Rigid-body Iris with six degrees of freedom: an independent plant for controller tests, beside PyBullet.
 
-Rotors, lag, drag and moments as Gazebo-classic has them; wind is a force at the centre of mass. Unlike the
-physics server's world it starts in any attitude. The truth is the estimate, with the gyro's and the
-accelerometer's white noise if asked for.
+Rotors, lag, drag and moments are modelled as in Gazebo-classic; wind is a force at the centre of mass. Unlike
+the physics server's world it can start in any attitude. The estimate is the truth, optionally with the white
+noise of gyro and accelerometer.
 """
 
 import math
@@ -75,7 +75,7 @@ def _step(
 
 
 class Iris:
-    """The vehicle, armed, with rotors turning at the speed that hovers unless it stands on the ground."""
+    """Armed vehicle; its rotors start at hover speed in the air, at idle speed on the ground."""
 
     def __init__(
         self, *, height_m: float = 0.0, q_ned_frd: Array | None = None, omega_frd_rad_s: Array | None = None,
@@ -93,7 +93,7 @@ class Iris:
 
     @property
     def pos_ned_m(self) -> Array:
-        """(3,) from where it started, the ground at 0."""
+        """(3,) relative to the start; down is 0 on the ground."""
         return self._state[0:3]
 
     @property
@@ -113,7 +113,7 @@ class Iris:
 
     @property
     def on_ground(self) -> bool:
-        """Whether the ground holds it."""
+        """Whether the vehicle is on the ground."""
         return bool(self._state[2] >= 0.0)
 
     @property
@@ -122,12 +122,12 @@ class Iris:
         return float(1.0 - 2.0 * (self._state[7] ** 2 + self._state[8] ** 2))
 
     def step(self, controls: Array, force_ned_n: Array) -> None:
-        """Advance by `DT_S` with motor controls (4,) and a force (3,) at the centre of mass held."""
+        """Advance by `DT_S` with constant motor controls (4,) and force (3,) at the centre of mass."""
         _step(self._state, self._speed, controls, force_ned_n, 1.0, self._acc)
         self.time_us += round(DT_S * 1e6)
 
     def estimate(self) -> EstimatorState:
-        """Give the truth for an estimate, with the inertial noise that was asked for."""
+        """Return the truth as an estimate, with inertial noise if ``noise_seed`` was given."""
         gyro_noise, acc_noise = np.zeros(3), np.zeros(3)
         if self._noise is not None:
             gyro_noise = GYRO_NOISE_RAD_S * self._noise.standard_normal(3)
@@ -140,7 +140,7 @@ class Iris:
 
 
 def estimate(**given: object) -> EstimatorState:
-    """Make a valid estimate: level, at rest at the origin but for what is given."""
+    """Return a valid estimate, by default level and at rest at the origin; arguments replace its fields."""
     zero = np.zeros(3)
     values: dict[str, object] = {
         "time_us": 0, "q_ned_frd": np.array((1.0, 0.0, 0.0, 0.0)), "vel_ned_m_s": zero, "pos_ned_m": zero,

@@ -1,7 +1,7 @@
-"""Flights on paper with noisy sensors: truth in closed form, what an Iris's sensors would say, a replay.
+"""Prescribed flights with noisy sensors: truth in closed form, samples of an Iris's sensors, replay.
 
-No physics and no controller: the path is prescribed, attitude follows from the thrust that it needs. So the
-estimator can be measured against a truth that is exact, with noises that are known to the letter.
+There is no physics and no controller: the path is prescribed, and the attitude follows from the thrust it
+requires. The estimator is thus compared with exact truth under exactly known noises.
 """
 
 from collections.abc import Callable
@@ -21,35 +21,35 @@ STEP_US = 4_000
 STEP_S = STEP_US * 1e-6
 GPS_STEPS = 50
 SLOW_STEPS = 10
-"""Of magnetometer and barometer, as often as a vehicle takes them."""
+"""Steps between samples of magnetometer and barometer, as in a vehicle."""
 GPS_DELAY_S = 0.12
 SITE = Site()
 FIELD_NED_GAUSS = np.array(SITE.magnetic_field_ned_gauss)
 Path = Callable[[Array], tuple[Array, Array]]
-"""Times (n,) to positions (n, 3) NED and yaw (n,); at rest for the first five seconds."""
+"""Maps times (n,) to NED positions (n, 3) and yaw (n,); at rest for the first 5 s."""
 
 
 def ramp(time_s: Array, start_s: float = 5.0, rise_s: float = 4.0) -> Array:
-    """Seconds of motion: none before the start, then a rate that rises smoothly to one."""
+    """Return the path parameter in seconds: 0 before the start, then with a rate that rises smoothly to 1."""
     u = np.clip((time_s - start_s) / rise_s, 0.0, 1.0)
     motion: Array = rise_s * (2.5 * u**4 - 3.0 * u**5 + u**6) + np.maximum(0.0, time_s - start_s - rise_s)
     return motion
 
 
 def rest(time_s: Array) -> tuple[Array, Array]:
-    """Stay."""
+    """Stay at the origin."""
     return np.zeros((time_s.size, 3)), np.full(time_s.size, 0.7)
 
 
 def circle(time_s: Array) -> tuple[Array, Array]:
-    """5 m/s on a radius of 5 m: 5 m/s^2 and 27 degrees of tilt, nose held."""
+    """5 m/s on a radius of 5 m: 5 m/s^2, 27 degrees of tilt, constant yaw."""
     phase = ramp(time_s)
     pos_m = np.stack((5.0 * np.sin(phase), 5.0 - 5.0 * np.cos(phase), -0.5 * phase), axis=-1)
     return pos_m, np.full(time_s.size, 0.7)
 
 
 def figure_eight(time_s: Array) -> tuple[Array, Array]:
-    """Up to 6 m/s and 5 m/s^2, rising and falling, the nose turning all the while."""
+    """Up to 6 m/s and 5 m/s^2, with climbs, descents and varying yaw."""
     phase = ramp(time_s)
     pos_m = np.stack(
         (8.0 * np.sin(0.55 * phase), 4.0 * np.sin(1.1 * phase), -3.0 + 3.0 * np.cos(0.4 * phase)), axis=-1
@@ -58,23 +58,23 @@ def figure_eight(time_s: Array) -> tuple[Array, Array]:
 
 
 def straight(time_s: Array) -> tuple[Array, Array]:
-    """5 m/s to the north, for ever."""
+    """Fly north at 5 m/s."""
     distance_m = 5.0 * ramp(time_s)
     return np.stack((distance_m, 0.0 * distance_m, 0.0 * distance_m), axis=-1), np.full(time_s.size, 0.7)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Noise:
-    """One sigma of each sensor; the defaults are the Iris's, with a GPS that errs by metres."""
+    """Standard deviations of each sensor; the defaults are those of the Iris with a GPS bias of 1.5 m."""
 
     gyro_rad_s: float = 0.0138
     accel_m_s2: float = 0.1
     gyro_bias_rad_s: Array = field(default_factory=lambda: np.array([0.008, -0.006, 0.004]))
-    """At the start, not a sigma."""
+    """Initial value, not a standard deviation"""
     accel_bias_m_s2: Array = field(default_factory=lambda: np.array([0.05, -0.04, 0.12]))
-    """At the start, not a sigma."""
+    """Initial value, not a standard deviation"""
     gyro_bias_walk_rad_s: float = 0.0
-    """After one second, growing with the root of time; likewise the next."""
+    """After 1 s, growing with the root of time; like the next field"""
     accel_bias_walk_m_s2: float = 0.0
     mag_gauss: float = 0.004
     baro_pa: float = 1.0
@@ -84,7 +84,7 @@ class Noise:
     gps_vel_m_s: float = 0.1
     """Horizontal"""
     gps_vel_down_ratio: float = 1.0
-    """How much noisier it is vertically"""
+    """Ratio of the vertical to the horizontal velocity noise"""
     gps_eph_m: float = 1.5
 
 
@@ -103,14 +103,14 @@ class SimulatedFlight:
     fixes: dict[int, GpsFix]
     """By step"""
     gps_bias_ned_m: Array
-    """(n, 3) of a fix that arrives at the step"""
+    """(n, 3) bias of the fix that arrives at the step"""
     gyro_bias_rad_s: Array
-    """(n, 3); likewise the next"""
+    """(n, 3), like the next field"""
     accel_bias_m_s2: Array
 
 
 def _kinematics(path: Path, time_s: Array) -> tuple[Array, Array, Array, Rotation]:
-    """Position, velocity, acceleration and the attitude whose -z axis is the specific force."""
+    """Return position, velocity, acceleration and the attitude with its -z axis along the specific force."""
     h_s = 1e-3
     (before_m, _), (pos_m, yaw_rad), (after_m, _) = path(time_s - h_s), path(time_s), path(time_s + h_s)
     vel_m_s = (after_m - before_m) / (2.0 * h_s)
@@ -125,7 +125,7 @@ def _kinematics(path: Path, time_s: Array) -> tuple[Array, Array, Array, Rotatio
 
 
 def _walk(rng: np.random.Generator, start: Array, walk: float, steps: int) -> Array:
-    """(n, 3) a bias that wanders; draws nothing if it does not."""
+    """Return a bias with random walk, (n, 3); nothing is drawn if ``walk`` is 0."""
     if walk == 0.0:
         return np.tile(start, (steps, 1))
     bias: Array = start + walk * np.sqrt(STEP_S) * np.cumsum(rng.standard_normal((steps, 3)), axis=0)
@@ -135,7 +135,7 @@ def _walk(rng: np.random.Generator, start: Array, walk: float, steps: int) -> Ar
 def _fixes(
     path: Path, time_s: Array, rng: np.random.Generator, noise: Noise
 ) -> tuple[dict[int, GpsFix], Array]:
-    """Give the fixes by step, and the slow error (k, 3) of each."""
+    """Return the fixes by step, and the bias (k, 3) of each."""
     steps = np.arange(GPS_STEPS, time_s.size, GPS_STEPS)
     pos_m, vel_m_s, _, _ = _kinematics(path, time_s[steps] - GPS_DELAY_S)
     decay = np.exp(-GPS_STEPS * STEP_S / noise.gps_bias_time_s)
@@ -172,7 +172,7 @@ def _fixes(
 def simulate(
     path: Path, duration_s: float, rng: np.random.Generator, noise: Noise | None = None
 ) -> SimulatedFlight:
-    """Fly the path once: IMU 250 Hz, magnetometer and barometer 25 Hz, GPS 5 Hz and 0.12 s late."""
+    """Simulate sensors on a path: IMU 250 Hz, magnetometer and barometer 25 Hz, GPS 5 Hz, 0.12 s late."""
     noise = noise or Noise()
     steps = round(duration_s / STEP_S)
     time_s = STEP_S * np.arange(1.0, steps + 1.0)
@@ -205,7 +205,7 @@ def simulate(
 
 
 def feed(estimator: Estimator, flight: SimulatedFlight, on_step: Callable[[int, Estimator], None]) -> None:
-    """Give a flight's samples to an estimator and call ``on_step`` after each step."""
+    """Feed a flight's samples to an estimator and call ``on_step`` after each step."""
     for k, time_us in enumerate(flight.time_us.tolist()):
         if k in flight.fixes:
             estimator.on_gps(flight.fixes[k])
@@ -223,7 +223,7 @@ def feed(estimator: Estimator, flight: SimulatedFlight, on_step: Callable[[int, 
 def replay(
     estimator: Estimator, flight: SimulatedFlight, *, on_step: Callable[[int, Estimator], None] | None = None
 ) -> list[EstimatorState]:
-    """`feed`, and return the state after every step."""
+    """Feed a flight to an estimator and return its state after every step."""
     states = []
 
     def keep(k: int, estimator: Estimator) -> None:
@@ -242,11 +242,11 @@ class Errors:
     attitude_ned_rad: Array
     vel_m_s: Array
     pos_m: Array
-    """From the place of the start; the estimator's origin lies off that by the first fixes' error."""
+    """Relative to the start; the estimator's origin is displaced from it by the error of the first fixes"""
 
 
 def errors(flight: SimulatedFlight, states: list[EstimatorState]) -> Errors:
-    """Compare a replay's states with the truth."""
+    """Return the errors of a replay's states."""
     estimated = Rotation.from_quat(np.array([state.q_ned_frd for state in states]), scalar_first=True)
     return Errors(
         attitude_ned_rad=(estimated * flight.rotations_ned_frd.inv()).as_rotvec(),

@@ -1,7 +1,7 @@
-"""One whole vehicle over the real physics, sensors and simulator messages: one process, no sockets.
+"""One complete vehicle with the swarm's physics, sensors and messages, in one process without sockets.
 
-The bytes of the simulator's link are packed and parsed as in a swarm, so what cannot be sent fails here. What
-happens in a flight depends on the arguments alone.
+The messages of the simulator's link are encoded and parsed as in a swarm, so a message that cannot be encoded
+fails here as well. A flight is determined by its arguments.
 """
 
 import math
@@ -32,7 +32,7 @@ from harness.world.wind import GustyWind, WindConfig
 STEP_US = 4_000
 STEP_S = STEP_US * 1e-6
 SETPOINT_PERIOD_US = 48_000
-"""Of offboard setpoints: about 20 Hz, in whole steps."""
+"""Period of offboard setpoints: about 20 Hz, in whole steps."""
 ARM = common.MAV_CMD_COMPONENT_ARM_DISARM
 MODE = common.MAV_CMD_DO_SET_MODE
 TAKE_OFF = common.MAV_CMD_NAV_TAKEOFF
@@ -43,39 +43,41 @@ _POSITION_ONLY = 0b0001_1111_1000 | _YAW_RATE_IGNORED
 _ACCELERATION_ONLY = 0b0000_0011_1111 | _YAW_RATE_IGNORED
 _VELOCITY_ONLY = 0b0001_1100_0111 | _YAW_RATE_IGNORED
 _READY_LIMIT_S = 30.0
-_ASK_AGAIN_S = 0.5
+_RETRY_S = 0.5
 _TAKE_OFF_LIMIT_S = 40.0
 
 PLAIN = replace(IRIS, rotor_drag_n_s2_m=0.0, rolling_moment_n_s2=0.0, drag_n_s_m=0.25)
-"""The Iris as the plain 6-DOF body on which a real PX4 was measured: linear drag of 0.25 N/(m/s) alone."""
+"""Iris with linear drag of 0.25 N/(m/s) as the only drag: the 6-DOF body on which a real PX4 was measured."""
 
 
 class FlightError(RuntimeError):
-    """A flight did not get where it should; the text is one line."""
+    """A flight did not reach the required state; the text is one line."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Track:
-    """What was flown, step by step: T rows. Positions are from the place of the start, its ground at down = 0
-    for the centre of mass; estimates are laid there by the origin that the estimator took.
-    """  # noqa: D205 - one sentence and its terms
+    """Recorded flight, one row for each of T steps.
+
+    Positions are relative to the centre of mass at the start, on the ground; estimates are converted to that
+    frame with the estimator's origin.
+    """
 
     time_s: Array
-    """(T,) since the simulation began"""
+    """(T,) since the start of the simulation"""
     pos_ned_m: Array
-    """(T, 3) truth, as the next two"""
+    """(T, 3) truth, like the next two fields"""
     vel_ned_m_s: Array
     q_ned_frd: Array
     """(T, 4) wxyz"""
     estimated_pos_ned_m: Array
     """(T, 3)"""
     own_pos_ned_m: Array
-    """(T, 3) the estimate from the vehicle's own origin, in which its setpoints are"""
+    """(T, 3) estimate relative to the estimator's origin, the frame of the setpoints"""
     estimated_vel_ned_m_s: Array
     estimated_q_ned_frd: Array
 
     def after(self, time_s: float) -> "Track":
-        """Give the part that begins at a time."""
+        """Return the part that begins at ``time_s``."""
         first = int(np.searchsorted(self.time_s, time_s - 0.5 * STEP_S))
         return Track(**{name: getattr(self, name)[first:] for name in self.__slots__})
 
@@ -93,7 +95,7 @@ class Track:
 
 
 def _vertical_frd(q_ned_frd: Array) -> Array:
-    """(T, 3) down in body axes."""
+    """Return the down direction in body axes, (T, 3)."""
     w, x, y, z = q_ned_frd.T
     return np.stack((2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z), axis=1)
 
@@ -107,7 +109,7 @@ _COLUMNS = {
 def solo_config(
     *, params: dict[str, float] | None = None, seed: int = 0, gps_delay_s: float = Devices().gps_delay_s
 ) -> VehicleConfig:
-    """Give the settings of a vehicle that flies alone, without the on-board application."""
+    """Return the configuration of a single vehicle without the on-board application."""
     return VehicleConfig(
         run_id="solo",
         instance=0,
@@ -120,7 +122,7 @@ def solo_config(
 
 
 class Solo:
-    """Steps world and vehicle in lockstep; the ground station's side is `send`, `command` and ``heard``."""
+    """World and vehicle in lockstep, with a ground station: `send`, `command` and received messages."""
 
     def __init__(
         self,
@@ -134,7 +136,7 @@ class Solo:
         imu_noise: float = 1.0,
         recording: bool = True,
     ) -> None:
-        """Put it on the ground. ``imu_noise`` scales the inertial sensor's errors of the profile."""
+        """Place the vehicle on the ground. ``imu_noise`` scales the inertial errors of the sensor profile."""
         self.vehicle = Vehicle(config)
         self._start_ned_m = np.array((0.0, 0.0, -plant.standing_height_m))
         self.world = World(
@@ -156,14 +158,14 @@ class Solo:
         self._encoder = HilEncoder(system=config.instance + 1, component=1)
         self._not_stopped = np.zeros(1, dtype=np.bool_)
         self.gps = True
-        """False loses the fixes on the way to the vehicle."""
+        """False drops the GPS fixes before they reach the vehicle."""
         self.stream: list[bytes] | None = None
-        """Bytes to the vehicle, one step each, if somebody puts a list here"""
+        """If a list is set: bytes sent to the vehicle, one entry each step"""
         self.now_us = 0
         self.heard: list[tuple[int, Message]] = []
-        """(time_us, message) to the ground station, less heartbeats."""
+        """(time_us, message) received by the ground station, without heartbeats."""
         self.modes: list[tuple[int, str, bool]] = []
-        """(time_us, mode, armed) of heartbeats to the simulator, at each change."""
+        """(time_us, mode, armed) from heartbeats to the simulator, at each change."""
         self._to_send: list[Message] = []
         self._setpoint: Message | None = None
         self._recording = recording
@@ -171,7 +173,7 @@ class Solo:
         self._taken = 0
 
     def __enter__(self) -> Self:
-        """Nothing is started: the world is there already."""
+        """Return the object itself; the world exists already."""
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -181,25 +183,25 @@ class Solo:
 
     @property
     def now_s(self) -> float:
-        """Simulated time since the beginning."""
+        """Simulated time since the start."""
         return self.now_us * 1e-6
 
     @property
     def height_m(self) -> float:
-        """Truth, over the ground that it stood on."""
+        """True height above the ground at the start."""
         return -float(self.world.truth.pos_ned_m[0, 2]) - self._standing_height_m
 
     def step(self, *, streams: bool = False, controls: Array | None = None) -> StepOutput:
         """Advance vehicle, then world, by one step.
 
-        ``streams``: somebody listens on both links. ``controls`` (4,) go to the motors in place of the
-        vehicle's, which does not learn of it.
+        ``streams``: both links are active. ``controls`` (4,) replace the motor controls of the vehicle, which
+        gets no notice of it.
         """
         self.now_us += STEP_US
         if self._setpoint is not None and self.now_us % SETPOINT_PERIOD_US == 0:
             self._to_send.append(self._setpoint)
         (frame,) = self._hil.encode(self.now_us, self._read_sensors(), self._escs())
-        data = bytes(frame)  # to be kept: a frame holds until the next one
+        data = bytes(frame)  # a copy: the frame is valid only until the next one
         if self.stream is not None:
             self.stream.append(data)
         messages = self._parser.push(data)
@@ -211,10 +213,10 @@ class Solo:
             link_messages=reply(Partner(GROUND_STATION, 0), *sent),
             link_active=(streams, streams),
         )
-        self._listen(output)
+        self._receive(output)
         (answer,) = self._from_vehicle.push(self._encoder.encode(output.actuators))
         if not isinstance(answer, HilActuatorControls):
-            raise FlightError(f"the vehicle answered with {answer!r}")
+            raise FlightError(f"unexpected message from the vehicle: {answer!r}")
         self.world.step(
             np.array([answer.controls[:4] if controls is None else controls]),
             np.array([is_armed(answer)]),
@@ -226,7 +228,7 @@ class Solo:
         return output
 
     def run(self, seconds: float, *, until: Callable[[], bool] | None = None) -> bool:
-        """Step for some time, or until a condition holds; returns whether it did."""
+        """Step for ``seconds`` or until the condition holds; return whether it did."""
         for _ in range(round(seconds / STEP_S)):
             self.step()
             if until is not None and until():
@@ -236,11 +238,11 @@ class Solo:
     # ---- the ground station
 
     def send(self, *messages: Message) -> None:
-        """Send with the next step."""
+        """Send messages with the next step."""
         self._to_send += messages
 
     def command(self, command: int, *params: float) -> int:
-        """Send a command, step once and return the result of its acknowledgement."""
+        """Send a command, step once and return the result in its acknowledgement."""
         padded = (*params, *[0.0] * (7 - len(params)))
         self.send(common.MAVLink_command_long_message(1, 1, command, 0, *padded))
         self.step()
@@ -255,7 +257,7 @@ class Solo:
         return result
 
     def texts(self) -> list[str]:
-        """Give what the vehicle said in words so far."""
+        """Return the status texts received so far."""
         return [message.text for _, message in self.heard if message.get_type() == "STATUSTEXT"]
 
     def set_position(self, north_m: float, east_m: float, down_m: float) -> None:
@@ -273,7 +275,7 @@ class Solo:
         )
 
     def set_reference(self, setpoint: TrajectorySetpoint) -> None:
-        """Stream this offboard setpoint from now on, and with the next step; all three groups must be set."""
+        """Stream this offboard setpoint, starting with the next step; all three groups must be set."""
         groups = (setpoint.pos_ned_m, setpoint.vel_ned_m_s, setpoint.acc_ned_m_s2)
         values = [value for group in groups if group is not None for value in map(float, group)]
         self._setpoint = common.MAVLink_set_position_target_local_ned_message(
@@ -287,18 +289,18 @@ class Solo:
         while self.command(ARM, 1.0) != common.MAV_RESULT_ACCEPTED:
             if self.now_s > _READY_LIMIT_S:
                 raise FlightError(f"not ready after {_READY_LIMIT_S:g} s: {' / '.join(self.texts()[-1:])}")
-            self.run(_ASK_AGAIN_S)
+            self.run(_RETRY_S)
         altitude_m = vehicle.flight.state.origin_alt_m + height_m
-        self._demand(TAKE_OFF, *[0.0] * 3, *[math.nan] * 3, altitude_m)
+        self._require(TAKE_OFF, *[0.0] * 3, *[math.nan] * 3, altitude_m)
         if not self.run(_TAKE_OFF_LIMIT_S, until=lambda: vehicle.commander.mode is FlightMode.HOLD):
             raise FlightError(f"no hold {_TAKE_OFF_LIMIT_S:g} s after take-off to {height_m:g} m")
 
     def offboard(self) -> None:
-        """Switch to offboard, which follows the streamed setpoint. Raises FlightError."""
+        """Switch to offboard mode, which follows the streamed setpoint. Raises FlightError."""
         self.run(2 * SETPOINT_PERIOD_US * 1e-6)
-        self._demand(MODE, 1.0, float(FlightMode.OFFBOARD.custom_mode >> 16), 0.0)
+        self._require(MODE, 1.0, float(FlightMode.OFFBOARD.custom_mode >> 16), 0.0)
 
-    def _demand(self, command: int, *params: float) -> None:
+    def _require(self, command: int, *params: float) -> None:
         result = self.command(command, *params)
         if result != common.MAV_RESULT_ACCEPTED:
             raise FlightError(f"command {command} refused: {' / '.join(self.texts()[-1:])}")
@@ -307,7 +309,7 @@ class Solo:
 
     @property
     def track(self) -> Track:
-        """What was flown so far."""
+        """Recorded flight so far."""
         rows = self._rows[: self._taken]
         columns, at = {"time_s": rows[:, 0].copy()}, 1
         for name, width in _COLUMNS.items():
@@ -345,12 +347,12 @@ class Solo:
         )
 
     def _escs(self) -> esc.EscReadings | None:
-        """What the motors' controllers report, when they do: as the physics server has it."""
+        """Return the ESC readings in steps that have them, as the physics server does; else None."""
         if self.now_us % esc.PERIOD_US >= STEP_US:
             return None
         return esc.readings(self._measured.rotor_speed_rad_s)
 
-    def _listen(self, output: StepOutput) -> None:
+    def _receive(self, output: StepOutput) -> None:
         self.heard += [
             (self.now_us, message)
             for partner, message in output.links
@@ -360,7 +362,7 @@ class Solo:
             if message.get_type() == "HEARTBEAT" and message.autopilot == common.MAV_AUTOPILOT_PX4:
                 mode = mode_from_custom(message.custom_mode)
                 if mode is None:
-                    raise FlightError(f"a heartbeat speaks of the unknown mode {message.custom_mode}")
+                    raise FlightError(f"heartbeat with unknown mode {message.custom_mode}")
                 seen = (mode.label, bool(message.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED))
                 if not self.modes or self.modes[-1][1:] != seen:
                     self.modes.append((self.now_us, *seen))

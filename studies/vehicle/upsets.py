@@ -1,8 +1,9 @@
-"""Upsets: from any attitude and rate, upside down included, back upright.
+"""Upset recovery: return to level from any attitude and rate, upside down included.
 
-Two witnesses. The controller alone over the independent 6-DOF body of `rigid_body`, its truth with the
-inertial sensors' noise for an estimate, starts in random attitudes. The whole vehicle, estimator in the loop,
-is thrown: somebody else takes its motors in mid-flight, flies it towards a random attitude, and lets go.
+Two tests. (1) The controller by itself over the independent 6-DOF body of `rigid_body` starts in random
+attitudes; its estimate is the truth with inertial noise. (2) The complete vehicle with its estimator in the
+loop is upset in flight: a second controller takes over its motors, flies it towards a random attitude and
+then releases them.
 """
 
 import math
@@ -19,7 +20,7 @@ from studies.vehicle.solo import STEP_S, FlightError, Solo, solo_config
 
 HEIGHT_M = 30.0
 UPRIGHT_DEG = 10.0
-"""Tilt that counts as upright"""
+"""Largest tilt that counts as upright"""
 LIMIT_S = 1.5
 RATE_MAX_RAD_S = 4.0
 WATCH_S = 2.4
@@ -28,10 +29,10 @@ TILT_LIMIT_DEG = math.degrees(ControlParams().position.tilt_max_rad)
 CATCH_S = 12.0
 TRACE_EVERY = 5
 LEVEL = AttitudeSetpoint(q_ned_frd=np.array((1.0, 0.0, 0.0, 0.0)), yaw_rate_rad_s=0.0, thrust=0.53)
-"""Level at the thrust that hovers"""
+"""Level at hover thrust"""
 _NO_FORCE = np.zeros(3)
 _HALF_TURNS = ((0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (1.0, 0.0, 1.0, 0.0), (0.0, 1.0, 0.0, 1.0))
-"""The attitudes that are hard for quaternions come first: turned over, on the nose."""
+"""Flown first, because they are critical for quaternions: upside down, nose down."""
 _THROW_S = (0.15, 0.9)
 _THROW_THRUST = 0.2
 _SETTLE_S = 2.0
@@ -39,38 +40,39 @@ _BODY_UP = np.array((0.0, 0.0, -1.0))
 
 
 class Upset(Struct, frozen=True, kw_only=True):
-    """The controller alone: one case and what came of it."""
+    """Recovery of the controller by itself."""
 
     start_rate_rad_s: float
     upright_s: float
-    """From when on the tilt stays within `UPRIGHT_DEG`, until `WATCH_S`"""
+    """Time from which the tilt stays within `UPRIGHT_DEG`, until `WATCH_S`"""
     tilt_deg: tuple[float, ...]
-    """Every `TRACE_EVERY` steps, from the start on"""
+    """Every `TRACE_EVERY` steps, from the start"""
 
 
 class Catch(Struct, frozen=True, kw_only=True):
-    """The whole vehicle: one throw and what came of it.
+    """Recovery of the complete vehicle from one upset.
 
-    A hold leans as far as its tilt limit against the speed that the throw gave it, so upright here is that
-    the thrust axis is where the position controller wants it, which moves as the vehicle is braked.
+    Position hold tilts the vehicle up to its tilt limit to brake the speed gained in the upset. The criterion
+    is therefore the angle between the thrust axis and the position controller's setpoint, which moves while
+    the vehicle brakes.
     """
 
     start_tilt_deg: float
     start_rate_rad_s: float
     aligned_s: float
-    """From when on the thrust axis stays within `ALIGNED_DEG` of the wanted one, until `CATCH_S`"""
+    """Time from which the thrust axis stays within `ALIGNED_DEG` of its setpoint, until `CATCH_S`"""
     within_limit_s: float
-    """From when on the tilt stays within the tilt limit and `UPRIGHT_DEG`"""
+    """Time from which the tilt stays below the tilt limit plus `UPRIGHT_DEG`"""
     sunk_m: float
-    """Below the place that was held, at most"""
+    """Largest height loss below the held position"""
     away_m: float
-    """From that place at the end"""
+    """Distance from the held position at the end"""
     attitude_error_deg: float
-    """Of the estimate, at most"""
+    """Largest error of the estimate"""
 
 
 def recover(seed: int) -> Upset:
-    """Start the controller in a random attitude with random rates of up to 4 rad/s and ask for level."""
+    """Recover from a random attitude with rates of up to 4 rad/s: level flight is commanded."""
     rng = np.random.default_rng([seed, 5])
     q = np.array(_HALF_TURNS[seed]) if seed < len(_HALF_TURNS) else rng.standard_normal(4)
     rates = rng.standard_normal(3)
@@ -92,7 +94,7 @@ def recover(seed: int) -> Upset:
 
 
 def throw(seed: int) -> Catch:
-    """Throw the whole vehicle while it holds a place at 30 m, and let it catch itself."""
+    """Upset the complete vehicle while it holds its position at 30 m, and record its recovery."""
     rng = np.random.default_rng([seed, 6])
     sensors = SENSORS["gazebo"]
     config = solo_config(seed=seed, gps_delay_s=sensors.gps_model().delay_s)
@@ -102,10 +104,10 @@ def throw(seed: int) -> Catch:
         solo.offboard()
         solo.run(_SETTLE_S)
         q = rng.standard_normal(4)
-        wanted = AttitudeSetpoint(q_ned_frd=q / np.linalg.norm(q), yaw_rate_rad_s=0.0, thrust=_THROW_THRUST)
+        upset = AttitudeSetpoint(q_ned_frd=q / np.linalg.norm(q), yaw_rate_rad_s=0.0, thrust=_THROW_THRUST)
         thrower = FlightController(ControlParams())
         for _ in range(round(rng.uniform(*_THROW_S) / STEP_S)):
-            controls = thrower.update(_true_state(solo), wanted, dt_s=STEP_S, landed=False)
+            controls = thrower.update(_true_state(solo), upset, dt_s=STEP_S, landed=False)
             solo.step(controls=np.array(controls))
         start_s, truth = solo.now_s, solo.world.truth
         off_deg, tilts_deg = [], [_tilt_deg(truth.q_ned_frd[0])]
@@ -113,7 +115,7 @@ def throw(seed: int) -> Catch:
             solo.step()
             q_now, setpoint = solo.world.truth.q_ned_frd[0], solo.vehicle.flight.attitude_setpoint()
             if setpoint is None:
-                raise FlightError("a thrown vehicle was disarmed in the air")
+                raise FlightError("the vehicle was disarmed in the air after an upset")
             off_deg.append(_angle_deg(_up_ned(q_now), _up_ned(setpoint.q_ned_frd)))
             tilts_deg.append(_tilt_deg(q_now))
         track = solo.track.after(start_s)
@@ -129,13 +131,13 @@ def throw(seed: int) -> Catch:
 
 
 def _last_above(angles_deg: list[float], limit_deg: float) -> float:
-    """Seconds after which all angles, one a step, stay within the limit."""
+    """Return the time in seconds from which all angles, one each step, stay within the limit."""
     above = [k for k, angle_deg in enumerate(angles_deg) if angle_deg > limit_deg]
     return STEP_S * (above[-1] + 1 if above else 0)
 
 
 def _true_state(solo: Solo) -> EstimatorState:
-    """Lay the truth out as an estimate, for the one who throws."""
+    """Return the truth as an estimate, for the controller that causes the upset."""
     truth = solo.world.truth
     return estimate(
         time_us=solo.now_us,
@@ -148,7 +150,7 @@ def _true_state(solo: Solo) -> EstimatorState:
 
 
 def _up_ned(q_ned_frd: Array) -> Array:
-    """(3,) body -z."""
+    """Return the body's -z axis in NED, (3,)."""
     up: Array = quat_rotate(q_ned_frd, _BODY_UP)
     return up
 
@@ -158,5 +160,5 @@ def _tilt_deg(q_ned_frd: Array) -> float:
 
 
 def _angle_deg(first: Array, second: Array) -> float:
-    """Angle between unit vectors."""
+    """Return the angle between unit vectors."""
     return math.degrees(math.acos(min(max(float(first @ second), -1.0), 1.0)))

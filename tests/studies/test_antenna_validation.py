@@ -254,7 +254,7 @@ def test_few_draws_have_the_references_gain_and_other_deviations_do_not():
     row = next(r for r in sensitivity.reference_rows() if (r.sigma_m, r.wavelength_m) == (0.5, LAMBDA_M))
     config = AntennaConfig(grid_deg=sensitivity.GRID_DEG)
     for sigma_m, right in ((0.5, True), (0.25, False), (1.0, False)):
-        gains = sensitivity.draw(sensitivity.Wanted(config=config, sigma_m=sigma_m, samples=100))
+        gains = sensitivity.draw(sensitivity.Draw(config=config, sigma_m=sigma_m, samples=100))
         # the grid is in single precision
         assert all(a >= b - 1e-5 for a, b in zip(gains.refined, gains.on_grid, strict=True))
         ours = sensitivity.moments(np.array(gains.on_grid))
@@ -265,7 +265,7 @@ def test_only_the_ratio_of_deviation_and_wavelength_counts():
     rows = [r for r in sensitivity.reference_rows() if r.sigma_m / r.wavelength_m in {0.05, 0.1}]
     gains = [
         sensitivity.draw(
-            sensitivity.Wanted(
+            sensitivity.Draw(
                 config=AntennaConfig(wavelength_m=row.wavelength_m), sigma_m=row.sigma_m, samples=6
             )
         )

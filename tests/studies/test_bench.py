@@ -29,7 +29,7 @@ def sensor_frame(sequence=7):
 def test_a_bare_vehicle_and_its_server_speak_mavlink():
     (sensed,) = HilParser(HilSensor).push(sensor_frame())
     assert (sensed.time_usec, sensed.temperature, sensed.fields_updated) == (4_000, 12.0, 0x1FFF)
-    (answered,) = HilParser(HilActuatorControls).push(floor.answer(sensor_frame(), 3))
+    (answered,) = HilParser(HilActuatorControls).push(floor.reply(sensor_frame(), 3))
     assert (answered.time_usec, list(answered.controls[:5]), answered.flags) == (
         4_000,
         pytest.approx([0.7, 0.7, 0.7, 0.7, 0.0]),
@@ -46,7 +46,7 @@ def test_a_wrong_byte_is_no_frame(at):
     wrong[at] ^= 0x10
     assert floor.fields_of(bytes(wrong), floor._SENSOR, 107, 108) is None
     with pytest.raises(floor.LostError):
-        floor.answer(bytes(wrong), 0)
+        floor.reply(bytes(wrong), 0)
 
 
 def test_the_floors_are_of_as_many_processes_and_cost_something():
@@ -256,11 +256,11 @@ def test_a_measurement_that_fails_is_told_with_its_last_words(tmp_path):
 def test_a_measurement_that_is_not_done_in_time_is_broken_off(monkeypatch):
     monkeypatch.setattr(bench, "WALL_LIMIT_S", 1.0)
     others = psutil.Process().children()  # of tests before this one
-    with pytest.raises(bench.BenchError, match=r"^harness\.bench\.floor: not done within 1 s$"):
+    with pytest.raises(bench.BenchError, match=r"^studies\.bench\.floor: not done within 1 s$"):
         bench._floor(1, 60.0)
     assert set(psutil.Process().children()) <= set(others)
 
 
 def test_frame_lengths_are_a_flights():
     assert floor._SENSOR.size == struct.calcsize("<Q13fI") == 64
-    assert floor._ANSWER.size == 81
+    assert floor._REPLY.size == 81

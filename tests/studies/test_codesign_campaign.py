@@ -170,9 +170,11 @@ def test_a_flight_whose_machinery_failed_is_broken(tmp_path, monkeypatch):
 
 def test_the_state_of_the_sources_is_what_they_do(tmp_path):
     """Comments, docstrings and layout change nothing; a number does, wherever it flies."""
-    for package in ("antenna", "netsim", "autopilot", "harness/codesign"):
+    for package in ("antenna", "netsim", "autopilot", "harness/cli", "studies/codesign"):
         (tmp_path / package).mkdir(parents=True)
-    flying, telling = tmp_path / "autopilot" / "a.py", tmp_path / "harness" / "codesign" / "cli.py"
+    for name in ("flights.py", "measures.py"):
+        (tmp_path / "studies" / "codesign" / name).touch()
+    flying, telling = tmp_path / "autopilot" / "a.py", tmp_path / "harness" / "cli" / "fly.py"
     flying.write_text('"""One."""\n\n\ndef f(x):\n    """Two."""\n    return x + 1\n')
     telling.write_text("A = 1\n")
     first = sources_state(tmp_path)
@@ -227,7 +229,7 @@ def test_a_second_run_flies_nothing_and_writes_the_same_page(tmp_path, no_flying
     assert first.exit_code == MISSED, first.output
     assert len(no_flying) == 4 * 10
     page = (tmp_path / "docs" / "codesign-results.md").read_text()
-    assert "    python scripts/experiment_codesign.py --only baselines --out docs\n" in page
+    assert "    python scripts/experiment_codesign.py --only baselines --out docs/results\n" in page
     assert "| FTM over the emulated channel | 0.200 (0.200 to 0.200) |" in page
     assert "- ftm-8-5n, seed 2: SwarmError: lost" in page
     assert "from 39 flights" in page

@@ -229,7 +229,7 @@ def tables_of(pos_ned_m, *, own_ned_m=None, collisions_us=(), sessions=40):
         session_by=np.arange(sessions) % vehicles,
         session_error_m=np.where(np.arange(sessions) % vehicles == 5, 5.0, 0.0),
         collisions_us=tuple(collisions_us),
-        beacons_heard=12,
+        beacons_received=12,
         beacons_lost=3,
     )
 

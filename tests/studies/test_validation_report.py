@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from autopilot.control.allocation import effectiveness
 from autopilot.control.params import AllocationParams
 from harness.world.sensors.config import PROFILES
-from studies.common.report import Check, ReportTable, Section, markdown
+from studies.common.report import Check, ReportTable, Section, figures_folder, figures_link, markdown
 from studies.vehicle import campaign, estimation_section
 from studies.vehicle.allocation import RANGE_N, _is_achievable, check_allocation
 from studies.vehicle.bench import _PARTS, _StopWatch, measure, record_flight
@@ -24,7 +24,7 @@ from studies.vehicle.campaign import SUBJECTS
 from studies.vehicle.cli import BAD_INPUT, validate_app
 from studies.vehicle.estimation import EPOCH_S, MEASUREMENTS, STATES, Consistency, WrongCompass, pooled
 from studies.vehicle.hover import Hover, fly_hover
-from studies.vehicle.hover_section import untold_tilt_deg
+from studies.vehicle.hover_section import unobservable_tilt_deg
 from studies.vehicle.plan import QUICK
 
 SCRIPT = ROOT / "scripts" / "validate_vehicle.py"
@@ -58,6 +58,18 @@ def test_page():
     assert "| rms | 3 m | 0.18 m | 0.1 to 0.2 | **no** |\n" in page
     assert "| a | b |\n| --- | --- |\n| 1 | 2 |\n" in page
     assert page.endswith("![a figure](images/x.png)\n")
+
+
+def test_figures_lie_in_the_shared_folder_beside_the_pages_if_there_is_one(tmp_path):
+    out = tmp_path / "docs" / "results"
+    assert figures_folder(out) == out / "images"
+    assert figures_link(out) == figures_link(None) == "images"
+    (tmp_path / "docs" / "images").mkdir(parents=True)
+    assert figures_folder(out) == tmp_path / "docs" / "images"
+    assert figures_link(out) == "../images"
+    section = Section(title="Hover", conditions="", checks=(), figures=(("x.png", "a figure"),))
+    page = markdown([section], introduction="", figures=figures_link(out))
+    assert page.endswith("![a figure](../images/x.png)\n")
 
 
 def test_the_achievable_torques_are_those_that_a_linear_programme_finds():
@@ -151,8 +163,8 @@ def test_the_tilt_that_a_hover_cannot_know_is_that_of_the_simulated_biases():
     model = PROFILES["consumer"].accel_m_s2.at_interval(0.004)
     axes = rng.standard_normal((40_000, 2, 2)) * (model.turn_on_std, model.drift_std)
     tilts_deg = np.degrees(np.linalg.norm(axes.sum(axis=2), axis=1) / 9.80665)
-    assert untold_tilt_deg(10**12) == pytest.approx(tilts_deg.mean(), rel=0.01)
-    beyond = np.mean(tilts_deg.reshape(-1, 8).mean(axis=1) > untold_tilt_deg(8))
+    assert unobservable_tilt_deg(10**12) == pytest.approx(tilts_deg.mean(), rel=0.01)
+    beyond = np.mean(tilts_deg.reshape(-1, 8).mean(axis=1) > unobservable_tilt_deg(8))
     assert beyond == pytest.approx(0.025, abs=0.015)
 
 
@@ -161,7 +173,7 @@ def test_a_calm_hover_with_consumer_sensors_learns_no_tilt_that_it_cannot_know()
     hovers = [
         Hover(seed=seed, mean_n=0.0, gust_rms_n=0.0, sensors="consumer", measure_s=10.0) for seed in range(8)
     ]
-    assert np.mean([fly_hover(hover).tilt_deg for hover in hovers]) < untold_tilt_deg(8)
+    assert np.mean([fly_hover(hover).tilt_deg for hover in hovers]) < unobservable_tilt_deg(8)
 
 
 def test_an_unknown_subject_is_one_line():

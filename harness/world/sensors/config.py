@@ -20,12 +20,15 @@ class GpsOverrides(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     horizontal_bias_std_m: PositionStd | None = None
     """Stationary standard deviation, per axis, of the slow error (first-order Gauss-Markov)."""
     vertical_bias_std_m: PositionStd | None = None
+    """The same of the vertical axis."""
     bias_time_constant_s: Annotated[float, Meta(gt=0.0, le=1e6)] | None = None
+    """Correlation time of the slow error, seconds."""
     white_std_m: PositionStd | None = None
     """White error per axis and fix, in addition to the slow error."""
     velocity_std_m_s: Annotated[float, Meta(ge=0.0, le=50.0)] | None = None
     """White error of the velocity per axis and fix."""
     rate_hz: Annotated[float, Meta(ge=0.1, le=50.0)] | None = None
+    """Fixes per second."""
     delay_s: Annotated[float, Meta(ge=0.0, le=0.3)] | None = None
     """Age of a fix when it arrives."""
 
@@ -34,7 +37,9 @@ class SensorsConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """The scenario's ``[sensors]`` table."""
 
     profile: Literal["consumer", "gazebo", "ideal"] = "consumer"
+    """Error models of all sensors: low-cost parts, those of Gazebo-classic, or none."""
     gps: GpsOverrides = GpsOverrides()
+    """Settings of the GPS receiver that differ from the profile: the table ``[sensors.gps]``."""
 
     def gps_model(self) -> "GpsModel":
         """Return the profile's receiver with the scenario's overrides."""

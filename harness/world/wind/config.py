@@ -94,6 +94,7 @@ class WindConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """
 
     kind: Literal["force", "velocity"] = "force"
+    """Whether the wind acts as a force or moves the air."""
     direction_deg: Direction = 45.0
     """Direction of the force or of the air's motion, clockwise from north."""
     vertical_fraction: VerticalFraction = 0.0
@@ -101,12 +102,14 @@ class WindConfig(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     correlation: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
     """Correlation of gusts or turbulence at any two vehicles, independent of their distance."""
     gusts: tuple[GustConfig, ...] = ()
+    """Discrete gusts: tables ``[[wind.gusts]]``."""
 
     mean_n: Annotated[float, Meta(ge=0.0, le=100.0)] | None = None
     """Magnitude of the mean force. This and the next two fields are for kind "force"."""
     gust_rms_fraction: Annotated[float, Meta(ge=0.0, le=5.0)] | None = None
     """RMS of each horizontal component of the gusts over the mean's magnitude."""
     gust_time_constant_s: Annotated[float, Meta(gt=0.0, le=MOST_TIME_S)] | None = None
+    """Correlation time of the gusts, seconds."""
 
     mean_m_s: Speed | None = None
     """Mean speed of the air, at ``reference_height_m`` if it depends on height. This and all following fields
