@@ -1,4 +1,4 @@
-"""Campaign files: what they mean, and that what is wrong with one is said in a line before anything flies."""
+"""Campaign files: their runs, and errors in one line before the first flight."""
 
 import itertools
 import json
@@ -27,7 +27,7 @@ def write(tmp_path, text):
 
 
 def refused(tmp_path, text, *overrides):
-    """Give the line with which a campaign is refused."""
+    """Return the error line of an invalid campaign."""
     path = write(tmp_path, text)
     with pytest.raises(CampaignError) as caught:
         expand(load(path, overrides), state="")
@@ -54,11 +54,11 @@ tables = st.recursive(
 
 
 @given(value=tables)
-def test_what_is_written_as_toml_is_read_back(value):
+def test_toml_text_is_read_back_unchanged(value):
     assert tomllib.loads(f"value = {toml_text(value)}")["value"] == value
 
 
-def test_all_of_tomls_ways_to_nest_give_the_same_paths():
+def test_all_forms_of_nesting_give_the_same_paths():
     texts = ("wind.mean_n = 2", '"wind.mean_n" = 2', "wind = {mean_n = 2}", "[wind]\nmean_n = 2")
     assert {tuple(flat(tomllib.loads(text))) for text in texts} == {(("wind.mean_n", 2),)}
 
@@ -66,22 +66,22 @@ def test_all_of_tomls_ways_to_nest_give_the_same_paths():
 @given(
     first=st.integers(-50, 50), steps=st.integers(0, 40), step=st.sampled_from(["0.1", "0.3", "2.5", "-0.7"])
 )
-def test_steps_are_the_decimal_numbers_that_a_reader_expects(first, steps, step):
-    """Sums of binary fractions would give 0.30000000000000004 and miss the last one."""
+def test_steps_are_exact_decimal_numbers(first, steps, step):
+    """Sums of binary fractions would give 0.30000000000000004 and omit the last value."""
     size = round(float(step) * 10)
     last = (10 * first + size * steps) / 10
     values = spread("x", {"from": float(first), "to": last, "step": float(step)})
     assert values == tuple((10 * first + size * k) / 10 for k in range(steps + 1))
 
 
-def test_ranges_of_whole_numbers_are_whole_and_end_where_they_say():
+def test_ranges_of_whole_numbers_are_whole_and_include_their_end():
     assert spread("x", {"from": 2, "to": 9, "step": 3}) == (2, 5, 8)
     assert spread("x", {"from": 1, "to": 4, "count": 4}) == (1, 2, 3, 4)
     assert spread("x", {"from": 5.0, "to": 20.0, "count": 3}) == (5.0, 12.5, 20.0)
     assert [type(value) for value in spread("x", {"from": 0, "to": 1, "count": 3})] == [float] * 3
 
 
-# ---- what is flown
+# ---- runs
 
 
 def test_runs_are_every_case_with_every_value_and_every_seed_in_the_files_order(tmp_path):
@@ -110,19 +110,19 @@ def test_runs_are_every_case_with_every_value_and_every_seed_in_the_files_order(
         values = scenario.wind.mean_n, scenario.antenna.wavelength_m, scenario.run.seed
         assert values == (*each.swept, each.seed)
         assert (scenario.agents, scenario.formation.columns) == (4, 2)
-        assert scenario.run.duration_s == (5.0 if each.case == "lying" else 6.0)  # a case goes before [set]
+        assert scenario.run.duration_s == (5.0 if each.case == "lying" else 6.0)  # a case overrides [set]
         assert len(scenario.faults) == (each.case == "lying")
         assert load_scenario(ARTICLE, [*each.settings, f"run.seed={each.seed}"]) == scenario
     assert len({run.digest for run in runs}) == len(runs)
 
 
-def test_a_run_is_known_by_its_scenario_seed_and_sources_alone():
+def test_a_digest_depends_on_scenario_seed_and_sources_only():
     def digests(state="s", **changed):
         campaign = Campaign(**{"name": "one", "scenario": ARTICLE, "seeds": (1, 2)} | changed)
         return [run.digest for run in expand(campaign, state=state)]
 
     first = digests()
-    assert digests(name="two", keep=("gains",), fixed={"wind.mean_n": 5.0}) == first  # which the article has
+    assert digests(name="two", keep=("gains",), fixed={"wind.mean_n": 5.0}) == first  # the article's value
     assert digests(seeds=(2, 1)) == first[::-1]
     assert not set(first) & set(digests(state="t"))
     assert not set(first) & set(digests(overrides=("wind.mean_n=4",)))
@@ -133,12 +133,12 @@ def test_a_run_is_known_by_its_scenario_seed_and_sources_alone():
 @pytest.mark.parametrize(
     "path", sorted((ROOT / "scenarios" / "campaigns").glob("*.toml")), ids=lambda p: p.stem
 )
-def test_the_campaigns_that_come_along_can_be_flown(path):
+def test_the_shipped_campaigns_are_valid(path):
     assert expand(load(path), state="")
 
 
-def test_a_program_may_give_numpys_values_nested_tables_and_any_list(tmp_path):
-    """All that a program would rather write gives the runs that the file gives."""
+def test_a_program_may_use_numpys_values_nested_tables_and_any_list(tmp_path):
+    """A program's forms give the same runs as the file."""
     path = write(
         tmp_path,
         """seeds = [3, 4]
@@ -170,7 +170,7 @@ def test_a_program_may_give_numpys_values_nested_tables_and_any_list(tmp_path):
     assert [type(value) for value in flags.sweep["x"]] == [bool, str]
 
 
-# ---- what is refused
+# ---- errors
 
 
 @pytest.mark.parametrize(
@@ -200,14 +200,14 @@ def test_a_program_may_give_numpys_values_nested_tables_and_any_list(tmp_path):
         ({"overrides": "agents=4"}, "overrides: expected `array`, got `str`"),
     ],
 )
-def test_a_campaign_made_in_a_program_is_checked_as_a_file_is(made, line):
+def test_a_campaign_of_a_program_is_validated_like_a_file(made, line):
     with pytest.raises(CampaignError) as caught:
         Campaign(**{"name": "one", "scenario": ARTICLE, "seeds": (1,)} | made)
     assert str(caught.value).startswith(f"campaign: {line}")
 
 
-def test_what_is_swept_is_checked_fast_however_long_it_is():
-    """MOST_VALUES compared with one another would be 5e9 comparisons, minutes of them."""
+def test_long_sweeps_are_validated_fast():
+    """Pairwise comparisons of MOST_VALUES would be 5e9 and take minutes."""
     values = tuple(range(MOST_VALUES))
     begin_s = time.process_time()
     assert Campaign(name="long", scenario=ARTICLE, seeds=(1,), sweep={"x": values}).sweep["x"] == values
@@ -253,11 +253,11 @@ def test_what_is_swept_is_checked_fast_however_long_it_is():
         ("[set]\nagents.x = 1", "case 'campaign': agents.x=1: agents is a value, not a table"),
     ],
 )  # fmt: skip
-def test_a_wrong_campaign_is_one_line_that_names_file_case_and_field(tmp_path, text, line):
+def test_a_wrong_campaign_is_an_error_line_with_file_case_and_field(tmp_path, text, line):
     assert refused(tmp_path, text).startswith(line)
 
 
-def test_an_override_of_all_runs_goes_before_the_file_but_hides_nothing_that_is_compared(tmp_path):
+def test_an_override_has_precedence_over_the_file_but_not_over_compared_values(tmp_path):
     path = write(
         tmp_path, "[set]\nwind.mean_n = 1\n[[cases]]\nname = 'a'\nagents = 4\n[sweep]\nwind.gusts = [[]]"
     )
@@ -272,7 +272,7 @@ def test_an_override_of_all_runs_goes_before_the_file_but_hides_nothing_that_is_
             load(path, [override])
 
 
-def test_a_file_that_is_not_there_or_no_toml_is_one_line(tmp_path):
+def test_a_missing_or_invalid_file_is_one_line(tmp_path):
     with pytest.raises(CampaignError, match=r"nowhere\.toml: no such campaign file"):
         load(tmp_path / "nowhere.toml")
     missing = tmp_path / "campaign.toml"
@@ -284,7 +284,7 @@ def test_a_file_that_is_not_there_or_no_toml_is_one_line(tmp_path):
     assert "not TOML" in refused(tmp_path, "seeds = ")
 
 
-def test_the_command_line_lists_what_it_would_fly_and_makes_nothing(tmp_path, capfd):
+def test_a_dry_run_lists_the_runs_and_creates_nothing(tmp_path, capfd):
     path = write(tmp_path, "seeds = 2\n[sweep]\nwind.mean_n = [0, 5]")
     assert cli.main([str(path), "--out", str(tmp_path / "out"), "--dry-run", "--json"]) == cli.FINE
     plan = json.loads(capfd.readouterr().out)

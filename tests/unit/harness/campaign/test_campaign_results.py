@@ -1,4 +1,4 @@
-"""What a campaign keeps: runs on disk, their table, and the time that is left."""
+"""Results of a campaign: stored runs, their table, and the remaining time."""
 
 import csv
 import errno
@@ -37,7 +37,7 @@ KEEPING = (
     "__init__", "cluster", "definition", "running", "sources", "store", "table", "task", "values",
     "worker",
 )  # fmt: skip
-"""Modules of campaigns that neither fly nor measure"""
+"""Modules of campaigns that do not affect flights and results"""
 SMALL = (
     "agents=2", "formation.columns=2", "formation.rows=1", "formation.height_m=2", "onboard.localisation=gps",
     "antenna.snapshot_rate_hz=4",
@@ -56,17 +56,17 @@ def flown(run, **changed):
 # ---- the store
 
 
-def test_a_run_is_there_when_it_is_whole_with_its_series(tmp_path):
+def test_a_run_is_stored_if_it_is_complete_with_its_series(tmp_path):
     one, other = expand(campaign(), state="")
     store = Store(tmp_path)
     assert store.get(one.digest) is None
     store.put(flown(one), {})
     assert store.get(one.digest) == flown(one)
-    assert store.get(one.digest, ["gains"]) is None  # it was not kept then
+    assert store.get(one.digest, ["gains"]) is None  # not stored then
     kept = store.put(flown(one), {"gains": b"1"})
     assert store.get(one.digest, ["gains"]) == kept == flown(one, series=kept.series)
     store.put(flown(other, status=FAILED, reason="fell", summary={}), {})
-    assert store.get(other.digest, ["gains"]).reason == "fell"  # it has none
+    assert store.get(other.digest, ["gains"]).reason == "fell"  # a failed run has none
     path = tmp_path / "runs" / f"{one.digest}.json"
     whole = path.read_bytes()
     for size in range(len(whole) - 1):
@@ -76,8 +76,8 @@ def test_a_run_is_there_when_it_is_whole_with_its_series(tmp_path):
     assert store.get(one.digest) is None
 
 
-def test_a_series_that_has_been_damaged_is_not_there(tmp_path):
-    """Cut short, emptied, a bit turned, or gone: the run is flown again for it, but not for another one."""
+def test_a_damaged_series_counts_as_missing(tmp_path):
+    """Truncated, emptied, one bit changed, or deleted: the run is flown again only for this series."""
     (run, _) = expand(campaign(), state="")
     store, content = Store(tmp_path), b"PAR1 of the test PAR1"
     kept = store.put(flown(run), {"gains": content, "air": b"a"})
@@ -89,23 +89,23 @@ def test_a_series_that_has_been_damaged_is_not_there(tmp_path):
     path.unlink()
     assert store.get(run.digest, ["gains"]) is None
     store.put(flown(run), {"gains": content})
-    assert store.get(run.digest, ["gains", "air"]) == kept  # what was kept before is so still
+    assert store.get(run.digest, ["gains", "air"]) == kept  # series stored before are kept
 
 
-def test_a_run_that_did_not_fail_is_not_replaced_by_one_that_did(tmp_path):
-    """Flown again for one more series it may fail, by what the first flight did not need."""
+def test_a_failed_run_does_not_replace_one_that_did_not_fail(tmp_path):
+    """Flown again for another series, a run may fail for reasons that did not affect the first flight."""
     (run, _) = expand(campaign(), state="")
     store = Store(tmp_path)
     fell = flown(run, status=FAILED, reason="fell", summary={})
     for first in (flown(run), flown(run, status="not_formed", reason="late")):
         store.put(fell, {})
-        kept = store.put(first, {"air": b"a"})  # one that had failed is replaced
+        kept = store.put(first, {"air": b"a"})  # a failed one is replaced
         assert store.put(fell, {}) == kept
         assert store.get(run.digest, ["air"]) == kept
         (tmp_path / "runs" / f"{run.digest}.json").unlink()
 
 
-def test_a_disk_that_is_full_leaves_no_half_of_a_file(tmp_path, monkeypatch):
+def test_a_full_disk_leaves_no_partial_file(tmp_path, monkeypatch):
     path = tmp_path / "whole"
     write_whole(path, b"before")
 
@@ -118,8 +118,8 @@ def test_a_disk_that_is_full_leaves_no_half_of_a_file(tmp_path, monkeypatch):
     assert [(each.name, each.read_bytes()) for each in tmp_path.iterdir()] == [("whole", b"before")]
 
 
-def test_what_is_missing_is_flown_once_and_what_failed_when_it_is_asked_for(tmp_path):
-    plan = campaign(seeds=(1, 2, 3), sweep={"wind.mean_n": (5, 5.0)})  # two ways to say the same
+def test_missing_runs_are_flown_once_and_failed_ones_on_request(tmp_path):
+    plan = campaign(seeds=(1, 2, 3), sweep={"wind.mean_n": (5, 5.0)})  # two forms of the same value
     runs = expand(plan, state="")
     store = Store(tmp_path)
     store.put(flown(runs[0]), {})
@@ -131,14 +131,14 @@ def test_what_is_missing_is_flown_once_and_what_failed_when_it_is_asked_for(tmp_
     assert [run.seed for run in missing] == [2, 3]
 
 
-def test_a_folder_has_one_campaign_at_a_time_which_tidies_up_after_a_killed_one(tmp_path):
+def test_a_folder_has_one_campaign_at_a_time_which_cleans_up_after_a_killed_one(tmp_path):
     store = Store(tmp_path)
     for name in ("runs/.half.json", "runs/.half.gains.parquet", ".table.parquet", ".table.csv"):
         (tmp_path / name).write_text("{")
     others = {tmp_path / "runs" / name for name in (".ipynb_checkpoints", ".folder.json", ".nfs0001")}
     for folder in sorted(others)[:2]:
         folder.mkdir()
-    max(others).write_text("somebody's")
+    max(others).write_text("foreign")
     (store.flying / "run-1").mkdir(parents=True)
     with store.alone():
         assert set((tmp_path / "runs").iterdir()) == others
@@ -154,7 +154,7 @@ def test_a_folder_has_one_campaign_at_a_time_which_tidies_up_after_a_killed_one(
 
 
 def complete_campaign(tmp_path):
-    """Give the command of a campaign of two runs that have all ended."""
+    """Return the command of a complete campaign of two runs."""
     path = tmp_path / "two.toml"
     path.write_text(f'scenario = "{ARTICLE}"\nseeds = 2\n')
     store = Store(tmp_path / "out")
@@ -163,7 +163,7 @@ def complete_campaign(tmp_path):
     return [str(path), "--out", str(tmp_path / "out")]
 
 
-def test_the_runs_of_a_command_are_made_once(tmp_path, monkeypatch):
+def test_the_runs_of_a_command_are_computed_once(tmp_path, monkeypatch):
     made = []
     monkeypatch.setattr(cli, "expand", lambda *args, **named: made.append(0) or expand(*args, **named))
     monkeypatch.setattr(running, "expand", cli.expand)
@@ -171,7 +171,7 @@ def test_the_runs_of_a_command_are_made_once(tmp_path, monkeypatch):
     assert len(made) == 1
 
 
-def test_a_schedulers_address_is_checked_though_nothing_is_to_be_flown(tmp_path, capfd):
+def test_a_schedulers_address_is_checked_without_missing_runs(tmp_path, capfd):
     command = complete_campaign(tmp_path)
     for more in ([], ["--dry-run"]):
         assert cli.main([*command, "--scheduler", "bogus", *more]) == cli.BAD_INPUT
@@ -186,7 +186,7 @@ def test_a_schedulers_address_is_checked_though_nothing_is_to_be_flown(tmp_path,
 
 
 def test_the_table_has_the_campaigns_order_every_number_and_no_wall_time(tmp_path):
-    """Whole numbers stay whole, and what a run does not have is empty."""
+    """Whole numbers remain whole, and missing values are empty."""
     plan = campaign(sweep={"wind.mean_n": (0, 2.5), "faults": ([], ["x", {"a": 1}])})
     swept = {0: (0, []), 2.5: (2.5, ["x", {"a": 1}])}  # which no scenario has
     winds = expand(campaign(sweep={"wind.mean_n": tuple(swept)}), state="")
@@ -251,18 +251,22 @@ def task(*settings, keep=()):
     )
 
 
-def test_the_gains_that_are_kept_are_those_of_the_summary(tmp_path):
+def test_the_stored_gains_are_those_of_the_summary(tmp_path):
     """4 per second over 1 s of formation, of which the summary has number, mean and standard deviation."""
-    settings = (*SMALL, "run.duration_s=1", "antenna.feeds_for=estimates")  # all that a flight's record has
+    settings = (
+        *SMALL,
+        "run.duration_s=1",
+        "antenna.feeds_for=estimates",
+    )  # uses all fields of the record
     ended, series = fly_task(task(*settings, keep=("gains", "air")), tmp_path)
     assert ended.status == "completed", ended.reason
     assert ended.settings == settings
     gains = pq.read_table(io.BytesIO(series["gains"]))
     gain_dbi = np.array(gains["max_gain_dbi"])
-    said = ended.summary["max_gain_dbi"]
-    assert len(gain_dbi) == said["patterns"] + said["missing"] >= 4
-    assert gain_dbi.mean() == pytest.approx(said["mean"], abs=1e-4)
-    assert gain_dbi.std(ddof=1) == pytest.approx(said["std"], abs=1e-4)
+    result = ended.summary["max_gain_dbi"]
+    assert len(gain_dbi) == result["patterns"] + result["missing"] >= 4
+    assert gain_dbi.mean() == pytest.approx(result["mean"], abs=1e-4)
+    assert gain_dbi.std(ddof=1) == pytest.approx(result["std"], abs=1e-4)
     times_us = np.array(gains["time_us"])
     assert np.diff(times_us) == pytest.approx(250_000, abs=40_000)  # of a log with 25 rows per second
     assert times_us[0] * 1e-6 == pytest.approx(ended.summary["formed_s"], abs=0.041)
@@ -270,8 +274,8 @@ def test_the_gains_that_are_kept_are_those_of_the_summary(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_gains_that_a_flight_does_not_give_fail_the_run_that_was_to_keep_them(tmp_path, monkeypatch):
-    """Without keeping them it is a run like others, whose summary has the note."""
+def test_missing_gains_fail_a_run_that_must_store_them(tmp_path, monkeypatch):
+    """Otherwise the run is valid, and its summary has the note."""
     summary = {"status": "completed", "reason": None, "max_gain_dbi": {"mean": None, "note": "of the test"}}
     monkeypatch.setattr(flying, "fly", lambda _scenario, _folder: summary)
     ended, series = fly_task(task(keep=("gains",)), tmp_path)
@@ -281,7 +285,7 @@ def test_gains_that_a_flight_does_not_give_fail_the_run_that_was_to_keep_them(tm
     assert ended.status == "completed"
 
 
-def test_a_solver_that_is_not_installed_flies_nothing(tmp_path, monkeypatch):
+def test_without_the_solver_nothing_is_flown(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setattr(flying, "fly", None)
     with pytest.raises(BackendUnavailable, match="nec2c patterns need"):
@@ -293,8 +297,8 @@ def test_a_solver_that_is_not_installed_flies_nothing(tmp_path, monkeypatch):
     [OSError(errno.ENOSPC, "No space left on device"), MemoryError(), SetupError("No space left on device")],
     ids=repr,
 )
-def test_trouble_of_the_machine_is_no_runs_result(tmp_path, monkeypatch, error):
-    """It would be kept for good: the run would not be flown again where there is room."""
+def test_errors_of_the_machine_are_no_result_of_a_run(tmp_path, monkeypatch, error):
+    """They would be stored, and the run would not be flown again."""
 
     def fail(_scenario, folder):
         (folder / "left").touch()
@@ -313,8 +317,8 @@ def test_a_formation_that_is_not_reached_is_a_result_without_gains(tmp_path):
     assert pq.read_table(io.BytesIO(series["gains"])).num_rows == 0
 
 
-def test_a_failure_is_a_line_that_the_same_run_would_say_again(tmp_path, monkeypatch):
-    """Neither process ids nor the names of folders that are gone are in it."""
+def test_a_failure_is_a_reproducible_line(tmp_path, monkeypatch):
+    """It contains neither process ids nor names of temporary folders."""
 
     def fail(_scenario, folder):
         (folder / "left").touch()
@@ -344,17 +348,17 @@ def hashes(root):
     return sources.hash_code(read), sources.hash_bytes(read)
 
 
-def test_the_state_of_the_sources_is_of_what_flies_and_measures(tmp_path):
-    """How a campaign is shown changes no flight; how its numbers are made does, and comments do not."""
+def test_the_hash_of_the_sources_covers_flights_and_results(tmp_path):
+    """Modules of the display and comments do not change it; modules of results do."""
     for name in (*FLOWN_FILES, *OTHER_FILES):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("A = 1\n")
-    said, as_bytes = hashes(tmp_path)
+    result, as_bytes = hashes(tmp_path)
     for name in OTHER_FILES:
         (tmp_path / name).write_text("A = 2\n")
-        assert hashes(tmp_path) == (said, as_bytes), name
+        assert hashes(tmp_path) == (result, as_bytes), name
     (tmp_path / "antenna" / "a.py").write_text('"""What it is."""\n\nA = (\n    1  # one\n)\n')
-    assert sources.hash_sources(tmp_path, measured_by=MEASURED_BY) == said
+    assert sources.hash_sources(tmp_path, measured_by=MEASURED_BY) == result
     assert hashes(tmp_path)[1] != as_bytes
     seen = {hashes(tmp_path)}
     for name in FLOWN_FILES:
@@ -364,7 +368,7 @@ def test_the_state_of_the_sources_is_of_what_flies_and_measures(tmp_path):
 
 
 @pytest.mark.parametrize("library", ["numpy", "scipy", "numba", "pybullet", "PyNEC"])
-def test_another_version_of_a_library_that_computes_is_another_state(tmp_path, monkeypatch, library):
+def test_another_version_of_a_library_changes_the_hash(tmp_path, monkeypatch, library):
     for name in MEASURED_BY:
         (tmp_path / name).parent.mkdir(parents=True)
         (tmp_path / name).touch()
@@ -376,14 +380,16 @@ def test_another_version_of_a_library_that_computes_is_another_state(tmp_path, m
     assert not set(hashes(tmp_path)) & set(before)
 
 
-def test_every_module_that_a_flight_loads_is_of_the_state_but_what_draws():
+def test_every_module_that_a_flight_loads_is_hashed_except_drawing():
     program = (
         "import sys; import harness.campaign.flights, harness.report.report\n"
         "print(*(each.__file__ for name, each in sys.modules.items()\n"
         "        if name.partition('.')[0] in ('antenna', 'netsim', 'autopilot', 'harness')), sep='\\n')"
     )
-    said = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
-    paths = {Path(line) for line in said.splitlines() if line.endswith(".py")}
+    result = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    ).stdout
+    paths = {Path(line) for line in result.splitlines() if line.endswith(".py")}
     loaded = {path.relative_to(sources.ROOT).as_posix() for path in paths}
     flown = sources.read_sources(sources.ROOT, measured_by=_MEASURED_BY).keys()
     assert len(loaded & flown) > 100
@@ -391,14 +397,14 @@ def test_every_module_that_a_flight_loads_is_of_the_state_but_what_draws():
     assert loaded - flown == {"antenna/analysis/plots.py", "harness/report/figures.py", *kept_by}
 
 
-# ---- the time that is left
+# ---- the remaining time
 
 
 @given(
     each_s=st.floats(0.1, 1e4), start_s=st.floats(0.0, 1e3), total=st.integers(4, 1000), data=st.data(),
 )  # fmt: skip
-def test_the_time_left_is_that_of_the_rest_at_the_pace_so_far(each_s, start_s, total, data):
-    """One run every ``each_s``, the first later: after k of n, (n - k) of them are left, counting down."""
+def test_the_remaining_time_is_extrapolated_from_the_rate_so_far(each_s, start_s, total, data):
+    """One run every ``each_s``, the first later: after k of n the time of (n - k) remains, counting down."""
     pace = CampaignPace(5.0)
     assert pace.left_s(5.0) is None
     done = data.draw(st.integers(4, total))

@@ -1,4 +1,4 @@
-"""A wrong command line is one line on stderr and status 2; what a run shows is right, and in words."""
+"""A wrong command line is one line on stderr and status 2; the display of a run is correct."""
 
 import errno
 import io
@@ -23,8 +23,8 @@ def scenario_file(tmp_path: Path) -> Path:
     return path
 
 
-def complaint_of(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
-    """Run a command line that is refused; returns its only line on stderr."""
+def error_line(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
+    """Run an invalid command line; returns its only line on stderr."""
     assert main(arguments) == BAD_INPUT
     streams = capsys.readouterr()
     assert streams.out == ""
@@ -35,8 +35,8 @@ def complaint_of(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> st
 
 
 def test_missing_file_is_named(capsys: pytest.CaptureFixture[str]) -> None:
-    complaint = complaint_of(capsys, ["no/such.toml"])
-    assert complaint.startswith("no/such.toml: no such scenario file; scenarios by name: article, ")
+    line = error_line(capsys, ["no/such.toml"])
+    assert line.startswith("no/such.toml: no such scenario file; scenarios by name: article, ")
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_missing_file_is_named(capsys: pytest.CaptureFixture[str]) -> None:
 def test_bad_input_is_one_line_that_names_it(
     capsys: pytest.CaptureFixture[str], scenario_file: Path, arguments: list[str], words: list[str]
 ) -> None:
-    line = complaint_of(capsys, [str(scenario_file), *arguments])
+    line = error_line(capsys, [str(scenario_file), *arguments])
     for word in words:
         assert word in line
 
@@ -94,7 +94,7 @@ def progress(time_us: int, wall_s: float, *vehicles: VehicleTruth) -> Progress:
     return Progress(time_us=time_us, wall_s=wall_s, channel_busy_fraction=0.1234, vehicles=vehicles)
 
 
-def test_pace_is_that_of_the_last_two_seconds() -> None:
+def test_speed_is_that_of_the_last_two_seconds() -> None:
     pace = Pace()
     assert pace.update(0, 100.0) is None
     assert pace.update(4_000_000, 101.0) == pytest.approx(4.0)
@@ -104,7 +104,7 @@ def test_pace_is_that_of_the_last_two_seconds() -> None:
     assert pace.update(7_000_000, 104.0) == pytest.approx(1.0)
 
 
-def test_fleet_counts_phases_and_forgets_the_lost() -> None:
+def test_fleet_counts_phases_without_the_lost() -> None:
     vehicles = [vehicle(), vehicle(error_m=0.5), vehicle(phase="climb"), vehicle(alive=False, error_m=99.0)]
     assert fleet(vehicles) == "1 climb, 2 on station, 1 lost, largest error 0.50 m"
 
@@ -118,7 +118,7 @@ def test_headline() -> None:
     assert headline(standing, 0.5) == "t = 12.34 s, paused, channel 12.3% busy"
 
 
-def test_happenings_in_words() -> None:
+def test_events_are_described_in_words() -> None:
     where = (0.0, 0.0, -10.0)
     assert describe(Formed(time_us=31_200_000)) == "t = 31.20 s: formation reached"
     assert describe(VehicleLost(time_us=4_000, instance=3, reason="gone")) == "t = 0.00 s: uav 3 lost: gone"
@@ -132,7 +132,7 @@ def test_happenings_in_words() -> None:
     assert describe(Ready(name="uav 3", pid=12)) is None
 
 
-def test_plain_lines_come_every_three_seconds_and_events_at_once() -> None:
+def test_plain_lines_are_printed_every_three_seconds_and_events_at_once() -> None:
     console = Console(record=True, width=40, force_terminal=False, quiet=False)
     display = LineDisplay(console)
     for tenth in range(70):
@@ -162,7 +162,7 @@ def test_live_table_shows_every_vehicle_and_keeps_the_events(capsys: pytest.Capt
         assert words in shown
 
 
-def test_a_closed_terminal_is_no_error_of_the_run() -> None:
+def test_a_closed_terminal_does_not_fail_the_run() -> None:
     class Closed(io.StringIO):
         def write(self, _: str) -> int:
             raise OSError(errno.EIO, "Input/output error")
@@ -173,7 +173,7 @@ def test_a_closed_terminal_is_no_error_of_the_run() -> None:
         console.print("formation reached")
 
 
-def test_summary_table_shows_what_is_there_and_a_dash_for_the_rest() -> None:
+def test_summary_table_shows_values_and_dashes_for_missing_ones() -> None:
     summary = {
         "scenario": "article", "seed": 7, "status": "not_formed", "simulated_s": 12.0, "wall_s": 4.0,
         "real_time_factor": 3.0, "formed_s": None, "formation_rms_m": {"absolute": None, "shape": 0.1234},

@@ -1,4 +1,4 @@
-"""Keys of a run's user: what they ask of the swarm, also where it cannot do it, and when they are heard."""
+"""Keys during a run: their effect on the swarm, also if it refuses, and when they are enabled."""
 
 import contextlib
 import time
@@ -16,7 +16,7 @@ from harness.simulator.messages import Pause, Progress
 
 
 class Pressed:
-    """A swarm that does as told, or refuses, and a display."""
+    """A swarm that executes or refuses requests, and a display."""
 
     def __init__(self, speed=1.0, *, refuses=False):
         self.speed, self.refuses = speed, refuses
@@ -46,7 +46,7 @@ class Pressed:
         return self
 
 
-def test_the_space_bar_pauses_and_goes_on_and_what_cannot_be_done_is_no_error():
+def test_the_space_bar_pauses_and_resumes_and_a_refusal_is_no_error():
     pressed = Pressed().press(" ")
     assert pressed.stands
     assert not pressed.press(" ").stands
@@ -54,12 +54,12 @@ def test_the_space_bar_pauses_and_goes_on_and_what_cannot_be_done_is_no_error():
     assert Pressed(refuses=True).press(" ").notes == []
 
 
-def test_speeds_by_keys_stay_where_keys_make_sense_and_there_is_a_way_back():
+def test_speeds_by_keys_are_limited_and_reversible():
     pressed = Pressed().press("-" * 20)
     assert pressed.speed == SLOWEST
     assert pressed.press("+" * 6).speed == 1.0
     assert pressed.press("+" * 2_000).speed == FASTEST
-    # one that was asked for on the command line is not changed the wrong way round
+    # a speed of the command line is not changed in the wrong direction
     assert Pressed(1e-6).press("-").speed == 1e-6
     assert Pressed(1e-6).press("+").speed == 2e-6
     assert Pressed(500.0).press("+").speed == 500.0
@@ -67,7 +67,7 @@ def test_speeds_by_keys_stay_where_keys_make_sense_and_there_is_a_way_back():
     assert Pressed("max").press("+-").speed == "max"
 
 
-def test_keys_are_heard_when_every_process_is_ready_and_not_before(monkeypatch):
+def test_keys_are_enabled_when_every_process_is_ready(monkeypatch):
     order = []
 
     class Keys(contextlib.nullcontext):
@@ -92,11 +92,11 @@ def test_keys_are_heard_when_every_process_is_ready_and_not_before(monkeypatch):
     assert order == ["start", "keys", "hint", "run", "stop"]
 
 
-def test_a_command_before_there_is_anybody_to_take_it_is_refused_and_no_failure_of_the_run(tmp_path):
+def test_a_command_before_the_physics_server_is_ready_is_refused_and_does_not_fail_the_run(tmp_path):
     with pytest.raises(SupervisorError, match="physics has not been started"):
         Supervisor(tmp_path).send(PHYSICS, Pause())
     swarm = Swarm("scenarios/article.toml", agents=1, out=tmp_path / "run")
-    swarm._processes._running = True  # as while its processes start
+    swarm._processes._running = True  # as during the start of its processes
     for ask in (swarm.pause, swarm.resume, lambda: swarm.set_speed(2.0)):
         with pytest.raises(SwarmError, match="not running"):
             ask()
@@ -104,7 +104,7 @@ def test_a_command_before_there_is_anybody_to_take_it_is_refused_and_no_failure_
     assert not swarm.stands
 
 
-def test_time_that_a_run_stood_is_not_flown_when_ctrl_c_ends_it_there(tmp_path):
+def test_paused_wall_time_does_not_count_when_ctrl_c_ends_a_paused_run(tmp_path):
     stood = []
 
     def interrupt(message):

@@ -43,16 +43,16 @@ def _flight(pos_ned_m, alive, desired_pos_ned_m=PLACES_NED_M, heading_rad=None):
     ("heading_deg", "east", "north"),
     [(0.0, [1.0, 0.0], [0.0, 1.0]), (90.0, [0.0, 1.0], [-1.0, 0.0]), (180.0, [-1.0, 0.0], [0.0, -1.0])],
 )
-def test_antenna_frame_turns_clockwise_with_the_heading(heading_deg, east, north):
-    """World's east and north as x and y of a frame whose y points along the heading."""
+def test_antenna_frame_rotates_clockwise_with_the_heading(heading_deg, east, north):
+    """East and north in x and y of a frame whose y points along the heading."""
     to_antenna = antenna_from_ned(np.radians(heading_deg))
     np.testing.assert_allclose(to_antenna @ [0.0, 1.0, 0.0], [*east, 0.0], atol=1e-15)
     np.testing.assert_allclose(to_antenna @ [1.0, 0.0, 0.0], [*north, 0.0], atol=1e-15)
     np.testing.assert_allclose(to_antenna @ [0.0, 0.0, 1.0], [0.0, 0.0, -1.0], atol=1e-15)
 
 
-def test_dipoles_lean_with_their_vehicles():
-    """Nose down by 0.2 rad while heading north leans the dipole to the north; roll right leans it east."""
+def test_dipoles_tilt_with_their_vehicles():
+    """Nose down by 0.2 rad while heading north tilts the dipole to the north; roll right tilts it east."""
     q_ned_frd = Rotation.from_euler(
         "ZYX", [[0.0, -0.2, 0.0], [0.0, 0.0, 0.2], [np.pi / 2, -0.2, 0.0]]
     ).as_quat(scalar_first=True)
@@ -61,7 +61,7 @@ def test_dipoles_lean_with_their_vehicles():
     np.testing.assert_allclose(snapshot.axes, [[0.0, s, c], [s, 0.0, c], [s, 0.0, c]], atol=1e-12)
 
 
-def test_snapshot_of_the_ideal_flight_is_the_ideal_array_whatever_the_heading():
+def test_snapshot_of_the_ideal_flight_is_the_ideal_array_at_any_heading():
     rng = np.random.default_rng(1)
     for heading_deg in (0.0, 37.0, -120.0):
         heading_rad = np.radians(heading_deg)
@@ -84,7 +84,7 @@ def test_feeds_are_those_of_the_places_and_not_of_the_positions():
     )
 
 
-def test_feeds_may_be_for_where_the_vehicles_believe_themselves_to_be_or_are():
+def test_feeds_may_be_for_estimated_or_true_positions():
     rng = np.random.default_rng(4)
     moved_ned_m, believed_ned_m = PLACES_NED_M + rng.normal(0.0, 1.0, (2, 8, 3))
     k_rad_m = 2.0 * np.pi / 10.0
@@ -100,7 +100,7 @@ def test_feeds_may_be_for_where_the_vehicles_believe_themselves_to_be_or_are():
         )
         north_m = fed_ned_m[:, 0] - PLACES_NED_M[:, 0].mean()
         np.testing.assert_allclose(snapshot.voltages, np.exp(-1j * k_rad_m * north_m), atol=1e-12)
-    with pytest.raises(ValueError, match="nobody wrote down"):
+    with pytest.raises(ValueError, match="were not recorded"):
         antenna_snapshot(
             moved_ned_m,
             np.tile(UPRIGHT, (8, 1)),
@@ -110,8 +110,8 @@ def test_feeds_may_be_for_where_the_vehicles_believe_themselves_to_be_or_are():
         )
 
 
-def test_who_does_not_know_its_place_cannot_be_fed_for_it():
-    """What a dead vehicle does not know is of no interest; the others' feeds are for what they believe."""
+def test_a_vehicle_without_a_position_estimate_has_no_feed():
+    """Estimates of a lost vehicle are ignored; the others' feeds are for their estimates."""
     believed_ned_m = np.tile(PLACES_NED_M, (4, 1, 1))
     believed_ned_m[0] = np.nan
     believed_ned_m[1, 3, 2] = np.nan
@@ -122,19 +122,19 @@ def test_who_does_not_know_its_place_cannot_be_fed_for_it():
     flight = dataclasses.replace(flight, believed_pos_ned_m=believed_ned_m)
     series = gain_series(flight, structs.replace(CONFIG, feeds_for="estimates"))
     assert [(m.time_us, m.reason) for m in series.missing] == [
-        (7_000_000, "UAVs 0, 1, 2, 3, 4, 5, 6, 7 do not know where they are"),
-        (7_500_000, "UAV 3 does not know where it is"),
+        (7_000_000, "UAVs 0, 1, 2, 3, 4, 5, 6, 7 have no position estimate"),
+        (7_500_000, "UAV 3 has no position estimate"),
     ]
     assert [len(snapshot.centres_m) for snapshot in series.snapshots] == [7, 8]
     whole = gain_series(flight, CONFIG)
     assert whole.missing == ()
     np.testing.assert_allclose(series.max_gain_dbi, whole.max_gain_dbi[2:], atol=1e-9)
-    with pytest.raises(NoFeed, match="UAV 3 does not know"):
+    with pytest.raises(NoFeed, match="UAV 3 has no position estimate"):
         snapshot_at(flight, 1, structs.replace(CONFIG, feeds_for="estimates"))
 
 
-def test_a_policy_without_an_answer_is_an_instant_without_a_pattern():
-    """Hansen and Woodyard's phases are of two rows and more; of 4 x 2 the second row dies."""
+def test_a_policy_without_a_solution_is_an_instant_without_a_pattern():
+    """Hansen and Woodyard's phases need two rows or more; of 4 x 2 the second row is lost."""
     alive = np.ones((2, 8), bool)
     alive[1, 4:] = False
     config = structs.replace(CONFIG, excitation="hansen_woodyard")
@@ -144,7 +144,7 @@ def test_a_policy_without_an_answer_is_an_instant_without_a_pattern():
     assert "need two rows" in series.missing[0].reason
 
 
-def test_over_a_ground_heights_are_those_above_it():
+def test_with_a_ground_heights_are_relative_to_it():
     config = structs.replace(CONFIG, ground="perfect")
     snapshot = antenna_snapshot(PLACES_NED_M, np.tile(UPRIGHT, (8, 1)), PLACES_NED_M, 0.0, config)
     np.testing.assert_allclose(snapshot.centres_m[:, 2], 10.0)
@@ -152,7 +152,7 @@ def test_over_a_ground_heights_are_those_above_it():
 
 
 @pytest.mark.nec2
-def test_gain_follows_the_flight_and_leaves_gaps_where_there_is_no_antenna():
+def test_gain_follows_the_flight_with_gaps_without_an_antenna():
     pytest.importorskip("PyNEC", reason="the optional extra coflight[nec2] is not installed")
     pos_ned_m = np.tile(PLACES_NED_M, (6, 1, 1))
     pos_ned_m[1] += np.random.default_rng(3).normal(0.0, 1.5, (8, 3))
@@ -182,8 +182,8 @@ def test_gain_follows_the_flight_and_leaves_gaps_where_there_is_no_antenna():
 
 
 @pytest.mark.nec2
-def test_the_beam_turns_with_the_formation():
-    """Round a racetrack in formation the gain is what it is at rest: the array is, in the antenna's frame."""
+def test_the_beam_rotates_with_the_formation():
+    """Around a racetrack the gain equals that at rest: the array is constant in the antenna's frame."""
     pytest.importorskip("PyNEC", reason="the optional extra coflight[nec2] is not installed")
     plan = FormationPlan(PLACES_NED_M, 0.0, RacetrackMotion())
     since_s = np.array([0.0, 20.0, 35.0, 50.0])
@@ -195,7 +195,7 @@ def test_the_beam_turns_with_the_formation():
     np.testing.assert_allclose(series.max_gain_dbi, ideal_dbi, atol=1e-3)
     for snapshot in series.snapshots:
         np.testing.assert_allclose(snapshot.centres_m, grid(8, 4, 8.5, 2.5), atol=1e-9)
-    # fed for a heading that it does not have, it is another antenna
+    # fed for a wrong heading the antenna differs
     wrong = _flight(desired_ned_m, np.ones((4, 8), bool), desired_ned_m, np.zeros(4))
     assert gain_series(wrong, CONFIG).max_gain_dbi[3] < ideal_dbi - 1.0
 
@@ -212,7 +212,7 @@ def test_figure_shows_the_median_instant_beside_the_ideal_on_a_finer_grid():
 
 
 @pytest.mark.nec2
-def test_formation_that_cannot_exist_has_no_ideal_pattern():
+def test_an_impossible_formation_has_no_ideal_pattern():
     pytest.importorskip("PyNEC", reason="the optional extra coflight[nec2] is not installed")
     with pytest.raises(ElementsTouch):
         ideal_pattern(np.zeros((2, 3)), 0.0, CONFIG)

@@ -29,7 +29,7 @@ def _flight(vehicles=8, instants=40):
 
 
 def _assert_drawn(path):
-    """Check for a picture of some size with more in it than a blank page."""
+    """Check that the file is an image of some size that is not blank."""
     pixels = imread(path)[..., :3]
     assert min(pixels.shape[:2]) >= 400
     dark = (pixels.min(axis=-1) < 0.9).mean()
@@ -45,7 +45,7 @@ def test_flight_is_drawn_with_lost_vehicles_and_with_many(tmp_path, vehicles):
     _assert_drawn(tmp_path / "error.png")
 
 
-def test_flight_of_a_formation_that_moves_is_drawn(tmp_path):
+def test_flight_of_a_moving_formation_is_drawn(tmp_path):
     plan = FormationPlan(grid(8, 4, 8.5, 2.5) - [0.0, 0.0, 20.0], 0.0, RacetrackMotion())
     since_s = np.linspace(-10.0, 130.0, 400)
     desired_ned_m = plan.places(since_s)

@@ -27,7 +27,7 @@ def _arrays(instants=10, vehicles=3):
         ("alive", np.ones((10, 3))),
     ],
 )
-def test_arrays_that_do_not_belong_together_are_refused(name, value):
+def test_inconsistent_arrays_are_refused(name, value):
     Flight(**_arrays())
     with pytest.raises(ValueError):
         Flight(**(_arrays() | {name: value}))

@@ -19,7 +19,7 @@ def _turned(places_ned_m, yaw_rad):
 
 
 def _flight(flown_ned_m, alive=None, desired_ned_m=PLACES_NED_M):
-    """``flown_ned_m`` is as autopilots know it, from where each stood; the truth is of centres of mass."""
+    """Return a flight; ``flown_ned_m`` is relative to landed vehicles, the truth is of centres of mass."""
     pos_ned_m = flown_ned_m - np.array([0.0, 0.0, IRIS.standing_height_m])
     instants, vehicles = pos_ned_m.shape[:2]
     return Flight(
@@ -38,14 +38,14 @@ def test_rigid_motion_is_absolute_error_and_no_shape_error(yaw_deg):
     error = formation_error(_flight((_turned(PLACES_NED_M, np.radians(yaw_deg)) + shift_ned_m)[np.newaxis]))
     assert error.shape.rms_m == pytest.approx(0.0, abs=1e-12)
     assert np.degrees(error.yaw_rad) == pytest.approx([yaw_deg])
-    # The places' centre is the vertical axis, so the turn and the shift add in squares.
+    # The axis of rotation is the places' centre, so rotation and shift add in squares.
     turn_m2 = np.mean(np.sum((_turned(PLACES_NED_M, np.radians(yaw_deg)) - PLACES_NED_M) ** 2, axis=1))
     assert error.absolute.rms_m == pytest.approx(np.sqrt(13.0**2 + turn_m2))
     assert error.absolute.horizontal_rms_m == pytest.approx(np.sqrt(5.0**2 + turn_m2))
 
 
-def test_who_flies_where_the_autopilots_zero_puts_it_has_no_error():
-    """Ten metres over where its feet stood: its centre is then 10.055 m over the ground."""
+def test_a_height_relative_to_the_landed_vehicle_has_no_error():
+    """Ten metres above the landed position: the centre is 10.055 m above the ground."""
     pos_ned_m = PLACES_NED_M - np.array([0.0, 0.0, 0.055])
     error = formation_error(replace(_flight(pos_ned_m[np.newaxis]), pos_ned_m=pos_ned_m[np.newaxis]))
     assert error.absolute.rms_m == pytest.approx(0.0, abs=1e-12)
@@ -57,8 +57,8 @@ def test_clockwise_from_above_is_positive_yaw():
     np.testing.assert_allclose(east_of_north, [[0.0, 1.0, 0.0]], atol=1e-15)
 
 
-def test_errors_of_a_formation_that_moves_are_those_from_where_it_should_be():
-    """One that is 2 s late on its racetrack has its shape, is 6 m behind, and has yet to turn."""
+def test_errors_of_a_moving_formation_are_relative_to_its_moving_places():
+    """A formation 2 s late on its racetrack has its shape, is 6 m behind, and is rotated."""
     plan = FormationPlan(PLACES_NED_M, 0.0, RacetrackMotion(radius_m=30.0))
     since_s = np.linspace(10.0, 130.0, 200)
     late_ned_m = plan.places(since_s - 2.0)
@@ -67,14 +67,14 @@ def test_errors_of_a_formation_that_moves_are_those_from_where_it_should_be():
     assert error.shape.rms_m == pytest.approx(0.0, abs=1e-9)
     behind_rad = plan.headings(since_s - 2.0) - plan.headings(since_s)
     np.testing.assert_allclose(np.sin(error.yaw_rad - behind_rad), 0.0, atol=1e-12)
-    # the centre's way of 6 m is at least its chord over 6 / 30 rad
+    # the centre's path of 6 m is at least its chord over 6 / 30 rad
     distance_m = np.linalg.norm(late_ned_m.mean(axis=1) - flight.desired_pos_ned_m.mean(axis=1), axis=1)
     assert distance_m.max() == pytest.approx(6.0, abs=1e-6)
     assert distance_m.min() >= 2.0 * 30.0 * np.sin(0.1) - 1e-6
 
 
 def test_tilted_formation_keeps_its_tilt_as_shape_error():
-    """Only the vertical is an axis of alignment: a tilt of the aperture is an error of its shape."""
+    """Alignment rotates about the vertical only: a tilt of the array is a shape error."""
     pos_ned_m = PLACES_NED_M.copy()
     pos_ned_m[:, 2] += 0.1 * pos_ned_m[:, 1]
     error = formation_error(_flight(pos_ned_m[np.newaxis]))
@@ -82,7 +82,7 @@ def test_tilted_formation_keeps_its_tilt_as_shape_error():
     assert error.shape.rms_m == pytest.approx(0.1 * np.sqrt(np.mean(PLACES_NED_M[:, 1] ** 2)))
 
 
-def test_alignment_is_the_least_squares_one():
+def test_alignment_is_optimal_in_the_least_squares_sense():
     rng = np.random.default_rng(1)
     alive = rng.random((5, 8)) < 0.7
     alive[:, :2] = True
@@ -99,8 +99,8 @@ def test_alignment_is_the_least_squares_one():
         assert error.yaw_rad[t] == pytest.approx(best.x[0], abs=1e-4)
 
 
-def test_independent_errors_lose_four_of_their_degrees_of_freedom():
-    """Alignment fits three translations and a turn: 24 - 4 of the 24 variances of eight vehicles are left."""
+def test_independent_errors_lose_four_degrees_of_freedom():
+    """Alignment fits three translations and a rotation: 24 - 4 of 24 variances of eight vehicles remain."""
     rng = np.random.default_rng(2)
     error = formation_error(_flight(PLACES_NED_M + rng.normal(0.0, 0.2, (4000, 8, 3))))
     assert error.absolute.rms_m == pytest.approx(0.2 * np.sqrt(3.0), rel=0.01)
@@ -108,7 +108,7 @@ def test_independent_errors_lose_four_of_their_degrees_of_freedom():
     assert error.shape.horizontal_rms_m == pytest.approx(0.2 * np.sqrt(2.0 * 13.0 / 16.0), rel=0.01)
 
 
-def test_dead_vehicles_count_for_nothing():
+def test_lost_vehicles_are_ignored():
     rng = np.random.default_rng(3)
     pos_ned_m = PLACES_NED_M + rng.normal(0.0, 0.5, (20, 8, 3))
     alive = np.ones((20, 8), bool)
@@ -137,7 +137,7 @@ def test_shape_needs_two_vehicles_and_absolute_one():
     assert error.absolute.vehicle_rms_m == (*[None] * 4, pytest.approx(2.0), pytest.approx(2.0), None, None)
 
 
-def test_flight_without_the_living_has_no_error():
+def test_flight_without_living_vehicles_has_no_error():
     error = formation_error(_flight(np.zeros((3, 8, 3)), np.zeros((3, 8), bool)))
     assert error.absolute.rms_m is None
     assert error.shape.horizontal_rms_m is None

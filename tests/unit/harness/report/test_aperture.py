@@ -32,7 +32,7 @@ LENGTH_M = 0.05
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """One flight of two, with all that is written of its antenna."""
+    """One flight of two vehicles with all files of its antenna."""
     path = tmp_path_factory.mktemp("flown")
     fly(load(ARTICLE, SMALL), path)
     return RunFolder(path)
@@ -43,21 +43,21 @@ def _json(path):
 
 
 def _wires_m(deck):
-    """(n, 2, 3) ends of the wires of a deck."""
+    """Return the ends (n, 2, 3) of a deck's wires."""
     cards = [line.split() for line in deck.splitlines() if line.startswith("GW")]
     return np.array([card[3:9] for card in cards], float).reshape(-1, 2, 3)
 
 
-# ---- what a run writes
+# ---- files of a run
 
 
-def test_the_gains_of_a_run_are_a_table_beside_the_others_and_no_part_of_its_hash(run):
+def test_the_gains_of_a_run_are_a_table_that_is_not_part_of_its_hash(run):
     """The angle between +y and (theta, phi) is arccos(sin theta sin phi)."""
     gains = pq.read_table(run.gains).to_pydict()
-    said = _json(run.summary)["max_gain_dbi"]
-    assert np.mean(gains["max_gain_dbi"]) == pytest.approx(said["mean"], abs=1e-4)
-    assert len(gains["time_us"]) == said["patterns"] >= 4
-    assert gains["missing"] == [None] * said["patterns"]
+    reported = _json(run.summary)["max_gain_dbi"]
+    assert np.mean(gains["max_gain_dbi"]) == pytest.approx(reported["mean"], abs=1e-4)
+    assert len(gains["time_us"]) == reported["patterns"] >= 4
+    assert gains["missing"] == [None] * reported["patterns"]
     theta, phi = np.radians(gains["max_theta_deg"]), np.radians(gains["max_phi_deg"])
     away_deg = np.degrees(np.arccos(np.sin(theta) * np.sin(phi)))
     np.testing.assert_allclose(gains["pointing_error_deg"], away_deg, atol=1e-4)
@@ -66,14 +66,14 @@ def test_the_gains_of_a_run_are_a_table_beside_the_others_and_no_part_of_its_has
 
 
 def test_manifest_and_summary_name_the_solver_and_its_accuracy(run):
-    said = _json(run.manifest)["antenna"]
-    assert said["backend"] == "batch"
-    assert "0.01 dB" in said["accuracy"]  # of small elements
+    reported = _json(run.manifest)["antenna"]
+    assert reported["backend"] == "batch"
+    assert "0.01 dB" in reported["accuracy"]  # of small elements
     numbers = _json(run.summary)["max_gain_dbi"]
-    assert {name: numbers[name] for name in said} == said
+    assert {name: numbers[name] for name in reported} == reported
 
 
-def test_patterns_are_kept_if_asked_for(run):
+def test_patterns_are_stored_on_request(run):
     kept = read_dataset(run.patterns)
     gains = pq.read_table(run.gains).to_pydict()
     assert kept["time"].values.tolist() == gains["time_us"]
@@ -81,12 +81,12 @@ def test_patterns_are_kept_if_asked_for(run):
     assert settings_of(kept) == load(ARTICLE, SMALL).antenna
 
 
-def test_a_deck_has_the_vehicles_where_they_were(run):
-    """Dipoles about the truth's positions: x is east and y north of the middle of the places, z is up."""
+def test_a_deck_has_the_vehicles_true_positions(run):
+    """Dipoles at true positions: x is east and y north of the centre of the places, z is up."""
     flight = pq.read_table(run.flight).to_pandas()
     time_us = flight["time_us"][400]
     at = flight[flight["time_us"] == time_us]
-    wires_m = _wires_m(deck_at(run.path, time_us * 1e-6 + 0.004))  # nearer to it than to the next
+    wires_m = _wires_m(deck_at(run.path, time_us * 1e-6 + 0.004))  # nearest to this instant
     north_east_m = at[["pos_ned_m.n", "pos_ned_m.e"]].to_numpy()
     np.testing.assert_allclose(wires_m.mean(axis=1)[:, [1, 0]], north_east_m, atol=1e-6)
     np.testing.assert_allclose(wires_m.mean(axis=1)[:, 2], -at["pos_ned_m.d"].to_numpy() - 2.0, atol=1e-6)
@@ -106,7 +106,7 @@ def test_every_run_has_the_deck_of_its_median_instant(run):
 # ---- decks of any instant, refused
 
 
-def test_a_deck_that_cannot_be_made_is_a_line_and_status_2(run, tmp_path, capsys):
+def test_a_refused_deck_is_one_line_and_status_2(run, tmp_path, capsys):
     def refused(*arguments):
         assert export_deck.main([str(argument) for argument in arguments]) == export_deck.BAD_INPUT
         line = capsys.readouterr().err
@@ -123,7 +123,7 @@ def test_a_deck_that_cannot_be_made_is_a_line_and_status_2(run, tmp_path, capsys
     other.manifest.write_text("{")
     assert "not JSON" in refused(tmp_path, "--time", 5)
     manifest = _json(run.manifest)
-    manifest["scenario"]["antenna"]["element_length_m"] = 10.0  # around places 2 m over the ground
+    manifest["scenario"]["antenna"]["element_length_m"] = 10.0  # at places 2 m over the ground
     manifest["scenario"]["antenna"] |= {"ground": "perfect", "element_radius_m": 0.001}
     other.manifest.write_text(json.dumps(manifest))
     assert re.search(
@@ -136,8 +136,8 @@ def test_a_deck_that_cannot_be_made_is_a_line_and_status_2(run, tmp_path, capsys
     assert capsys.readouterr().out == deck_at(run.path, 5.0)
 
 
-def test_the_dead_have_no_wire(run, tmp_path):
-    """A record in which one of two is dead at the end; when both are, nothing is left to be written."""
+def test_lost_vehicles_have_no_wire(run, tmp_path):
+    """A record in which one of two is lost at the end; with both lost there is no deck."""
     shutil.copy(run.manifest, tmp_path)
     shutil.copy(run.events, tmp_path)
     table = pq.read_table(run.flight)
@@ -154,11 +154,11 @@ def test_the_dead_have_no_wire(run, tmp_path):
         deck_at(tmp_path, times_s[-1])
 
 
-# ---- what there is without patterns
+# ---- files without patterns
 
 
 def _standing(scenario, instants):
-    """Everybody in its place, upright."""
+    """Return a flight with all vehicles upright in their places."""
     places_ned_m = scenario.places_ned_m()
     upright = np.array([1.0, 0.0, 0.0, 0.0])
     return Flight(
@@ -181,8 +181,8 @@ def _standing(scenario, instants):
         ),
     ],
 )
-def test_a_formation_that_is_no_antenna_costs_its_numbers_and_no_more(tmp_path, settings, note):
-    """Every instant is missing, and says why; the summary's note says it of the ideal formation."""
+def test_a_formation_that_is_no_antenna_has_only_no_gains(tmp_path, settings, note):
+    """Every instant is missing with a reason; the summary's note has that of the ideal formation."""
     scenario = load(ARTICLE, settings)
     found = antenna_report.measure(_standing(scenario, 3), scenario)
     numbers = antenna_report.numbers(found)

@@ -1,4 +1,4 @@
-"""Scenario files: what is wrong is said in one line that names the file, the field and the reason."""
+"""Scenario files: an error is one line that names the file, the field and the reason."""
 
 import msgspec
 import numpy as np
@@ -12,7 +12,7 @@ from harness.scenario.scenario import Scenario, ScenarioError, load
 ARTICLE = ROOT / "scenarios" / "article.toml"
 
 
-def test_article_is_the_articles():
+def test_article_has_the_articles_settings():
     scenario = load(ARTICLE)
     assert scenario.agents == 8
     assert scenario.wind.mean_n == 5.0
@@ -25,27 +25,27 @@ def test_article_is_the_articles():
     assert scenario.run.duration_s == 60.0
     places = scenario.places_ned_m()
     assert places.shape == (8, 3)
-    # 0.85 lambda broadside runs east, 0.25 lambda end-fire runs north
+    # 0.85 lambda broadside is east, 0.25 lambda end-fire is north
     assert np.allclose(np.diff(np.unique(places[:, 1].round(9))), 8.5)
     assert np.allclose(np.diff(np.unique(places[:, 0].round(9))), 2.5)
     assert np.allclose(places[:, 2], -10.0)
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "scenarios").glob("*.toml")), ids=lambda path: path.stem)
-def test_every_shipped_scenario_loads_and_survives_its_journey_to_the_processes(path):
+def test_every_shipped_scenario_loads_and_is_unchanged_by_serialisation(path):
     scenario = load(path)
     assert msgspec.json.decode(msgspec.json.encode(scenario), type=Scenario) == scenario
 
 
-def test_heading_turns_the_end_fire_axis_clockwise_from_north():
+def test_heading_rotates_the_end_fire_axis_clockwise_from_north():
     east = load(ARTICLE, ["formation.heading_deg=90"]).places_ned_m()
     north = load(ARTICLE).places_ned_m()
-    # what pointed north points east, what pointed east points south
+    # north becomes east, east becomes south
     assert np.allclose(east[:, 1], north[:, 0])
     assert np.allclose(east[:, 0], -north[:, 1])
 
 
-def test_fewer_agents_take_the_first_places_and_more_extend_the_grid():
+def test_fewer_agents_use_the_first_places_and_more_extend_the_grid():
     eight = load(ARTICLE).places_ned_m()
     assert np.array_equal(load(ARTICLE, ["agents=3"]).places_ned_m(), eight[:3])
     ten = load(ARTICLE, ["agents=10"]).places_ned_m()
@@ -54,7 +54,7 @@ def test_fewer_agents_take_the_first_places_and_more_extend_the_grid():
 
 
 def _antenna_frame_m(scenario):
-    """(x, y, z): right of the heading, along it, up."""
+    """Return (x, y, z): right of the heading, along it, up."""
     heading_rad = np.radians(scenario.formation.heading_deg)
     north_m, east_m, down_m = scenario.places_ned_m().T
     c, s = np.cos(heading_rad), np.sin(heading_rad)
@@ -70,7 +70,7 @@ def test_a_line_is_abreast(agents, heading_deg):
     np.testing.assert_allclose(places_m, np.stack([x_m, 0.0 * x_m, 10.0 + 0.0 * x_m], axis=1), atol=1e-12)
 
 
-def test_a_ring_begins_ahead_and_goes_on_clockwise():
+def test_a_ring_begins_ahead_and_continues_clockwise():
     shape = ["formation.shape=ring", "formation.radius_m=6.0", "formation.heading_deg=70"]
     places_m = _antenna_frame_m(load(ARTICLE, [*shape, "agents=6"]))
     np.testing.assert_allclose(np.linalg.norm(places_m[:, :2], axis=1), 6.0)
@@ -80,17 +80,17 @@ def test_a_ring_begins_ahead_and_goes_on_clockwise():
     assert places_m[1, 0] > 0.0
 
 
-def test_a_vehicle_is_told_how_its_formation_moves():
+def test_a_vehicles_settings_have_the_motion_of_the_formation():
     scenario = load(ROOT / "scenarios" / "racetrack.toml", ["formation.heading_deg=40"])
-    told = scenario.vehicle(2, run_id="test", radio_endpoint=None, log_path=None)
-    assert told.motion == scenario.formation.motion
-    assert told.heading_deg == 40.0
-    own = FormationPlan(np.array(told.places_ned_m), told.heading_deg, told.motion).own(2, 50.0)
+    config = scenario.vehicle(2, run_id="test", radio_endpoint=None, log_path=None)
+    assert config.motion == scenario.formation.motion
+    assert config.heading_deg == 40.0
+    own = FormationPlan(np.array(config.places_ned_m), config.heading_deg, config.motion).own(2, 50.0)
     np.testing.assert_allclose(own.pos_ned_m, scenario.plan().at(50.0).pos_ned_m[2])
     assert load(ARTICLE).vehicle(0, run_id="test", radio_endpoint=None, log_path=None).motion is None
 
 
-def test_overrides_take_numbers_strings_words_and_new_tables():
+def test_overrides_accept_numbers_strings_words_and_new_tables():
     scenario = load(
         ARTICLE,
         [
@@ -109,7 +109,7 @@ def test_overrides_take_numbers_strings_words_and_new_tables():
 
 
 @pytest.mark.parametrize(
-    ("override", "says"),
+    ("override", "message"),
     [
         ("wind.maen_n=2", "wind: unknown key `maen_n`"),
         ("wnd.mean_n=2", "unknown key `wnd`"),
@@ -266,17 +266,20 @@ def test_overrides_take_numbers_strings_words_and_new_tables():
             "faults[0].effectiveness: expected `float` <= 1.0",
         ),
         ('faults=[{kind="accel_bias", uav=0}]', "faults[0]: object missing required field `offset_frd_m_s2`"),
-        ("onboard.wind_feed_forward=true", "onboard.wind_feed_forward: the autopilot of UAV 0 leans"),
+        (
+            "onboard.wind_feed_forward=true",
+            "onboard.wind_feed_forward: the autopilot of UAV 0 already",
+        ),
         ("wind", "--set wind: expected PATH=VALUE"),
         ("=3", "--set =3: expected PATH=VALUE"),
         ("agents.x=3", "--set agents.x=3: agents is a value, not a table"),
     ],
 )
-def test_a_wrong_field_is_named(override, says):
+def test_a_wrong_field_is_named(override, message):
     with pytest.raises(ScenarioError) as caught:
         load(ARTICLE, [override])
     text = str(caught.value)
-    assert says.lower() in text.lower()
+    assert message.lower() in text.lower()
     assert "\n" not in text
 
 
@@ -287,9 +290,9 @@ def companion_ports(scenario):
     ]
 
 
-def test_companions_are_called_at_14540_and_up_but_for_ports_that_are_somebody_elses():
+def test_companions_have_ports_from_14540_on_except_ports_of_others():
     ports = companion_ports(load(ARTICLE, ["agents=64"]))
-    # 14550 is the ground station's, and from 14580 on the swarm's own: UAV 40 would speak to UAV 0
+    # 14550 is the ground station's, and from 14580 on the swarm's own: UAV 40 would send to UAV 0
     assert ports == [14540 + i if i != 10 and i < 40 else 0 for i in range(64)]
     assert companion_ports(load(ARTICLE, ["agents=12", "ports.gcs_remote_udp=14000"]))[10] == 14550
     assert companion_ports(load(ARTICLE, ["agents=3", "ports.companion_remote_udp=0"])) == [0, 0, 0]
@@ -302,14 +305,14 @@ def test_on_other_machines_every_companion_port_is_free():
     assert companion_ports(load(ARTICLE, ["agents=64", *both]))[9:12] == [14549, 0, 14551]
 
 
-def test_links_stay_on_this_machine_unless_the_scenario_says_otherwise():
+def test_links_are_local_by_default():
     vehicle = load(ARTICLE).vehicle(0, run_id="x", radio_endpoint=None, log_path=None)
     links = vehicle.links
     assert {links.host, links.ground_station_host, links.companion_host} == {"127.0.0.1"}
     assert (links.bandwidth_bytes_s, links.signing_key_file) == (0, None)
 
 
-def test_a_signing_key_is_found_beside_the_scenario_and_stays_in_its_file(tmp_path):
+def test_a_signing_key_is_read_relative_to_the_scenario_and_not_copied(tmp_path):
     (tmp_path / "swarm.toml").write_text('[links]\nsigning_key_file = "key"\n')
     key = tmp_path / "key"
     with pytest.raises(ScenarioError, match=r"links\.signing_key_file: .*key: cannot be read"):
@@ -331,7 +334,7 @@ def test_a_signing_key_is_found_beside_the_scenario_and_stays_in_its_file(tmp_pa
         "burst_duration_us=250, responder_min_delta_us=300",  # a responder that slow grants a longer burst
     ],
 )
-def test_a_burst_that_has_time_for_two_measurement_frames_is_taken(ftm):
+def test_a_burst_with_time_for_two_measurement_frames_is_accepted(ftm):
     assert load(ARTICLE, [f"radio.ftm={{{ftm}}}"]).radio.ftm.burst_duration_us <= 500
 
 
@@ -339,7 +342,7 @@ FAULTS = ROOT / "scenarios" / "faults.toml"
 TURBULENCE = ROOT / "scenarios" / "turbulence.toml"
 
 
-def test_overrides_reach_into_arrays_by_number():
+def test_overrides_address_entries_of_arrays_by_number():
     before, after = load(FAULTS), load(FAULTS, ["faults.0.uav=3", "faults.1.offset_ned_m.2=-4.0"])
     assert (before.faults[0].uav, after.faults[0].uav) == (0, 3)
     assert after.faults[1].offset_ned_m == (*before.faults[1].offset_ned_m[:2], -4.0)
@@ -350,7 +353,7 @@ def test_overrides_reach_into_arrays_by_number():
 
 
 @pytest.mark.parametrize(
-    ("override", "says"),
+    ("override", "message"),
     [
         ("faults.4.uav=1", "faults has no entry 4; there are numbers 0 to 3"),
         ("faults.-1.uav=1", "faults has no entry -1; there are numbers 0 to 3"),
@@ -359,14 +362,14 @@ def test_overrides_reach_into_arrays_by_number():
         ("faults.1.offset_ned_m.3=1.0", "faults.1.offset_ned_m has no entry 3; there are numbers 0 to 2"),
     ],
 )
-def test_an_entry_that_there_is_not_is_one_line(override, says):
+def test_a_missing_entry_is_an_error_in_one_line(override, message):
     with pytest.raises(ScenarioError) as caught:
         load(FAULTS, [override])
-    assert str(caught.value) == f"--set {override}: {says}"
+    assert str(caught.value) == f"--set {override}: {message}"
 
 
 def test_a_vehicle_is_not_an_entry():
-    """Tables with numbers for keys stay tables."""
+    """Tables with numeric keys remain tables."""
     scenario = load(ARTICLE, ["autopilot.per_uav.1.MPC_XY_P=1.1"])
     assert scenario.autopilot.per_uav == {"1": {"MPC_XY_P": 1.1}}
 
@@ -383,15 +386,15 @@ def test_a_missing_a_broken_and_a_binary_file_are_named(tmp_path):
         load(broken)
 
 
-def test_a_vehicle_is_told_of_its_devices_what_their_models_say():
+def test_a_vehicles_settings_have_the_properties_of_its_devices():
     overrides = ["sensors.gps.delay_s=0.2", "radio.bandwidth_mhz=40"]
-    told = load(ARTICLE, overrides).vehicle(0, run_id="test", radio_endpoint=None, log_path=None)
-    assert told.devices.gps_delay_s == 0.2
-    assert told.devices.ftm_trip_std_m == pytest.approx(0.161, abs=0.001)  # 1075 ps, c/2
-    assert Vehicle(told).parameters.get("EKF2_GPS_DELAY") == pytest.approx(200.0)
+    config = load(ARTICLE, overrides).vehicle(0, run_id="test", radio_endpoint=None, log_path=None)
+    assert config.devices.gps_delay_s == 0.2
+    assert config.devices.ftm_trip_std_m == pytest.approx(0.161, abs=0.001)  # 1075 ps, c/2
+    assert Vehicle(config).parameters.get("EKF2_GPS_DELAY") == pytest.approx(200.0)
 
 
-def test_ranging_sessions_may_not_last_longer_than_odometry_is_remembered():
+def test_ranging_sessions_may_not_last_longer_than_odometry_is_stored():
     """Four bursts 0.5 s apart end 1.5 s after the first, eight 3.5 s."""
     period = "radio.ftm.burst_period_ms=500"
     load(ARTICLE, [period, "radio.ftm.bursts_exponent=2"])
@@ -411,12 +414,12 @@ def test_ranging_sessions_may_not_last_longer_than_odometry_is_remembered():
         ("antenna.element_length_m=nan", "antenna.element_length_m"),
     ],
 )
-def test_no_length_is_boundless(override, where):
+def test_every_length_has_a_limit(override, where):
     with pytest.raises(ScenarioError, match=where):
         load(ARTICLE, [override])
 
 
-def test_time_0_has_a_date_which_vehicles_are_told():
+def test_vehicles_settings_have_the_date_of_time_0():
     def told_us(*overrides):
         vehicle = load(ARTICLE, overrides).vehicle(0, run_id="x", radio_endpoint=None, log_path=None)
         return vehicle.epoch_unix_us
@@ -428,10 +431,10 @@ def test_time_0_has_a_date_which_vehicles_are_told():
         == told_us("run.epoch_utc=2026-01-01T00:00:00Z")
         > told_us("run.epoch_utc=2025-12-31T23:59:59Z")
     )
-    for wrong, says in [
+    for wrong, message in [
         ("1969-12-31T23:59:59Z", "run: epoch_utc is before 1970"),
         ("2026-01-01T00:00:00", "run.epoch_utc: expected `datetime` with a timezone"),
         ("yesterday", "run.epoch_utc: invalid RFC3339"),
     ]:
-        with pytest.raises(ScenarioError, match=says):
+        with pytest.raises(ScenarioError, match=message):
             load(ARTICLE, [f"run.epoch_utc={wrong}"])

@@ -1,4 +1,4 @@
-"""Files that a scenario names: places of a formation, and the deck of an element."""
+"""Files of a scenario: places of a formation, and the deck of an element."""
 
 import msgspec
 import numpy as np
@@ -24,8 +24,8 @@ def _with_file(folder, text, *settings):
         "\ufeffz_m; y_m; x_m\r\n0; -3; -4\r\n\r\n1.5; 5e-1; 0\r\n0; -3; 4\r\n100; 0; 0".replace(";", ","),
     ],
 )
-def test_places_from_a_file_go_into_the_scenario(tmp_path, text):
-    """The processes that read the scenario again have no file beside it; rows that no UAV needs are left."""
+def test_places_of_a_file_are_stored_in_the_scenario(tmp_path, text):
+    """The processes read the scenario without the file; surplus rows are ignored."""
     scenario = _with_file(tmp_path, text, "heading_deg = 90.0", "height_m = 20.0")
     # heading east: the file's x, to the right, is south, and its y, ahead, is east
     expected_m = [[4.0, -3.0, -20.0], [0.0, 0.5, -21.5], [-4.0, -3.0, -20.0]]
@@ -36,7 +36,7 @@ def test_places_from_a_file_go_into_the_scenario(tmp_path, text):
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         ("x_m,y_m\n0,0\n1,b\n", "v.csv:3: y_m: expected a number, not 'b'"),
         ("x_m,y_m\n0,0\n\n1,\n", "v.csv:4: y_m: expected a number, not ''"),
@@ -55,10 +55,10 @@ def test_places_from_a_file_go_into_the_scenario(tmp_path, text):
         ),
     ],
 )
-def test_what_is_wrong_with_a_file_of_places_is_named(tmp_path, text, says):
+def test_errors_in_a_file_of_places_are_named(tmp_path, text, message):
     with pytest.raises(ScenarioError) as caught:
         _with_file(tmp_path, text)
-    assert says in str(caught.value)
+    assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
@@ -77,8 +77,8 @@ def _with_deck(folder, text, *settings, overrides=()):
 
 
 @pytest.mark.parametrize("text", [MONOPOLE, "\ufeff" + MONOPOLE.replace("\n", "\r\n")])
-def test_an_element_s_deck_goes_into_the_scenario(tmp_path, text):
-    """The processes that read the scenario again have no deck beside it."""
+def test_an_elements_deck_is_stored_in_the_scenario(tmp_path, text):
+    """The processes read the scenario without the deck."""
     scenario = _with_deck(tmp_path, text)
     (tmp_path / "a.nec").unlink()
     again = msgspec.json.decode(msgspec.json.encode(scenario), type=Scenario)
@@ -96,7 +96,7 @@ def test_a_deck_is_named_by_an_override_as_well(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "settings", "says"),
+    ("text", "settings", "message"),
     [
         (MONOPOLE + "LD 5 0 0 0 1e6\n", (), "a.nec: line 5: card 'LD' is not supported"),
         (MONOPOLE.replace("0.3", "x"), (), "a.nec: line 3: GW: expected numbers"),
@@ -108,10 +108,10 @@ def test_a_deck_is_named_by_an_override_as_well(tmp_path):
         (MONOPOLE, ('element_kind = "helix"',), "antenna.element_kind: invalid enum value 'helix'"),
     ],
 )
-def test_what_is_wrong_with_an_element_s_deck_is_named(tmp_path, text, settings, says):
+def test_errors_in_an_elements_deck_are_named(tmp_path, text, settings, message):
     with pytest.raises(ScenarioError) as caught:
         _with_deck(tmp_path, text, *settings)
-    assert says in str(caught.value)
+    assert message in str(caught.value)
     assert "v.toml" in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -136,7 +136,7 @@ def test_a_missing_and_a_binary_file_of_places_are_named(tmp_path):
         load(tmp_path / "v.toml", ["formation.file=w.csv"])
     with pytest.raises(ScenarioError, match=r"formation\.file: no file for 8 vehicles"):
         load(ARTICLE, ["formation.shape=file"])
-    # another shape does not look at it
+    # other shapes ignore it
     assert (
         len(load(tmp_path / "v.toml", ["formation.file=x.csv", "formation.shape=ring"]).places_ned_m()) == 3
     )

@@ -1,11 +1,11 @@
-"""A scenario's ports: raised for a second swarm on the machine, or any free ones."""
+"""A scenario's ports: with an offset for a second swarm on the machine, or any free ones."""
 
 import pytest
 
 from harness.scenario.scenario import PortsConfig
 
 
-def test_ports_are_raised_together_and_those_that_are_not_given_stay_so():
+def test_an_offset_is_added_to_all_ports_that_are_set():
     ports = PortsConfig(gcs_remote_udp=0)
     raised = ports.raised(100, agents=3)
     assert raised.numbers() == {name: base + 100 if base else 0 for name, base in ports.numbers().items()}

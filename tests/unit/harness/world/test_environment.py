@@ -1,4 +1,4 @@
-"""Air and ground around the vehicles: wind as a velocity, density, ground effect. 5 s."""
+"""Environment of the vehicles: wind as a velocity, density, ground effect. 5 s."""
 
 import math
 from dataclasses import replace
@@ -25,7 +25,7 @@ HOVER_RAD_S = math.sqrt(WEIGHT_N / 4.0 / 5.84e-6)
 HOVER = (HOVER_RAD_S - 100.0) / 1000.0
 LEVEL = np.array([[1.0, 0.0, 0.0, 0.0]])
 HEADWIND_M_S = 8.85
-"""At which the drag of the hovering rotors is 5 N: 4 x 1.75e-4 x 806.7 = 0.565 N/(m/s)."""
+"""Wind at which the drag of the hovering rotors is 5 N: 4 x 1.75e-4 x 806.7 = 0.565 N/(m/s)."""
 ROLLED = quat_from_rotation_vector(np.array((0.2, 0.0, 0.0)))[None]
 PLAIN = replace(IRIS, rotor_drag_n_s2_m=0.0, rolling_moment_n_s2=0.0, drag_n_s_m=0.25)
 
@@ -34,7 +34,7 @@ def wrench(
     *, model=IRIS, speed=HOVER_RAD_S, vel=(0.0, 0.0, 0.0), omega=(0.0, 0.0, 0.0), air=(0.0, 0.0, 0.0),
     density=1.0, height_m=100.0, effectiveness=(1.0, 1.0, 1.0, 1.0), q=LEVEL, ground=False,
 ):  # fmt: skip
-    """Force and torque (3,) NED on one vehicle."""
+    """Return force and torque (3,) NED on one vehicle."""
     force, torque = wrenches(
         kernel_model(model, step_s=STEP_S, ground_effect=ground),
         np.array(q),
@@ -53,8 +53,8 @@ def test_five_newtons_are_8_85_metres_per_second():
     np.testing.assert_allclose(force, (5.0, 0.0, -WEIGHT_N), atol=0.005)
 
 
-def test_only_motion_through_the_air_matters():
-    """Flying with the wind is hovering in a calm; flying in a calm is hovering in the opposite wind."""
+def test_forces_depend_on_the_motion_through_the_air_only():
+    """Flight with the wind equals hover in calm air; flight in calm air equals hover in the opposite wind."""
     q = quat_from_rotation_vector(np.array((0.3, -0.2, 1.0)))[None]
     omega = (0.4, -0.8, 0.2)
     for mine, other in (
@@ -67,8 +67,8 @@ def test_only_motion_through_the_air_matters():
         np.testing.assert_allclose(first, second, atol=1e-12)
 
 
-def test_an_updraught_gives_the_thrust_that_a_downdraught_takes():
-    """A downdraught of 5 m/s, met like a climb of 5 m/s, leaves 1 - 5/25; an updraught makes it 1 + 5/25."""
+def test_an_updraught_adds_the_thrust_that_a_downdraught_removes():
+    """A downdraught of 5 m/s, like a climb, leaves 1 - 5/25 of the thrust; an updraught gives 1 + 5/25."""
     down, _ = wrench(air=(0.0, 0.0, 5.0))
     up, _ = wrench(air=(0.0, 0.0, -5.0))
     assert down[2] == pytest.approx(-0.8 * WEIGHT_N)
@@ -128,7 +128,7 @@ def drift(world, steps, **options):
     return world.truth
 
 
-def test_a_falling_body_takes_up_the_winds_speed_and_falls_at_its_terminal_one():
+def test_a_falling_body_reaches_the_winds_speed_and_its_terminal_velocity():
     """By m dv/dt = m g - k (v - air): time constant 1.55 / 0.25 = 6.2 s, towards air + m g / k down.
 
     Explicit steps of 4 ms are off by (dt / tau) / 2 = 3e-4 of the way at most.
@@ -148,7 +148,7 @@ def test_a_falling_body_takes_up_the_winds_speed_and_falls_at_its_terminal_one()
 
 
 def levelled(truth):
-    """Motors (1, 4) of a PD law that keeps one vehicle level at hover thrust."""
+    """Return motor controls (1, 4) of a PD law that keeps one vehicle level at hover thrust."""
     w, x, y, _ = truth.q_ned_frd[0]
     roll, pitch, yaw = -20.0 * w * np.array((x, y, 0.0)) - 2.0 * truth.omega_frd_rad_s[0]
     mix = np.array([-roll + pitch + yaw, roll - pitch + yaw, roll + pitch - yaw, -roll - pitch - yaw])
@@ -164,7 +164,7 @@ def test_a_hovering_iris_in_steady_wind_is_pushed_by_5_newtons_and_ends_up_drift
     with World(model=IRIS, spawn_pos_ned_m=[(0.0, 0.0, -100.0)], spawn_yaw_rad=0.0, step_us=STEP_US) as world:
         still = np.zeros((1, 3))
         for step in range(2000):
-            # rotors get up to speed in a calm
+            # rotors reach their speed in calm air
             now = still if step < 250 else air
             world.step(
                 levelled(world.truth),
@@ -181,7 +181,7 @@ def test_a_hovering_iris_in_steady_wind_is_pushed_by_5_newtons_and_ends_up_drift
     assert truth.vel_ned_m_s[0, 0] == pytest.approx(reached, rel=0.03)
 
 
-def test_air_at_rest_and_whole_rotors_are_what_nothing_said_means_to_the_last_bit():
+def test_the_defaults_are_air_at_rest_and_whole_rotors_to_the_last_bit():
     rng = np.random.default_rng(4)
     inputs = [(rng.uniform(0.4, 0.9, (3, 4)), rng.normal(0.0, 2.0, (3, 3))) for _ in range(200)]
     spawn = [(0.0, 5.0 * i, -20.0) for i in range(3)]
@@ -199,13 +199,13 @@ def test_air_at_rest_and_whole_rotors_are_what_nothing_said_means_to_the_last_bi
     assert seen[0] == seen[1]
 
 
-def test_thrust_torque_and_drag_go_with_the_density():
+def test_thrust_torque_and_drag_are_proportional_to_the_density():
     flight = {"vel": (3.0, 1.0, 0.5), "omega": (0.2, 0.1, -0.5), "model": replace(IRIS, drag_n_s_m=0.2)}
     thick, thin = (np.array(wrench(density=density, **flight)) for density in (1.0, 0.8))
     np.testing.assert_allclose(thin, 0.8 * thick, rtol=1e-12)
 
 
-def test_isa_density_is_the_standard_tables():
+def test_isa_density_equals_the_standards_table():
     """ISO 2533: 1.2250, 1.1117, 0.9093, 0.7364 kg/m^3 at 0, 1, 3 and 5 km by the tape.
 
     The model's altitudes are geopotential, r h / (r + h) with r = 6356.766 km. In air 30 K warmer than
@@ -221,7 +221,7 @@ def test_isa_density_is_the_standard_tables():
 
 
 def lift_off_acceleration(environment, ground_altitude_m=0.0, height_m=50.0):
-    """Upwards, m/s^2, of a vehicle at hover speed."""
+    """Return the upward acceleration, m/s^2, of a vehicle at hover speed."""
     with World(
         model=IRIS, spawn_pos_ned_m=[(0.0, 0.0, -height_m)], spawn_yaw_rad=0.0, step_us=STEP_US,
         environment=environment, ground_altitude_m=ground_altitude_m,
@@ -233,14 +233,14 @@ def lift_off_acceleration(environment, ground_altitude_m=0.0, height_m=50.0):
         return -world.truth.acc_ned_m_s2[0, 2]
 
 
-def test_the_world_takes_the_density_at_the_vehicles_altitude():
-    """2950 m + 50 m: 0.9093/1.225 of the thrust; "standard" knows no altitude."""
+def test_the_world_uses_the_density_at_the_vehicles_altitude():
+    """2950 m + 50 m: 0.9093/1.225 of the thrust; "standard" does not depend on altitude."""
     lacking = lift_off_acceleration(EnvironmentConfig(density="isa"), 2950.0)
     assert lacking == pytest.approx(-GRAVITY_M_S2 * (1.0 - 0.9093 / 1.225), rel=1e-3)
     assert lift_off_acceleration(EnvironmentConfig(), 2950.0) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_world_says_its_density_for_the_motors_current():
+def test_the_world_provides_its_density_for_the_motors_current():
     with World(
         model=IRIS, spawn_pos_ned_m=[(0.0, 0.0, -50.0), (5.0, 0.0, -1050.0)], spawn_yaw_rad=0.0,
         step_us=STEP_US, environment=EnvironmentConfig(density="isa"), ground_altitude_m=1950.0,
@@ -250,7 +250,7 @@ def test_the_world_says_its_density_for_the_motors_current():
         np.testing.assert_allclose(world.density_ratio, np.array((1.0066, 0.9093)) / 1.225, rtol=5e-4)
 
 
-def test_ground_effect_is_cheeseman_and_bennetts_and_is_held_below_half_a_radius():
+def test_ground_effect_is_cheeseman_and_bennetts_and_constant_below_half_a_radius():
     """1 / (1 - (R / 4 z)^2): at z = R 16/15, at z = R/2 4/3, far away 1."""
     assert ground_effect(0.128, 0.128) == pytest.approx(16.0 / 15.0)
     assert ground_effect(0.064, 0.128) == ground_effect(0.01, 0.128) == pytest.approx(4.0 / 3.0)
@@ -259,13 +259,13 @@ def test_ground_effect_is_cheeseman_and_bennetts_and_is_held_below_half_a_radius
     assert np.all(np.diff([ground_effect(h, 0.128) for h in heights_m]) < 0.0)
 
 
-def test_near_the_ground_each_rotor_lifts_more_by_its_own_height():
-    """Rotors are 23 mm above the centre of mass; rolled right the right ones are lower and lift it back."""
+def test_ground_effect_depends_on_the_height_of_each_rotor():
+    """Rotors are 23 mm above the centre of mass; rolled right, the lower right ones have more thrust."""
     force, torque = wrench(ground=True, height_m=0.1)
     assert -force[2] / WEIGHT_N == pytest.approx(1.0 / (1.0 - (0.128 / (4.0 * 0.123)) ** 2))
     np.testing.assert_allclose(torque, 0.0, atol=1e-12)
     _, righting = wrench(ground=True, height_m=0.2, q=ROLLED)
-    # a hub so far to the right is lower by that times sin(0.2); what is gained fades with the tilt's cosine
+    # a hub at this distance to the right is lower by sin(0.2) of it; the cosine multiplies the gain
     expected = 0.0
     for right_m in (0.22, -0.20, -0.22, 0.20):
         z_m = 0.2 + 0.023 * math.cos(0.2) - right_m * math.sin(0.2)
@@ -275,8 +275,8 @@ def test_near_the_ground_each_rotor_lifts_more_by_its_own_height():
     assert expected < 0.0
 
 
-def test_ground_effect_fades_with_the_tilt_and_is_gone_without_a_jump_at_90_degrees():
-    """A lone centre of mass with its hubs in it, 0.1 m up: by the cosine of 60 degrees half is left."""
+def test_ground_effect_decreases_with_the_tilt_to_zero_at_90_degrees():
+    """All hubs at the centre of mass, 0.1 m high: half of the gain remains, the cosine of 60 degrees."""
     model = replace(IRIS, rotor_hubs_flu_m=((0.0, 0.0, 0.0),) * 4)
 
     def gain(roll_deg):
@@ -291,14 +291,14 @@ def test_ground_effect_fades_with_the_tilt_and_is_gone_without_a_jump_at_90_degr
     assert gain(90.1) == 0.0
 
 
-def test_ground_effect_is_off_unless_asked_for_and_not_for_a_vehicle_on_its_back():
+def test_ground_effect_is_optional_and_not_for_a_vehicle_upside_down():
     assert wrench(height_m=0.1)[0][2] == pytest.approx(-WEIGHT_N)
     inverted = quat_from_rotation_vector(np.array((math.pi, 0.0, 0.0)))[None]
     assert wrench(ground=True, height_m=0.1, q=inverted)[0][2] == pytest.approx(WEIGHT_N)
     assert lift_off_acceleration(EnvironmentConfig(), height_m=0.1) == pytest.approx(0.0, abs=1e-9)
     extra = 1.0 / (1.0 - (0.128 / (4.0 * 0.123)) ** 2) - 1.0
-    asked = lift_off_acceleration(EnvironmentConfig(ground_effect=True), height_m=0.1)
-    assert asked == pytest.approx(extra * GRAVITY_M_S2, rel=1e-6)
+    with_effect = lift_off_acceleration(EnvironmentConfig(ground_effect=True), height_m=0.1)
+    assert with_effect == pytest.approx(extra * GRAVITY_M_S2, rel=1e-6)
 
 
 def test_thermometers_report_the_offset_and_barometers_do_not():

@@ -1,4 +1,4 @@
-"""ESC_STATUS on the wire: its numbers, its sum, its place before the sensors. Under 1 s."""
+"""ESC_STATUS on the wire: values, checksum, position before the sensors. Under 1 s."""
 
 import struct
 
@@ -17,7 +17,7 @@ SPEEDS = np.array([[806.7, 0.0, 1100.0, 403.35], [806.7] * 4])
 
 
 def payload_of(frame):
-    """Fields of a frame of MAVLink 2, whose header and sum are checked on the way."""
+    """Return the fields of a MAVLink 2 frame after checking header and checksum."""
     magic, length, incompatible, _, sequence, system, component, low, high = struct.unpack_from(
         "<BBBBBBBHB", frame
     )
@@ -29,8 +29,8 @@ def payload_of(frame):
     return sequence, (system, component), struct.unpack("<Q4i4f4fB", payload)
 
 
-def test_current_is_four_amperes_at_hover_and_goes_with_the_cube_of_the_speed():
-    """1100/806.7 cubed is 2.535; half the speed is an eighth; half of a propeller takes half."""
+def test_current_is_four_amperes_at_hover_and_proportional_to_the_cube_of_the_speed():
+    """1100/806.7 cubed is 2.535; half the speed is an eighth; half a propeller takes half."""
     effectiveness = np.ones((2, 4))
     effectiveness[1, 0] = 0.5
     readings = esc.readings(SPEEDS, effectiveness)
@@ -39,8 +39,8 @@ def test_current_is_four_amperes_at_hover_and_goes_with_the_cube_of_the_speed():
     np.testing.assert_allclose(readings.speed_rpm[0], SPEEDS[0] * 9.5493, rtol=1e-5)
 
 
-def test_thin_air_takes_less_current():
-    """A rotor's power goes with the density: 0.9 of it at one vehicle, half a propeller or not."""
+def test_current_is_proportional_to_the_density():
+    """0.9 of the density at one vehicle, with whole and half propellers."""
     effectiveness = np.ones((2, 4))
     effectiveness[1, 0] = 0.5
     thick = esc.readings(SPEEDS, effectiveness)
@@ -65,9 +65,9 @@ def frame_of(time_us, *, fix):
 
 
 @pytest.mark.parametrize("fix", [False, True])
-def test_it_comes_first_with_sequence_numbers_that_go_on(fix):
+def test_it_is_sent_first_with_consecutive_sequence_numbers(fix):
     encoder = SensorEncoder()
-    plain = [list(map(bytes, encoder.encode(4_000, frame_of(4_000, fix=False))))]  # they change in place
+    plain = [list(map(bytes, encoder.encode(4_000, frame_of(4_000, fix=False))))]  # overwritten later
     sent = encoder.encode(8_000, frame_of(8_000, fix=fix), esc.readings(SPEEDS))
     assert plain[0][0][4] == 0
     for vehicle, data in enumerate(sent):
@@ -87,7 +87,7 @@ def test_it_comes_first_with_sequence_numbers_that_go_on(fix):
     assert encoder.encode(12_000, frame_of(12_000, fix=False))[0][4] == 3 + fix
 
 
-def test_a_motor_that_stands_shortens_the_frame_and_not_what_it_says():
+def test_a_stopped_motor_shortens_the_frame_but_not_its_content():
     (frame,) = ESC_STATUS.frames(esc.statuses(1, esc.readings(np.zeros((1, 4)))), 255)
-    assert frame[1] == 1  # only the low byte of the time is left of the payload
+    assert frame[1] == 1  # the payload is only the low byte of the time
     assert payload_of(frame)[2] == (1, *[0] * 4, *[0.0] * 8, 0)

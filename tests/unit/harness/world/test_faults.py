@@ -1,4 +1,4 @@
-"""Every fault does what it says, to its vehicle alone and in its time alone. 5 s."""
+"""Every fault has its effect only on its vehicle and only in its time. 5 s."""
 
 import numpy as np
 import pytest
@@ -50,8 +50,8 @@ def healthy():
 
 
 @pytest.mark.parametrize("name", SENSOR_FAULTS)
-def test_a_sensor_fault_touches_its_sensor_its_vehicle_and_its_time_alone(healthy, name):
-    """To the last bit, before, beside and after it; and in its time in every sample."""
+def test_a_sensor_fault_affects_only_its_sensor_its_vehicle_and_its_time(healthy, name):
+    """All other samples are bit-identical; in its time every sample is affected."""
     found = differences(healthy, fly(fault_of(name)))
     assert {each[1] for each in found} == AFFECTED[name]
     assert {each[2] for each in found} == {HIT}
@@ -66,9 +66,9 @@ def test_a_sensor_fault_touches_its_sensor_its_vehicle_and_its_time_alone(health
 
 
 @pytest.mark.parametrize("name", SENSOR_FAULTS)
-def test_all_is_everybody_and_without_a_duration_it_stays(healthy, name):
-    everybody = fault_of(name, uav="all", duration_s=None)
-    found = differences(healthy, fly(everybody))
+def test_all_affects_every_vehicle_and_without_a_duration_the_fault_lasts(healthy, name):
+    every_vehicle = fault_of(name, uav="all", duration_s=None)
+    found = differences(healthy, fly(every_vehicle))
     assert {each[2] for each in found} == set(range(N))
     last_us = {name: max(f.time_us for f in healthy if name in columns(f)) for name in AFFECTED[name]}
     assert {(each[0], each[1]) for each in found} >= {(at_us, name) for name, at_us in last_us.items()}
@@ -83,7 +83,7 @@ def test_all_is_everybody_and_without_a_duration_it_stays(healthy, name):
         ("mag_bias", "mag", (0.05, 0.1, -0.02)),
     ],
 )
-def test_a_bias_is_its_offset(healthy, name, column, offset):
+def test_a_bias_equals_its_offset(healthy, name, column, offset):
     for _, seen, _, change in differences(healthy, fly(fault_of(name))):
         assert seen == column
         np.testing.assert_allclose(
@@ -97,8 +97,8 @@ def test_faults_that_overlap_add_up(healthy):
     assert seen == {(0, (0.0, 0.3, 0.0)), (1, (0.1, 0.3, -0.2)), (2, (0.0, 0.3, 0.0))}
 
 
-def test_a_creeping_spoof_grows_at_its_rate_and_its_velocity_agrees(healthy):
-    """At 10 m/s along (0.6, -0.8, 0), and 7 m far: there after 0.7 s."""
+def test_slow_spoofing_grows_at_its_rate_with_a_consistent_velocity(healthy):
+    """At 10 m/s along (0.6, -0.8, 0) to 7 m: complete after 0.7 s."""
     creep = fault_of("gps_bias", offset_ned_m=(4.2, -5.6, 0.0), rate_m_s=10.0)
     seen = {}
     for time_us, name, vehicle, change in differences(healthy, fly(creep)):
@@ -116,7 +116,7 @@ def test_a_creeping_spoof_grows_at_its_rate_and_its_velocity_agrees(healthy):
         np.testing.assert_allclose(change, (6.0, -8.0, 0.0), atol=1e-12)
 
 
-def test_gps_noise_has_its_spread():
+def test_gps_noise_has_its_standard_deviation():
     """60 s at 5 Hz and 3 axes: 900 samples of vehicle 1, so 2.4 % of a standard deviation; four of those."""
     state = faults_of(fault_of("gps_noise", duration_s=None))
     errors = []
@@ -129,8 +129,8 @@ def test_gps_noise_has_its_spread():
     assert not position_m[:, [0, 2]].any()
 
 
-def test_a_turned_field_makes_a_level_compass_read_that_much_too_far_clockwise():
-    """Whatever the tilt: the field is turned about the vertical, so inclination and strength stay."""
+def test_a_rotated_field_shifts_a_level_compass_clockwise_by_its_angle():
+    """The field is rotated about the vertical, so inclination and strength are unchanged at any tilt."""
     for healthy_frame, faulty_frame in zip(
         fly(profile="ideal"), fly(fault_of("mag_yaw"), profile="ideal"), strict=True
     ):
@@ -139,14 +139,14 @@ def test_a_turned_field_makes_a_level_compass_read_that_much_too_far_clockwise()
         q = truth_at(healthy_frame.time_us).q_ned_frd[HIT]
         inverse = np.array((q[0], -q[1], -q[2], -q[3]))
         before, after = (_rotated(inverse, f.mag_frd_gauss[HIT]) for f in (healthy_frame, faulty_frame))
-        # the field's direction falls by what the heading read from it grows
+        # the field's direction decreases by the increase of the heading
         turned = np.arctan2(after[1], after[0]) - np.arctan2(before[1], before[0])
         assert np.degrees(turned) == pytest.approx(-40.0, abs=1e-6)
         assert after[2] == pytest.approx(before[2], abs=1e-12)
 
 
 def _rotated(q_to_frd, vector_frd):
-    """From FRD to NED, by matrices, apart from the quaternion code under test."""
+    """Rotate from FRD to NED with matrices, independent of the quaternion code under test."""
     w, x, y, z = q_to_frd
     frd_from_ned = np.array([
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -156,7 +156,7 @@ def _rotated(q_to_frd, vector_frd):
     return frd_from_ned.T @ vector_frd
 
 
-def test_a_barometer_that_is_off_reads_the_pressure_of_another_altitude():
+def test_a_biased_barometer_reads_the_pressure_of_another_altitude():
     frame = next(
         f for f in fly(fault_of("baro_bias"), profile="ideal") if f.baro is not None and f.time_us >= BEGIN_US
     )
@@ -165,11 +165,11 @@ def test_a_barometer_that_is_off_reads_the_pressure_of_another_altitude():
     np.testing.assert_allclose(frame.baro.pressure_hpa, pressure_hpa, rtol=1e-12)
 
 
-def test_a_frozen_barometer_repeats_its_last_sample_and_then_goes_on(healthy):
+def test_a_frozen_barometer_repeats_its_last_sample_and_then_continues(healthy):
     frozen = fly(fault_of("baro_freeze"))
     last = [f.baro for f in healthy if f.baro is not None and f.time_us < BEGIN_US][-1]
     samples = [f.baro for f in frozen if f.baro is not None and BEGIN_US <= f.time_us < END_US]
-    assert len(samples) == 50  # 50 Hz for a second: it does not fall silent
+    assert len(samples) == 50  # 50 Hz for a second: it continues to report
     assert {s.pressure_hpa[HIT] for s in samples} == {last.pressure_hpa[HIT]}
     assert {s.temperature_degc[HIT] for s in samples} == {last.temperature_degc[HIT]}
 
@@ -182,7 +182,7 @@ def test_a_barometer_that_is_frozen_from_the_start_keeps_its_first_sample():
     assert len({s.pressure_hpa[0] for s in samples}) > 50
 
 
-def test_a_jammed_receiver_reports_no_fix_and_no_satellites_and_the_others_go_on():
+def test_a_jammed_receiver_reports_no_fix_and_no_satellites_and_others_are_not_affected():
     frames = [f for f in fly(fault_of("gps_loss")) if f.gps is not None and BEGIN_US <= f.time_us < END_US]
     assert len(frames) == 5
     encoder = SensorEncoder()
@@ -200,7 +200,7 @@ def test_a_jammed_receiver_reports_no_fix_and_no_satellites_and_the_others_go_on
 
 
 def test_the_flight_log_has_no_position_while_there_is_no_fix():
-    """Through the encoder and the vehicle's own parser: the site, then nothing, then the site again."""
+    """Through the encoder and the vehicle's parser: the site, then nothing, then the site again."""
     site = SiteFrame(SITE)
     encoder, seen = SensorEncoder(), {}
     assert np.isnan(site.fix_ned_m(None)).all()
@@ -217,7 +217,7 @@ def test_the_flight_log_has_no_position_while_there_is_no_fix():
 
 
 def spin(*faults, steps=500):
-    """World of N hovering vehicles: rotor speeds and vertical accelerations, per step."""
+    """Return rotor speeds and vertical accelerations of hovering vehicles, per step."""
     spawn = [(0.0, 5.0 * i, -200.0) for i in range(N)]
     state = faults_of(*faults)
     seen = []
@@ -236,25 +236,25 @@ def spin(*faults, steps=500):
     return seen
 
 
-def test_a_broken_propeller_lifts_and_turns_less_at_its_speed():
-    """Rotor 2, front left, has a quarter of 3.8 N left: the vehicle, level in that first step, tips there."""
+def test_a_broken_propeller_has_less_thrust_and_torque_at_its_speed():
+    """Rotor 2, front left, has a quarter of 3.8 N: the vehicle, level in that first step, tips to it."""
     seen = dict(spin(fault_of("motor"), steps=260))
     before, first = seen[BEGIN_US - STEP_US], seen[BEGIN_US]
     np.testing.assert_allclose(before.acc_ned_m_s2[0], before.acc_ned_m_s2[HIT], atol=1e-9)
     lost_n = 0.75 * 5.84e-6 * first.rotor_speed_rad_s[HIT, 2] ** 2
     lacking_m_s2 = first.acc_ned_m_s2[HIT, 2] - first.acc_ned_m_s2[0, 2]
-    # both descend a little already, by which the thrust is hardly another
+    # both descend slowly, which hardly changes the thrust
     assert lacking_m_s2 == pytest.approx(lost_n / 1.55, rel=0.01)
     roll_rad_s2, pitch_rad_s2, yaw_rad_s2 = first.omega_frd_rad_s[HIT] / (STEP_US * 1e-6)
     assert roll_rad_s2 == pytest.approx(-0.22 * lost_n / 0.029125, rel=0.02)
     assert pitch_rad_s2 == pytest.approx(-0.13 * lost_n / 0.029125, rel=0.02)
-    # a clockwise rotor turns the body the other way round: less of that
+    # the reaction to a clockwise rotor is reduced
     assert yaw_rad_s2 == pytest.approx(0.06 * lost_n / 0.055225, rel=0.02)
     np.testing.assert_array_equal(first.rotor_speed_rad_s[HIT], first.rotor_speed_rad_s[0])
     np.testing.assert_array_equal(first.omega_frd_rad_s[[0, 2]], 0.0)
 
 
-def test_a_stopped_motor_runs_down_alone_and_comes_back():
+def test_only_the_stopped_motor_runs_down_and_recovers():
     seen = dict(spin(fault_of("motor_stop", duration_s=0.4), steps=400))
     at = {time_us: truth.rotor_speed_rad_s for time_us, truth in seen.items()}
     hover_rad_s = at[BEGIN_US - STEP_US][0, 0]
@@ -265,13 +265,13 @@ def test_a_stopped_motor_runs_down_alone_and_comes_back():
     assert at[BEGIN_US + 400_000 + 200_000][HIT, 3] == pytest.approx(hover_rad_s, rel=1e-3)
 
 
-def test_what_begins_and_ends_is_told_once_and_at_its_step():
+def test_begin_and_end_are_reported_once_and_at_their_steps():
     state = faults_of(fault_of("gps_loss"), fault_of("baro_freeze", start_s=0.5, duration_s=None, uav="all"))
-    told = {}
+    changes = {}
     for time_us in range(STEP_US, 3_000_000, STEP_US):
         for change in state.advance(time_us):
-            told.setdefault(time_us, []).append((kind(change.fault), change.fault.uav, change.began))
-    assert told == {
+            changes.setdefault(time_us, []).append((kind(change.fault), change.fault.uav, change.began))
+    assert changes == {
         500_000: [("baro_freeze", "all", True)],
         BEGIN_US: [("gps_loss", HIT, True)],
         END_US: [("gps_loss", HIT, False)],
@@ -279,43 +279,43 @@ def test_what_begins_and_ends_is_told_once_and_at_its_step():
 
 
 def lost_us(*faults, step_us=STEP_US):
-    state, seen, told = faults_of(*faults), [], []
+    state, seen, changes = faults_of(*faults), [], []
     for time_us in range(step_us, 60_000, step_us):
-        told += state.advance(time_us)
+        changes += state.advance(time_us)
         if state.gps_lost is not None:
             seen.append(time_us)
-    return seen, told
+    return seen, changes
 
 
-def test_times_between_steps_act_from_the_step_after():
+def test_times_between_steps_take_effect_at_the_next_step():
     seen, _ = lost_us(fault_of("gps_loss", start_s=0.0101, duration_s=0.01))
     assert seen == [12_000, 16_000, 20_000]
 
 
 @pytest.mark.parametrize("start_s", [0.008, 0.0081, 0.0099999, 0.012])
-def test_the_shortest_fault_there_is_lasts_for_one_step_wherever_it_begins(start_s):
-    seen, told = lost_us(fault_of("gps_loss", start_s=start_s, duration_s=0.004))
+def test_the_shortest_fault_lasts_for_one_step_wherever_it_begins(start_s):
+    seen, changes = lost_us(fault_of("gps_loss", start_s=start_s, duration_s=0.004))
     assert seen == [8_000 if start_s == 0.008 else 12_000]
-    assert len(told) == 2
+    assert len(changes) == 2
 
 
-def test_what_lies_between_two_instants_that_are_looked_at_never_was():
+def test_a_fault_between_two_steps_has_no_effect():
     assert lost_us(fault_of("gps_loss", start_s=0.021, duration_s=0.004), step_us=20_000) == ([], [])
 
 
-def test_of_one_instant_the_ended_are_told_before_the_begun_each_by_its_number():
+def test_ends_are_reported_before_begins_each_with_its_number():
     state = faults_of(
         fault_of("motor_stop", start_s=2.0),
         fault_of("gps_loss"),
         fault_of("motor", start_s=0.5, duration_s=1.5),
     )
     state.add(fault_of("baro_freeze", start_s=2.0, duration_s=None), 0)
-    told = {}
+    changes = {}
     for time_us in range(STEP_US, 2_100_000, STEP_US):
         for change in state.advance(time_us):
             entry = (change.began, change.number, kind(change.fault), change.motor)
-            told.setdefault(time_us, []).append(entry)
-    assert told == {
+            changes.setdefault(time_us, []).append(entry)
+    assert changes == {
         500_000: [(True, 2, "motor", 2)],
         BEGIN_US: [(True, 1, "gps_loss", None)],
         END_US: [
@@ -327,7 +327,7 @@ def test_of_one_instant_the_ended_are_told_before_the_begun_each_by_its_number()
     }
 
 
-def test_a_fault_that_is_injected_counts_from_now():
+def test_an_injected_fault_starts_relative_to_now():
     state = faults_of()
     state.advance(700_000)
     state.add(fault_of("accel_bias", start_s=0.0, duration_s=0.1), 704_000)
@@ -345,7 +345,7 @@ def test_equal_runs_with_faults_are_equal_to_the_bit_and_noise_follows_the_seed(
     assert {each[1] for each in differences(first, other)} == {"gps_pos", "gps_vel"}
 
 
-def test_a_change_is_told_in_words():
+def test_a_change_is_described_in_words():
     change = FaultChanged(
         time_us=4_500_000, number=0, instance=2, what="gps_loss", motor=None, change="began"
     )
@@ -356,12 +356,12 @@ def test_a_change_is_told_in_words():
     assert describe(change) == "t = 4.50 s: fault 3 (motor_stop 1) of every uav ended"
 
 
-def test_a_change_belongs_to_the_run_and_is_written_down():
+def test_a_change_is_recorded_in_the_event_log():
     assert FaultChanged.__struct_config__.tag in EVENT_KINDS
 
 
-def test_noise_at_one_vehicle_is_the_same_whatever_befalls_the_others(healthy):
-    """From the first fix on, with another's noise before, beside and on top, and with other faults."""
+def test_noise_at_one_vehicle_does_not_depend_on_faults_of_others(healthy):
+    """From the first fix on, with another's noise before, during and in addition, and with other faults."""
     own = fault_of("gps_noise", duration_s=None)
     alone = differences(healthy, fly(own))
     for others in (
@@ -375,8 +375,8 @@ def test_noise_at_one_vehicle_is_the_same_whatever_befalls_the_others(healthy):
             np.testing.assert_array_equal(first[3], second[3])
 
 
-def test_noises_that_overlap_add_up_by_their_variances(healthy):
-    """3 m and 4 m are 5 m: the same draws as of 5 m alone."""
+def test_overlapping_noises_add_up_by_their_variances(healthy):
+    """3 m and 4 m give 5 m, with the same draws as a single fault of 5 m."""
     two = fly(fault_of("gps_noise", position_std_m=3.0, velocity_std_m_s=0.0),
               fault_of("gps_noise", uav="all", position_std_m=4.0, velocity_std_m_s=0.0))  # fmt: skip
     one = fly(fault_of("gps_noise", position_std_m=5.0, velocity_std_m_s=0.0))
@@ -389,7 +389,7 @@ def radio_at(state, time_us):
     return state.extra_attenuation_db, dict(state.range_offsets_m)
 
 
-def test_radio_faults_are_in_force_in_their_time_and_add_up():
+def test_radio_faults_are_active_in_their_time_and_add_up():
     state = faults_of(
         fault_of("radio_attenuation", attenuation_db=20.0),
         fault_of("radio_attenuation", attenuation_db=180.0, start_s=1.5),
@@ -404,7 +404,7 @@ def test_radio_faults_are_in_force_in_their_time_and_add_up():
 
 
 @pytest.mark.parametrize("name", ["radio_attenuation", "ranging_bias"])
-def test_radio_faults_leave_the_sensors_alone(healthy, name):
+def test_radio_faults_do_not_affect_the_sensors(healthy, name):
     assert not differences(healthy, fly(fault_of(name)))
 
 

@@ -1,4 +1,4 @@
-"""No fault that is taken is too much for what has to say it; what is too much is refused by name. 1 s."""
+"""Accepted faults can be represented in all messages; others are refused by name. 1 s."""
 
 import math
 
@@ -14,7 +14,7 @@ from harness.world.faults import AnyFault, validated
 from netsim.wire.lockstep import Advance
 
 
-def test_a_fault_made_in_a_program_is_checked_before_it_is_sent():
+def test_a_fault_of_a_program_is_validated_before_it_is_sent():
     with pytest.raises(ValueError, match=r"^fault\.motor: expected `int` <= 3$"):
         validated(catalogue.MotorStop(uav=0, motor=7), N)
     with pytest.raises(ValueError, match=r'^fault\.uav: .*, expected a number or "all"$'):
@@ -43,7 +43,7 @@ FIELDS = [(name, field, most) for name, limits in LIMITS.items() for field, most
 
 @pytest.mark.parametrize(("name", "field", "most"), FIELDS)
 def test_every_number_has_a_finite_limit(name, field, most):
-    """The limit itself is taken; what is beyond it, infinite or no number is refused by its name.
+    """The limit itself is accepted; larger, infinite and NaN values are refused by name.
 
     So it is in a scenario, and in a fault that a program injects.
     """
@@ -59,8 +59,8 @@ def test_every_number_has_a_finite_limit(name, field, most):
             validated(msgspec.structs.replace(sound, **put(value)), N)
 
 
-def test_every_float_of_every_fault_is_among_them():
-    """Whoever adds a field without a limit is reminded here."""
+def test_every_float_of_every_fault_has_a_test_of_its_limit():
+    """Fails if a field without a limit is added."""
     for member in AnyFault.__args__:
         for field in msgspec.structs.fields(member):
             if field.name in {"uav", "motor", "start_s", "duration_s"}:
@@ -68,7 +68,7 @@ def test_every_float_of_every_fault_is_among_them():
             assert field.name in LIMITS[member.__struct_config__.tag]
 
 
-def test_a_duration_below_a_step_and_noise_that_is_none_are_refused():
+def test_a_duration_below_a_step_and_zero_noise_are_refused():
     with pytest.raises(msgspec.ValidationError, match="duration_s"):
         fault_of("gps_loss", duration_s=0.0039)
     with pytest.raises(msgspec.ValidationError, match="expected one of them above 0"):
@@ -84,7 +84,7 @@ def test_the_channel_is_attenuated_for_all_or_not_at_all():
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_the_worst_of_all_faults_together_can_be_sent(sign):
-    """300 of each: 3000 km and 17 km/s per axis, 1500 km of pressure altitude. Integers and air saturate."""
+    """300 of each: 3000 km and 17 km/s per axis, 1500 km of pressure altitude. Values saturate."""
     worst = [
         fault_of("gps_bias", uav="all", offset_ned_m=(sign * 1e4,) * 3, rate_m_s=100.0, duration_s=None),
         fault_of("gps_bias", uav="all", offset_ned_m=(sign * 1e4,) * 3, duration_s=None),
@@ -102,7 +102,7 @@ def test_the_worst_of_all_faults_together_can_be_sent(sign):
     last = seen["HIL_GPS"][-1]
     assert (last.vn, last.ve, last.vd) == ((32_767,) * 3 if sign > 0.0 else (-32_768,) * 3)
     assert last.vel == 65_535
-    # the barometer ends at the limits of its range, give or take its error
+    # the barometer saturates at the limits of its range, up to its error
     pressures_hpa = [m.abs_pressure for m in seen["HIL_SENSOR"] if m.time_usec > BEGIN_US and m.abs_pressure]
     limit_hpa = 10.0 if sign > 0.0 else 1200.0
     assert len(pressures_hpa) > 20
@@ -110,7 +110,7 @@ def test_the_worst_of_all_faults_together_can_be_sent(sign):
 
 
 def test_the_worst_of_all_radio_faults_together_can_be_sent():
-    """2000 of each: 600 000 dB and 2000 km, of which 1000 dB and 1000 km arrive."""
+    """2000 of each: 600 000 dB and 2000 km, which are limited to 1000 dB and 1000 km."""
     worst = [
         fault_of("radio_attenuation", attenuation_db=300.0),
         fault_of("ranging_bias", uav="all", offset_m=-1000.0),

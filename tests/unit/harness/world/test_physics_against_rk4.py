@@ -1,4 +1,4 @@
-"""The world against a second, plain implementation of the same vehicle that shares the data sheet alone.
+"""The world compared with an independent implementation that shares only the vehicle's parameters.
 
 Gazebo's axes (ENU, FLU), vectors as the plugin has them, and a fourth-order integrator with a fine step.
 """
@@ -23,7 +23,7 @@ FLU_FROM_FRD = np.diag((1.0, -1.0, -1.0))
 
 
 def derivative(state, rotor_speed, wind_enu_n):
-    """d/dt of (position ENU, velocity ENU, rotation matrix ENU<-FLU, body rates FLU)."""
+    """Return d/dt of (position ENU, velocity ENU, rotation matrix ENU<-FLU, body rates FLU)."""
     _, vel, dcm, omega = state
     force_enu = wind_enu_n + 1.55 * 9.8066 * -UP
     torque_flu = np.zeros(3)

@@ -1,4 +1,4 @@
-"""Free flight is Bullet's, and Bullet has whoever may touch something."""
+"""Free flight equals Bullet's integration, and Bullet steps all vehicles with possible contacts."""
 
 import itertools
 
@@ -18,7 +18,7 @@ CORNERS_FRD_M = 0.5 * np.array(IRIS.box_m) * list(itertools.product((-1.0, 1.0),
 
 
 def thrown(rng, count, *, rate_rad_s):
-    """So many bodies, far from each other and from the ground, of any attitude and motion."""
+    """Return bodies far from each other and from the ground, with random attitudes and motions."""
     rows = np.zeros(count, BODY)
     rows["pos_ned_m"] = rng.normal(size=(count, 3)) + np.arange(count)[:, None] * 20.0
     rows["pos_ned_m"][:, 2] = -500.0
@@ -30,7 +30,7 @@ def thrown(rng, count, *, rate_rad_s):
 
 
 def differences(rows, others):
-    """The greatest by field; q and -q are the same attitude."""
+    """Return the largest difference by field; q and -q are the same attitude."""
     signs = np.sign(np.sum(rows["q_ned_frd"] * others["q_ned_frd"], axis=1))
     others = others.copy()
     others["q_ned_frd"] *= signs[:, None]
@@ -39,8 +39,8 @@ def differences(rows, others):
 
 @pytest.mark.parametrize("step_s", [0.001, 0.004, 0.02])
 @pytest.mark.parametrize("rate_rad_s", [0.0, 1e-5, 1e-2, 1.0, 30.0, 99.0])
-def test_a_step_is_bullets_but_for_rounding(step_s, rate_rad_s):
-    """At any rate of turn: in the series for small ones, and above what Bullet limits, in turns and rates."""
+def test_a_step_equals_bullets_except_for_rounding(step_s, rate_rad_s):
+    """At small angular rates, where a series is used, and above Bullet's limits of rotation and rate."""
     rng = np.random.default_rng(3)
     before = thrown(rng, 16, rate_rad_s=rate_rad_s)
     bullet = Bullet(IRIS, step_s=step_s, gravity_m_s2=GRAVITY_M_S2)
@@ -58,8 +58,8 @@ def test_a_step_is_bullets_but_for_rounding(step_s, rate_rad_s):
     assert apart["omega_ned_rad_s"] <= 1e-12
 
 
-def test_a_flight_of_five_seconds_stays_bullets():
-    """Rounding does not add up to anything: 2e-12 m of some 100 m."""
+def test_a_flight_of_five_seconds_equals_bullets():
+    """Accumulated rounding errors are 2e-12 m of about 100 m."""
     rng = np.random.default_rng(5)
     free = thrown(rng, 8, rate_rad_s=1.0)
     bullets = free.copy()
@@ -81,7 +81,7 @@ def test_a_flight_of_five_seconds_stays_bullets():
 @pytest.mark.parametrize(("field", "applied_as"), [("vel_ned_m_s", 0), ("omega_ned_rad_s", 1)])
 @pytest.mark.parametrize("axis", range(3))
 def test_bullet_limits_rates_as_free_flight_does(field, applied_as, axis, sign):
-    """Pushed over the limit in a step, along each axis; gravity would have it fall by 0.04 m/s besides."""
+    """A force exceeds the limit in one step, along each axis; gravity adds 0.04 m/s."""
     before = np.zeros(1, BODY)
     before["pos_ned_m"], before["q_ned_frd"] = (0.0, 0.0, -500.0), (1.0, 0.0, 0.0, 0.0)
     before[field][0, axis] = 99.9 * sign
@@ -103,7 +103,7 @@ def near(rows, was_near=None):
     return changed, flags.tolist()
 
 
-def test_who_is_within_reach_of_the_ground_or_another_is_near_until_it_is_a_quarter_farther():
+def test_a_body_within_reach_is_near_until_it_is_a_quarter_farther_away():
     reach_m = 4.0 * HALF_DIAGONAL_M
     rows = np.zeros(3, BODY)
     rows["pos_ned_m"] = [(0, 0, -0.49 * reach_m), (0, 0, -10.0), (0.99 * reach_m, 0.99 * reach_m, -10.0)]
@@ -117,8 +117,8 @@ def test_who_is_within_reach_of_the_ground_or_another_is_near_until_it_is_a_quar
     assert near(rows, [True] * 3) == (True, [False] * 3)
 
 
-def test_nobody_whom_bullet_has_not_reaches_anything():
-    """Whoever is free is a quarter of a metre from the ground and from others, at any attitude.
+def test_free_bodies_cannot_touch_anything():
+    """A free body is at least 0.25 m from the ground and from others, at any attitude.
 
     Others are as near as their shapes' spheres: a bound, for which no two attitudes need be tried.
     """
@@ -137,23 +137,23 @@ def test_nobody_whom_bullet_has_not_reaches_anything():
             corners_m = [quat_rotate(row["q_ned_frd"], corner)[2] for corner in CORNERS_FRD_M]
             nearest_ground_m = min(nearest_ground_m, -row["pos_ned_m"][2] - max(corners_m))
             free_ones += 1
-        if not flags.all():  # one that is free must not be met by one that Bullet has
+        if not flags.all():  # a free body must not be reached by one in Bullet
             apart_m = np.linalg.norm(rows["pos_ned_m"][1] - rows["pos_ned_m"][0])
             nearest_other_m = min(nearest_other_m, apart_m - 2.0 * HALF_DIAGONAL_M)
     assert free_ones > 500
-    assert 0.25 < nearest_ground_m < 0.5  # and the limit is not wider than need be
+    assert 0.25 < nearest_ground_m < 0.5  # and the limit is not wider than necessary
     assert 0.25 < nearest_other_m < 1.0
 
 
-def test_vehicles_come_and_go_between_free_flight_and_bullet():
-    """One stays on the ground, one rises, drops and lands again, others fly: each is where it would be alone.
+def test_vehicles_change_between_free_flight_and_bullet():
+    """One stays on the ground, one rises, drops and lands again, others fly: each moves as if it were alone.
 
     What Bullet holds besides does not matter to a vehicle that touches none of it.
     """
     spawn = [(0.0, 0.0, -0.055), (5.0, 0.0, -0.055), (10.0, 0.0, -30.0), (15.0, 0.0, -30.0)]
 
     def fly(places):
-        """Heights by step, and whom Bullet had when."""
+        """Return heights by step, and the vehicles in Bullet by step."""
         n = len(places)
         held, truths = [], []
         with World(model=IRIS, spawn_pos_ned_m=places, spawn_yaw_rad=0.7, step_us=4_000) as world:
@@ -173,7 +173,7 @@ def test_vehicles_come_and_go_between_free_flight_and_bullet():
     together, held = fly(spawn)
     assert held[0] == {0, 1}
     assert {0} in held
-    assert held[-1] == {0, 1}  # it has come down
+    assert held[-1] == {0, 1}  # it has landed
     assert -together["pos_ned_m"][:, 1, 2].min() > 3.0
     for i, place in enumerate(spawn):
         alone, _ = fly([place])
@@ -181,7 +181,7 @@ def test_vehicles_come_and_go_between_free_flight_and_bullet():
             np.testing.assert_allclose(alone[name][:, 0], together[name][:, i], rtol=0.0, atol=1e-6)
 
 
-def test_two_that_meet_in_the_air_are_bullets_and_collide():
+def test_two_that_meet_in_flight_are_stepped_by_bullet_and_collide():
     places = [(0.0, 0.0, -30.0), (0.0, 0.0, -34.0)]
     contacts = []
     with World(model=IRIS, spawn_pos_ned_m=places, spawn_yaw_rad=0.0, step_us=4_000) as world:

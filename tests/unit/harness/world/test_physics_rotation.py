@@ -1,4 +1,4 @@
-"""Turning vectors number by number, against the autopilot's kernels: the same to the last bit."""
+"""Rotations on scalars are bit-identical to those of the autopilot's kernels."""
 
 import numpy as np
 import pytest
@@ -16,14 +16,14 @@ QUATERNIONS = [q / np.linalg.norm(q) for q in RNG.standard_normal((50, 4))]
 
 
 @pytest.mark.parametrize(("mine", "theirs"), [(in_ned, quat_rotate), (in_frd, quat_rotate_inverse)])
-def test_vectors_are_turned_as_the_autopilot_turns_them(mine, theirs):
+def test_vectors_are_rotated_as_in_the_autopilot(mine, theirs):
     for q in QUATERNIONS:
         vector = 10.0 * RNG.standard_normal(3)
         assert list(mine(q, *vector.tolist())) == theirs(q, vector).tolist()
 
 
 @pytest.mark.parametrize("length_rad", [0.0, 1e-9, 1e-3, 1.0, 10.0])
-def test_attitudes_are_turned_as_the_autopilot_turns_them(length_rad):
+def test_attitudes_are_rotated_as_in_the_autopilot(length_rad):
     for q in QUATERNIONS:
         rotation_rad = RNG.standard_normal(3)
         rotation_rad *= length_rad / np.linalg.norm(rotation_rad)

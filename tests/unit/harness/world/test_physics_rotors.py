@@ -1,4 +1,4 @@
-"""The rotor kernels against the numbers and signs that the Iris's data sheet implies."""
+"""The rotor kernels compared with values and signs from the Iris's parameters."""
 
 import math
 from dataclasses import replace
@@ -20,14 +20,14 @@ HOVER_RAD_S = math.sqrt(WEIGHT_N / 4.0 / 5.84e-6)
 
 
 def calm(vehicles=1):
-    """Air at rest and of sea level's density, far above the ground, around whole rotors."""
+    """Return surroundings: calm air with sea level's density, far above the ground, whole rotors."""
     return Surroundings(
         np.zeros((vehicles, 3)), np.ones(vehicles), np.full(vehicles, 100.0), np.ones((vehicles, 4))
     )
 
 
 def level_wrench(rotor_speed_rad_s, vel_frd_m_s=(0.0, 0.0, 0.0), omega_frd_rad_s=(0.0, 0.0, 0.0)):
-    """Force and torque on a vehicle that is level and heads north, so that NED is FRD."""
+    """Return force and torque on a level vehicle heading north, for which NED equals FRD."""
     speeds = np.broadcast_to(np.asarray(rotor_speed_rad_s, dtype=float), (1, 4)).copy()
     force, torque = wrenches(
         MODEL, LEVEL, np.array([vel_frd_m_s]), np.array([omega_frd_rad_s]), speeds, calm()
@@ -42,7 +42,7 @@ def run_motors(speed_rad_s, control, steps, *, powered=True):
     return speed[0]
 
 
-def test_hover_speed_and_control_are_the_data_sheets():
+def test_hover_speed_and_control_are_those_of_the_parameters():
     assert pytest.approx(806.7, abs=0.05) == HOVER_RAD_S
     force, torque = level_wrench(HOVER_RAD_S)
     np.testing.assert_allclose(force, (0.0, 0.0, -WEIGHT_N), atol=1e-12)
@@ -68,7 +68,7 @@ def test_motors_lag_by_their_own_time_constant_up_and_down(start_rad_s, control,
         np.testing.assert_allclose(run_motors(start_rad_s, control, steps), expected_rad_s, rtol=1e-12)
 
 
-def test_unpowered_rotors_run_down_whatever_the_controls_say():
+def test_unpowered_rotors_run_down_regardless_of_the_controls():
     np.testing.assert_allclose(
         run_motors(800.0, 1.0, 5, powered=False), 800.0 * math.exp(-5 * STEP_S / 0.025), rtol=1e-12
     )
@@ -90,7 +90,7 @@ def test_controls_outside_their_range_are_limited(control, meant):
         ((1, 3), 1, -1),
     ],
 )
-def test_faster_rotors_turn_the_body_the_right_way(faster, axis, sign):
+def test_faster_rotors_rotate_the_body_in_the_right_direction(faster, axis, sign):
     speeds = np.full(4, HOVER_RAD_S)
     speeds[list(faster)] += 50.0
     _, torque = level_wrench(speeds)
@@ -127,7 +127,7 @@ def test_yaw_torque_does_not_fall_off_in_a_climb():
 
 
 def test_rolling_moment_opposes_forward_flight_on_a_counter_clockwise_rotor_only():
-    """A lone rotor 0 (counter-clockwise) flying north; what is not hub-force moment is the rolling moment."""
+    """A lone rotor 0 (counter-clockwise) flying north; without the hub force the rolling moment remains."""
     force, torque = level_wrench((500.0, 0.0, 0.0, 0.0), (3.0, 0.0, 0.0))
     hub_frd_m = np.array((0.13, 0.22, -0.023))
     np.testing.assert_allclose(
@@ -137,15 +137,15 @@ def test_rolling_moment_opposes_forward_flight_on_a_counter_clockwise_rotor_only
     assert balanced[1] == pytest.approx(0.0, abs=1e-15)
 
 
-def test_turning_rotors_feel_the_speed_of_their_own_hubs():
-    """A pure yaw rate moves each hub sideways at r times the rate: in-plane drag brakes it."""
+def test_drag_uses_the_speed_of_each_hub():
+    """A pure yaw rate moves each hub sideways at r times the rate: in-plane drag opposes it."""
     _, torque = level_wrench(HOVER_RAD_S, omega_frd_rad_s=(0.0, 0.0, 2.0))
     arms_squared_m2 = 2.0 * (0.13**2 + 0.22**2) + 2.0 * (0.13**2 + 0.20**2)
     assert torque[2] == pytest.approx(-1.75e-4 * HOVER_RAD_S * arms_squared_m2 * 2.0, rel=1e-9)
 
 
-def test_the_wrench_turns_with_the_vehicle():
-    """Same body-frame situation, any attitude: same body-frame wrench; and rows do not mix."""
+def test_the_wrench_rotates_with_the_vehicle():
+    """Equal body-frame inputs give equal body-frame wrenches at any attitude; rows are independent."""
     rng = np.random.default_rng(1)
     vehicles = 20
     q = rng.standard_normal((vehicles, 4))

@@ -1,4 +1,4 @@
-"""The world against closed forms: free fall, spin, trim, drift in wind, rest, friction and contact."""
+"""The world compared with closed forms: free fall, spin, trim, drift in wind, rest, friction, contact."""
 
 import math
 
@@ -31,7 +31,7 @@ def fly(world, controls, steps, *, armed=True, wind_n=(0.0, 0.0, 0.0), stopped=F
 
 
 def levelled_controls(truth, roll_trim_n_m=0.0):
-    """Motors (4,) that hold one vehicle level at hover thrust: a PD law on the true tilt and rates."""
+    """Return controls (4,) that hold one vehicle level at hover thrust: a PD law on true tilt and rates."""
     w, x, y, _ = truth.q_ned_frd[0]
     roll_torque, pitch_torque, yaw_torque = -4.0 * 2.0 * w * np.array((x, y, 0.0)) - truth.omega_frd_rad_s[0]
     thrust_per_control_n = 2.0 * 5.84e-6 * (100.0 + 1000.0 * HOVER) * 1000.0
@@ -67,8 +67,8 @@ def tumbling_world():
     return world
 
 
-def test_torque_free_spin_precesses_as_a_symmetrical_top_does():
-    """Body rates turn about z at (Izz - Ixx)/Ixx wz; Bullet alone would gain energy all the while."""
+def test_torque_free_spin_precesses_like_a_symmetric_top():
+    """Body rates rotate about z at (Izz - Ixx)/Ixx wz; Bullet without the correction gains energy."""
     with tumbling_world() as world:
         start = world.truth
         spin = start.omega_frd_rad_s[0]
@@ -87,7 +87,7 @@ def test_torque_free_spin_precesses_as_a_symmetrical_top_does():
 
 
 def test_hover_trim_holds():
-    """But for the sinking while the rotors got up to speed, which the thrust brakes, by g v / (25 m/s)."""
+    """Except the descent during the rotors' start, which the thrust decelerates by g v / (25 m/s)."""
     with world_at((0.0, 0.0, -50.0)) as world:
         sinking_m_s = fly(world, HOVER, 250).vel_ned_m_s[0, 2]
         assert 0.05 < sinking_m_s < 0.3
@@ -116,7 +116,7 @@ def test_drift_at_hover_is_the_wind_over_the_rotor_drag(wind_n, drift_m_s):
     [((0, 2), (1, 0)), ((1, 3), (-1, 0)), ((0, 3), (0, 1)), ((1, 2), (0, -1))],
     ids=["nose down goes north", "nose up goes south", "right down goes east", "left down goes west"],
 )
-def test_tilt_accelerates_the_right_way(slower, towards_ned):
+def test_tilt_accelerates_in_the_right_direction(slower, towards_ned):
     controls = np.full(4, HOVER + 0.02)
     controls[list(slower)] -= 0.04
     with world_at((0.0, 0.0, -50.0)) as world:
@@ -127,7 +127,7 @@ def test_tilt_accelerates_the_right_way(slower, towards_ned):
         assert abs(across) < 0.02 * np.linalg.norm(truth.vel_ned_m_s[0, :2])
 
 
-def test_spawn_yaw_turns_the_body_clockwise_from_north():
+def test_spawn_yaw_is_clockwise_from_north():
     controls = (HOVER - 0.02, HOVER + 0.02, HOVER - 0.02, HOVER + 0.02)  # nose down
     with world_at((0.0, 0.0, -50.0), yaw_rad=math.radians(90.0)) as world:
         fly(world, HOVER, 50)
@@ -137,7 +137,7 @@ def test_spawn_yaw_turns_the_body_clockwise_from_north():
 
 
 def test_sensors_of_the_step_integrate_to_the_state():
-    """Strapdown integration of mean rate and specific force through a rough flight meets the true state."""
+    """Strapdown integration of mean rate and specific force of a rough flight gives the true state."""
     rng = np.random.default_rng(5)
     with world_at((0.0, 0.0, -100.0), yaw_rad=0.4) as world:
         fly(world, HOVER, 60)
@@ -159,7 +159,7 @@ def test_sensors_of_the_step_integrate_to_the_state():
         np.testing.assert_allclose(pos, truth.pos_ned_m[0], atol=1e-4)
 
 
-def test_vehicles_stand_still_on_the_ground():
+def test_vehicles_on_the_ground_are_at_rest():
     places = [(4.0 * i, -3.0 * i, -IRIS.standing_height_m) for i in range(4)]
     with world_at(*places, yaw_rad=1.0) as world:
         settled = fly(world, 0.0, 50, armed=False)
@@ -187,7 +187,7 @@ def test_friction_holds_0_8_of_the_weight():
         fly(world, 0.0, 50, armed=False)
         truth = fly(world, 0.0, 250, armed=False, wind_n=[(0.95 * limit_n, 0, 0), (1.05 * limit_n, 0, 0)])
         assert truth.pos_ned_m[0, 0] == pytest.approx(0.0, abs=1e-3)
-        # what is left of the force accelerates: 0.05 x 0.8 g for 1 s
+        # the remaining force accelerates: 0.05 x 0.8 g for 1 s
         assert truth.pos_ned_m[1, 0] == pytest.approx(0.5 * 0.05 * 0.8 * GRAVITY_M_S2, rel=0.05)
 
 
@@ -213,7 +213,7 @@ def test_take_off_leaves_the_ground():
 
 
 def test_colliding_vehicles_are_named_and_do_not_pass_through_each_other():
-    """0 and 2 are blown at each other, from the north and the south; 1 flies beside them."""
+    """The wind drives 0 and 2 towards each other, from north and south; 1 flies beside them."""
     with world_at((1.0, 0.0, -100.0), (0.0, 5.0, -100.0), (-1.0, 0.0, -100.0)) as world:
         wind_n = [(-4.0, 0.0, 0.0), (0.0, 0.0, 0.0), (4.0, 0.0, 0.0)]
         touched_at_step = None

@@ -1,4 +1,4 @@
-"""The common error process against its parameters."""
+"""The common error process compared with its parameters."""
 
 import math
 
@@ -17,14 +17,14 @@ def series(model, *, samples, interval_s, vehicles=1, seed=0):
 
 
 def allan_deviation(values, averaged):
-    """Over groups of ``averaged`` samples: rms difference of neighbouring means over sqrt(2)."""
+    """Return the RMS difference of neighbouring means of ``averaged`` samples over sqrt(2)."""
     whole = values[: len(values) // averaged * averaged]
     groups = whole.reshape(-1, averaged, *values.shape[1:]).mean(axis=1)
     return np.sqrt(0.5 * np.mean(np.diff(groups, axis=0) ** 2))
 
 
-def test_parts_add_up_to_the_stated_spread():
-    """Over 4000 vehicles: white, turn-on and drift of 3, 4 and 12 make 13, at any time."""
+def test_parts_add_up_to_the_configured_standard_deviation():
+    """Over 4000 vehicles: white, turn-on and drift of 3, 4 and 12 give 13 at any time."""
     model = SensorErrorModel(white_std=3.0, turn_on_std=4.0, drift_std=12.0, drift_time_constant_s=50.0)
     first, *_, last = series(model, samples=51, interval_s=1.0, vehicles=4000)
     assert first.std() == pytest.approx(13.0, rel=0.03)
@@ -47,7 +47,7 @@ def test_white_noise_averages_out_by_the_square_root():
 
 
 def test_random_walk_grows_by_the_square_root():
-    """Far below its correlation time the drift wanders by random_walk x sqrt(t)."""
+    """Far below its correlation time the drift grows as random_walk x sqrt(t)."""
     model = InertialErrorModel(random_walk=6e-3, correlation_s=300.0).at_interval(0.1)
     values = series(model, samples=11, interval_s=0.1, vehicles=3000)
     assert np.std(values[10] - values[0]) == pytest.approx(6e-3 * math.sqrt(1.0), rel=0.04)
@@ -71,7 +71,7 @@ def test_axes_may_differ_and_are_independent():
     assert np.all(np.abs(np.corrcoef(values.T) - np.eye(3)) < 4.0 / math.sqrt(5000.0))
 
 
-def test_a_model_without_error_is_silent_but_draws_all_the_same():
+def test_a_model_without_errors_is_zero_but_draws_the_same_numbers():
     rng, reference = np.random.default_rng(1), np.random.default_rng(1)
     error = SensorError(SensorErrorModel(), shape=(4,), interval_s=0.1, rng=rng)
     assert not any(error.next().any() for _ in range(STEPS_AHEAD))
@@ -80,8 +80,8 @@ def test_a_model_without_error_is_silent_but_draws_all_the_same():
 
 
 @pytest.mark.parametrize("shape", [(4,), (4, 3)])
-def test_samples_are_those_of_the_recursion_one_by_one(shape):
-    """To the last bit, over several draws ahead, whoever asks for them early."""
+def test_samples_equal_those_of_the_recursion(shape):
+    """Bit-identical over several blocks of draws, also if they are prepared early."""
     model = SensorErrorModel(white_std=0.3, turn_on_std=2.0, drift_std=0.7, drift_time_constant_s=3.0)
     rng = np.random.default_rng(6)
     error = SensorError(model, shape=shape, interval_s=0.1, rng=np.random.default_rng(6))

@@ -1,4 +1,4 @@
-"""The suite on made-up truth: schedules, delay, frames, and the errors of each profile."""
+"""The suite with synthetic truth: schedules, delay, frames, and the errors of each profile."""
 
 import math
 
@@ -20,7 +20,7 @@ SITE = Site()
 def truth_of(
     pos_ned_m, *, vel_ned_m_s=(0.0, 0.0, 0.0), q_ned_frd=(1.0, 0.0, 0.0, 0.0), omega=(0.0, 0.0, 0.0)
 ):
-    """Vehicles at (n, 3) positions, alike in all else."""
+    """Return the truth of vehicles at (n, 3) positions, otherwise equal."""
     pos = np.array(pos_ned_m, dtype=float).reshape(-1, 3)
     n = len(pos)
     return Truth.of(
@@ -46,7 +46,7 @@ def frames(suite, truth, steps, *, step_us=STEP_US):
 
 
 def position_of(fixes):
-    """(n, 3) metres, NED from the site's origin."""
+    """Return (n, 3) m, NED from the site's origin."""
     return geodetic_to_ned(
         fixes.lat_deg,
         fixes.lon_deg,
@@ -58,7 +58,7 @@ def position_of(fixes):
 
 
 def gps_errors(config, *, vehicles, fixes, seed=1):
-    """Position errors (fixes, vehicles, 3) in metres, velocity errors likewise, and a last fix."""
+    """Return position errors (fixes, vehicles, 3) in m, velocity errors likewise, and the last fix."""
     suite = suite_of(config, vehicles=vehicles, seed=seed, step_us=20_000)
     truth = truth_of(np.zeros((vehicles, 3)))
     gps = [frame.gps for frame in frames(suite, truth, fixes * 10, step_us=20_000) if frame.gps is not None]
@@ -81,7 +81,7 @@ def test_sensors_report_when_they_are_due():
     assert [frame.time_us for frame in seen] == list(range(4_000, 600_001, 4_000))
 
 
-def test_a_rate_that_does_not_divide_the_step_is_kept_on_average():
+def test_a_rate_that_is_no_multiple_of_the_step_is_correct_on_average():
     config = SensorsConfig(profile="ideal", gps=GpsOverrides(rate_hz=30.0, delay_s=0.0))
     due_us = [f.time_us for f in frames(suite_of(config), truth_of((0, 0, 0)), 2500) if f.gps is not None]
     assert len(due_us) == 300
@@ -109,7 +109,7 @@ def test_ideal_sensors_report_the_truth():
 
 @pytest.mark.parametrize(("delay_s", "lag_s"), [(None, 0.12), (0.0, 0.0), (0.251, 0.252)])
 def test_a_fix_describes_the_past(delay_s, lag_s):
-    """At 5 m/s north a fix lies 5 m/s x 0.12 s behind; delays are rounded to whole steps of 4 ms."""
+    """At 5 m/s north a fix is 5 m/s x 0.12 s behind; delays are rounded to whole steps of 4 ms."""
     suite = suite_of(SensorsConfig(profile="ideal", gps=GpsOverrides(delay_s=delay_s)))
     behind_m = []
     for step in range(1, 301):
@@ -123,41 +123,41 @@ def test_a_fix_describes_the_past(delay_s, lag_s):
     np.testing.assert_allclose(behind_m, 5.0 * lag_s, atol=1e-6)
 
 
-def test_consumer_gps_is_metres_off_and_says_so():
-    """Over 400 receivers and 150 s: spread, memory, independence, and eph."""
+def test_consumer_gps_has_errors_of_metres_and_reports_its_accuracy():
+    """400 receivers and 150 s: standard deviation, correlation, independence, and eph."""
     pos, vel, fix = gps_errors(SensorsConfig(), vehicles=400, fixes=300)
     np.testing.assert_allclose(pos.std(axis=(0, 1)), np.hypot((1.5, 1.5, 2.5), 0.1), rtol=0.1)
     np.testing.assert_allclose(vel.std(axis=(0, 1)), 0.1, rtol=0.02)
     assert fix.eph_m == pytest.approx(math.hypot(1.5, 0.1))
     assert fix.epv_m == pytest.approx(math.hypot(2.5, 0.1))
-    # 0.2 s apart almost nothing but the white noise changes: 2 x 0.1^2 + 2 x 1.5^2 (1 - exp(-0.2/60))
+    # over 0.2 s almost only the white noise changes: 2 x 0.1^2 + 2 x 1.5^2 (1 - exp(-0.2/60))
     expected_m = math.sqrt(2.0 * 0.1**2 + 2.0 * 1.5**2 * (1.0 - math.exp(-0.2 / 60.0)))
     assert np.diff(pos[..., :2], axis=0).std() == pytest.approx(expected_m, rel=0.02)
-    # 30 s apart the slow error has kept exp(-1/2)
+    # over 30 s the slow error keeps exp(-1/2)
     kept = np.mean(pos[150:, :, :2] * pos[:-150, :, :2]) / 1.5**2
     assert kept == pytest.approx(math.exp(-0.5), abs=0.1)
     neighbours = np.mean(pos[0, :-1, 0] * pos[0, 1:, 0]) / 1.5**2
     assert abs(neighbours) < 4.0 / math.sqrt(400.0)
 
 
-def test_gazebo_gps_is_millimetres_off():
+def test_gazebo_gps_has_errors_of_millimetres():
     pos, vel, _ = gps_errors(SensorsConfig(profile="gazebo"), vehicles=50, fixes=50)
     np.testing.assert_allclose(pos.std(axis=(0, 1)), (2.8e-3, 2.8e-3, 5.5e-3), rtol=0.1)
     np.testing.assert_allclose(vel.std(axis=(0, 1)), 0.0126, rtol=0.1)
 
 
-def test_overrides_replace_the_profiles_gps_alone():
+def test_overrides_replace_only_the_profiles_gps():
     config = msgspec.toml.decode(
         'profile = "ideal"\n[gps]\nhorizontal_bias_std_m = 4.0\nrate_hz = 10.0', type=SensorsConfig
     )
     pos, vel, fix = gps_errors(config, vehicles=300, fixes=2)
-    assert len(pos) == 3  # at 0.1 s there is no truth of 0.12 s ago yet
+    assert len(pos) == 3  # at 0.1 s the truth of 0.12 s ago does not exist
     np.testing.assert_allclose(pos[0].std(axis=0), (4.0, 4.0, 0.0), rtol=0.17, atol=1e-6)
     assert not vel.any()
     assert (fix.eph_m, fix.epv_m) == (4.0, 0.01)
 
 
-def test_magnetometer_and_barometer_noise_is_the_data_sheets():
+def test_magnetometer_and_barometer_noise_is_that_of_the_data_sheets():
     suite = suite_of(SensorsConfig(profile="gazebo"), vehicles=20)
     truth = truth_of(np.tile((0.0, 0.0, -10.0), (20, 1)))
     seen = frames(suite, truth, 1500)
@@ -186,7 +186,7 @@ def test_consumer_sensors_have_turn_on_biases_that_differ_by_vehicle():
     assert accel_bias.std() == pytest.approx(math.hypot(0.05, drift["accel"], white["accel"]), rel=0.1)
 
 
-def test_what_one_vehicle_does_changes_nothing_for_another():
+def test_one_vehicle_does_not_affect_the_errors_of_another():
     here, moved = truth_of([(0, 0, -10), (5, 0, -10)]), truth_of([(0, 0, -10), (50, 9, 0)])
     for ours, theirs in zip(
         frames(suite_of(SensorsConfig(), vehicles=2), here, 100),

@@ -1,4 +1,4 @@
-"""Statistics of the gusts against the configuration: spread, memory, correlation, direction."""
+"""Statistics of the gusts compared with the settings: variance, correlation in time and space, direction."""
 
 import math
 
@@ -10,7 +10,7 @@ from harness.world.wind import VERTICAL_GUST_RATIO, GustyWind, WindConfig
 
 
 def record(config, *, vehicles=2, seconds=4000.0, dt_s=0.1, seed=1):
-    """(T, vehicles, 3) forces, NED."""
+    """Return forces (T, vehicles, 3), NED."""
     wind = GustyWind(config, vehicles, np.random.default_rng(seed))
     return np.array([wind.step(dt_s) for _ in range(round(seconds / dt_s))])
 
@@ -19,7 +19,7 @@ ARTICLE = record(WindConfig(mean_n=5.0, direction_deg=30.0))
 """4000 s at a time constant of 2 s: 1000 independent samples, or 2.2 % for a standard deviation."""
 
 
-def test_the_mean_points_where_the_wind_blows_to():
+def test_the_mean_points_in_the_direction_of_the_wind():
     mean = ARTICLE.mean(axis=(0, 1))
     expected = (5.0 * math.cos(math.radians(30.0)), 5.0 * math.sin(math.radians(30.0)), 0.0)
     np.testing.assert_allclose(mean, expected, atol=4.0 * 1.0 / math.sqrt(1000.0))
@@ -46,7 +46,7 @@ def test_gust_rms_is_a_fifth_of_the_mean_and_less_downwards():
     )
 
 
-def test_gusts_are_remembered_for_their_time_constant():
+def test_gusts_are_correlated_over_their_time_constant():
     """First-order Gauss-Markov: correlation exp(-lag/2 s) at every lag."""
     gusts = ARTICLE - ARTICLE.mean(axis=0)
     for lag_s in (0.1, 1.0, 2.0, 4.0):
@@ -70,7 +70,7 @@ def test_axes_are_independent():
 
 
 def test_gusts_start_stationary():
-    """Over 500 seeds, the spread of the first 4 ms is that of any other time."""
+    """Over 500 seeds, the variance in the first 4 ms is that of any other time."""
     first = np.array(
         [record(WindConfig(), seconds=0.004, dt_s=0.004, seed=seed)[0, 0] for seed in range(500)]
     )
@@ -78,7 +78,7 @@ def test_gusts_start_stationary():
 
 
 def test_the_process_does_not_depend_on_the_step():
-    """Spread and one-second memory are at 4 ms steps as at 100 ms."""
+    """Variance and correlation over one second are equal with steps of 4 ms and 100 ms."""
     gusts = record(WindConfig(), seconds=400.0, dt_s=0.004, vehicles=20)
     gusts = gusts - (5.0 * math.sqrt(0.5), 5.0 * math.sqrt(0.5), 0.0)
     assert gusts[..., :2].std() == pytest.approx(1.0, rel=0.12)
@@ -86,8 +86,8 @@ def test_the_process_does_not_depend_on_the_step():
     assert memory == pytest.approx(math.exp(-0.5), abs=0.1)
 
 
-def test_forces_are_those_of_the_recursion_one_by_one_whatever_the_intervals():
-    """To the last bit: what was drawn ahead at one interval is used at the next."""
+def test_forces_equal_those_of_the_recursion_for_any_intervals():
+    """Bit-identical: draws made for one interval are used for the next."""
     config = WindConfig(mean_n=5.0, direction_deg=0.0, correlation=0.64)
     wind, rng = GustyWind(config, 2, np.random.default_rng(8)), np.random.default_rng(8)
     unit = rng.standard_normal((3, 3))
@@ -103,7 +103,7 @@ def test_no_wind_is_no_force():
     assert not record(WindConfig(mean_n=0.0), seconds=1.0).any()
 
 
-def test_the_seed_decides_everything():
+def test_the_seed_determines_the_gusts():
     first, again, other = (record(WindConfig(), seconds=1.0, seed=seed) for seed in (4, 4, 5))
     assert first.tobytes() == again.tobytes()
     assert first.tobytes() != other.tobytes()

@@ -1,4 +1,4 @@
-"""What wind is without chance: its kinds, the mean over height, gusts that are written down. 1 s."""
+"""Deterministic parts of the wind: kinds, profile over height, gusts of the scenario. 1 s."""
 
 import math
 
@@ -17,7 +17,7 @@ def wind_of(config, vehicles=2, seed=3):
     return Wind(config, vehicles, np.random.default_rng(seed), formation_height_m=10.0)
 
 
-def test_wind_as_a_force_is_the_gusty_wind_to_the_last_bit_and_its_air_is_at_rest():
+def test_wind_as_a_force_equals_the_gusty_wind_and_its_air_is_at_rest():
     config = WindConfig()
     wind, alone = wind_of(config), GustyWind(config, 2, np.random.default_rng(3))
     for step in range(120):
@@ -26,7 +26,7 @@ def test_wind_as_a_force_is_the_gusty_wind_to_the_last_bit_and_its_air_is_at_res
         assert not now.air_vel_ned_m_s.any()
 
 
-def test_wind_as_a_velocity_is_no_force_and_blows_where_it_says():
+def test_wind_as_a_velocity_is_no_force_and_has_its_direction():
     config = WindConfig(kind="velocity", mean_m_s=6.0, direction_deg=90.0, vertical_fraction=-0.6)
     now = wind_of(config).step(0.004, time_us=0, height_m=HEIGHT_M)
     assert not now.force_ned_n.any()
@@ -49,7 +49,7 @@ def test_the_logarithmic_mean_grows_by_equal_parts_per_factor_of_height():
 
 
 def test_no_profile_has_more_than_60_metres_per_second_anywhere():
-    """The steepest that is taken: 60 m/s at ten roughness lengths of 1 m would be 180 m/s at 1000 m."""
+    """The steepest accepted profile: 60 m/s at ten roughness lengths of 1 m would be 180 m/s at 1000 m."""
     config = WindConfig(
         kind="velocity", mean_m_s=60.0, profile="logarithmic", reference_height_m=10.0, roughness_length_m=1.0
     )
@@ -72,28 +72,28 @@ GUSTS = {
     [
         ("step", {1.999999: 0.0, 2.0: 4.0, 4.999999: 4.0, 5.0: 0.0}),
         ("ramp", {2.0: 0.0, 2.25: 1.0, 3.0: 4.0, 4.0: 4.0, 4.5: 2.0, 5.0: 0.0, 9.0: 0.0}),
-        # 4/2 (1 - cos(pi t)): a third of the way is a quarter of the peak, half of it half
+        # 4/2 (1 - cos(pi t)): a third of the rise is a quarter of the peak, half of it half
         (
             "one_minus_cosine",
             {1.0: 0.0, 2.0: 0.0, 2 + 1 / 3: 1.0, 2.5: 2.0, 3.0: 4.0, 3.5: 2.0, 4.0: 0.0, 8.0: 0.0},
         ),
     ],
 )
-def test_a_gust_takes_its_course_at_its_time(shape, course):
+def test_a_gust_has_its_shape_at_its_time(shape, course):
     profiles = GustProfiles(WindConfig(gusts=(GUSTS[shape],), **STILL))
     for time_s, expected_n in course.items():
         force = profiles.at(round(time_s * 1e6))
         assert (0.0 if force is None else force[0]) == pytest.approx(expected_n, abs=2e-5)
 
 
-def test_a_gust_without_an_end_stays():
+def test_a_gust_without_an_end_lasts():
     gust = GustConfig(shape="one_minus_cosine", start_s=1.0, rise_s=2.0, peak_n=1.0)
     assert rise(gust, 1_000_000) == pytest.approx(0.5)
     assert rise(gust, 2_000_000) == rise(gust, 10**12) == 1.0
 
 
 def test_gusts_add_to_the_wind_of_every_vehicle_and_to_each_other():
-    """One along the wind by default, one straight down; before and after them nothing has changed."""
+    """One along the wind by default, one straight down; no effect before and after them."""
     gusts = (
         GustConfig(shape="step", start_s=0.1, duration_s=0.1, peak_m_s=3.0),
         GustConfig(shape="step", start_s=0.15, duration_s=0.1, peak_m_s=-2.0, vertical_fraction=1.0),
@@ -114,7 +114,7 @@ def test_gusts_add_to_the_wind_of_every_vehicle_and_to_each_other():
 
 
 @pytest.mark.parametrize(
-    ("toml", "says"),
+    ("toml", "message"),
     [
         ('shape = "step"\nstart_s = 1.0\nrise_s = 1.0', 'rise_s: a gust of shape "step" has none'),
         ('shape = "one_minus_cosine"\nstart_s = 1.0', "rise_s: .* takes time to rise"),
@@ -124,13 +124,13 @@ def test_gusts_add_to_the_wind_of_every_vehicle_and_to_each_other():
         ('shape = "sine"\nstart_s = 1.0', "shape"),
     ],
 )
-def test_a_gust_that_cannot_be_is_refused_by_name(toml, says):
-    with pytest.raises(msgspec.ValidationError, match=says):
+def test_an_invalid_gust_is_refused_by_name(toml, message):
+    with pytest.raises(msgspec.ValidationError, match=message):
         msgspec.toml.decode(toml, type=GustConfig)
 
 
 @pytest.mark.parametrize(
-    ("toml", "says"),
+    ("toml", "message"),
     [
         (
             'kind = "velocity"\nmean_n = 5.0\ngust_time_constant_s = 2.0',
@@ -162,36 +162,36 @@ def test_a_gust_that_cannot_be_is_refused_by_name(toml, says):
         ('kind = "velocity"\ngusts = [{shape="step", start_s=0.0, peak_n=1.0}]', "expected peak_m_s"),
     ],
 )
-def test_what_does_not_belong_to_the_winds_kind_is_refused(toml, says):
-    """By its presence, usual value or not."""
-    with pytest.raises(msgspec.ValidationError, match=says):
+def test_fields_of_the_other_kind_of_wind_are_refused(toml, message):
+    """Regardless of the value, also with the default value."""
+    with pytest.raises(msgspec.ValidationError, match=message):
         msgspec.toml.decode(toml, type=WindConfig)
 
 
-def test_what_is_not_said_has_the_usual_values_of_its_kind():
+def test_unset_fields_have_the_defaults_of_their_kind():
     force, velocity = WindConfig().force_model(), WindConfig(kind="velocity").velocity_model(10.0)
     assert (force.mean_n, force.gust_rms_fraction, force.gust_time_constant_s) == (5.0, 0.2, 2.0)
     assert (velocity.mean_m_s, velocity.profile, velocity.turbulence) == (5.0, "uniform", "none")
     assert force.correlation == velocity.correlation == 0.8
-    said = WindConfig(mean_n=0.0, gust_rms_fraction=0.0, correlation=0.0).force_model()
-    assert (said.mean_n, said.gust_rms_fraction, said.correlation) == (0.0, 0.0, 0.0)
+    explicit = WindConfig(mean_n=0.0, gust_rms_fraction=0.0, correlation=0.0).force_model()
+    assert (explicit.mean_n, explicit.gust_rms_fraction, explicit.correlation) == (0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(
     ("formation_m", "scale_m"), [(2.0, 3.048), (10.0, 10.0), (120.0, 120.0), (500.0, 304.8)]
 )
-def test_turbulence_is_that_of_the_formations_height_unless_said(formation_m, scale_m):
+def test_turbulence_is_that_of_the_formations_height_by_default(formation_m, scale_m):
     """Within the 10 to 1000 feet of the specification; its vertical length is the height itself."""
     config = WindConfig(kind="velocity", turbulence="dryden")
     assert config.velocity_model(formation_m).turbulence_height_m == scale_m
-    said = msgspec.structs.replace(config, turbulence_height_m=50.0)
-    assert said.velocity_model(formation_m).turbulence_height_m == 50.0
-    # what flies in it: the same air as if that height had been said, and another than at 50 m
+    explicit = msgspec.structs.replace(config, turbulence_height_m=50.0)
+    assert explicit.velocity_model(formation_m).turbulence_height_m == 50.0
+    # the same air as with that height set explicitly, and different from that at 50 m
     courses = [
         Wind(each, 2, np.random.default_rng(3), formation_height_m=formation_m)
         .step(0.004, time_us=0, height_m=HEIGHT_M)
         .air_vel_ned_m_s.tobytes()
-        for each in (config, msgspec.structs.replace(config, turbulence_height_m=scale_m), said)
+        for each in (config, msgspec.structs.replace(config, turbulence_height_m=scale_m), explicit)
     ]
     assert courses[0] == courses[1] != courses[2]
 

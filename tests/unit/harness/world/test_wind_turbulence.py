@@ -1,4 +1,4 @@
-"""Turbulence against the spectra of MIL-F-8785C: variance, memory, density, independence of the step. 5 s."""
+"""Turbulence compared with MIL-F-8785C: variance, correlation, density, independence of the step. 5 s."""
 
 import math
 
@@ -13,7 +13,7 @@ SCALES = TurbulenceScales(std_m_s=(2.0, 1.5, 1.0), length_m=(20.0, 12.0, 10.0))
 SPEED_M_S = 5.0
 SERIES = 200
 VARIANCE = {"dryden": (1.0, 1.0, 1.0), "von_karman": (0.9687, 0.9623, 0.9623)}
-"""Of the filters over the square of the strength.
+"""Variance of the filters over the square of the standard deviation.
 
 Dryden's integrate to 1. The rational filters for von Karman's lack what they fall off too early: |H|^2
 integrated over all frequencies, by the continuous Lyapunov equation, is 0.9687 and 0.9623.
@@ -27,13 +27,13 @@ def turbulence(spectrum, *, series=SERIES, seed=1):
 
 
 def record(spectrum, *, seconds, dt_s, **options):
-    """Velocities (T, series, 3)."""
+    """Return velocities (T, series, 3)."""
     source = turbulence(spectrum, **options)
     return np.array([source.step(dt_s) for _ in range(round(seconds / dt_s))])
 
 
 def analytic(spectrum, axis, omega_rad_s):
-    """One-sided density over the angular frequency, (m/s)^2 per rad/s, from the military specification."""
+    """Return the one-sided density over the angular frequency, (m/s)^2 per rad/s, of MIL-F-8785C."""
     length_m, variance = SCALES.length_m[axis], SCALES.std_m_s[axis] ** 2
     x = length_m * omega_rad_s / SPEED_M_S
     if spectrum == "von_karman":
@@ -47,7 +47,7 @@ def analytic(spectrum, axis, omega_rad_s):
 
 
 @pytest.mark.parametrize("spectrum", ["dryden", "von_karman"])
-def test_the_variance_is_the_spectrums_integral_from_the_first_instant_on(spectrum):
+def test_the_variance_is_the_spectrums_integral_from_the_start_on(spectrum):
     """20000 independent series: a variance has a relative error of sqrt(2/20000) = 1 %; four of those."""
     source = turbulence(spectrum, series=20_000)
     for steps in (1, 1, 200):
@@ -58,7 +58,7 @@ def test_the_variance_is_the_spectrums_integral_from_the_first_instant_on(spectr
 
 
 def test_the_spectra_integrate_to_the_variance():
-    """Holds the constants of both formulas together: the integral over 0..inf of each density is s^2."""
+    """The integral of each density over 0..inf is s^2, which checks the constants of both formulas."""
     omega = np.concatenate([[0.0], np.logspace(-6, 8, 200_000)])
     for spectrum in ("dryden", "von_karman"):
         for axis in range(3):
@@ -96,7 +96,7 @@ def test_the_density_is_the_analytic_one(spectrum):
         *zip(["von_karman"] * 3, range(3), (0.033, 0.0451, 0.0451), strict=True),
     ],
 )
-def test_the_filters_response_is_the_spectrum_as_nearly_as_they_say(spectrum, axis, largest):
+def test_the_filters_response_is_the_spectrum_within_the_stated_error(spectrum, axis, largest):
     """|c (j W L - A)^-1 b|^2 L / (pi V) over the analytic density, from L W = 0 to 10.
 
     b has the square root of the intensity, pi, that makes a one-sided density of 1 per rad/s.
@@ -112,7 +112,7 @@ def test_the_filters_response_is_the_spectrum_as_nearly_as_they_say(spectrum, ax
     assert apart.max() == pytest.approx(largest, abs=1e-12 if largest == 0.0 else 2e-4)
 
 
-def test_drydens_memory_along_the_wind_is_exponential_and_across_it_has_a_negative_tail():
+def test_drydens_correlation_is_exponential_along_the_wind_and_has_a_negative_tail_across_it():
     """Transforms of the spectra: exp(-r) along, (1 - r/2) exp(-r) across, r = V lag / L."""
     dt_s = 0.1
     series = record("dryden", seconds=100.0, dt_s=dt_s, series=400)
@@ -125,21 +125,21 @@ def test_drydens_memory_along_the_wind_is_exponential_and_across_it_has_a_negati
 
 
 @pytest.mark.parametrize("spectrum", ["dryden", "von_karman"])
-def test_what_two_steps_do_one_of_their_sum_does(spectrum):
-    """The filter over an interval: twice 0.3 s keeps and adds what 0.6 s do, to rounding."""
+def test_two_steps_equal_one_of_their_sum(spectrum):
+    """Transition and added covariance of two steps of 0.3 s equal those of 0.6 s, except for rounding."""
     for each in turbulence(spectrum)._filters:
         kept, drive = each.over(0.3)
         kept_sum, drive_sum = each.over(0.6)
         np.testing.assert_allclose(kept @ kept, kept_sum, atol=1e-12)
         added = kept @ drive @ drive.T @ kept.T + drive @ drive.T
         np.testing.assert_allclose(added, drive_sum @ drive_sum.T, atol=1e-12)
-        # and it leaves the stationary covariance what it is
+        # and the stationary covariance is invariant
         stationary = each.start @ each.start.T
         np.testing.assert_allclose(kept @ stationary @ kept.T + drive @ drive.T, stationary, atol=1e-12)
 
 
 def test_intervals_may_change_and_draws_are_used_in_their_order():
-    """A source stepped at mixed intervals is the recursion done by hand with the same stream."""
+    """A source with mixed intervals equals the explicit recursion with the same random stream."""
     source, rng = turbulence("von_karman", series=2, seed=9), np.random.default_rng(9)
     unit = rng.standard_normal((2, 3, 3))
     state = np.stack([unit[:, a] @ source._filters[a].start.T for a in range(3)], axis=1)
@@ -153,12 +153,12 @@ def test_intervals_may_change_and_draws_are_used_in_their_order():
             np.testing.assert_allclose(now[:, axis], state[:, axis] @ each.output, atol=1e-12)
 
 
-def test_low_altitude_scales_are_the_specifications():
+def test_low_altitude_scales_are_those_of_the_specification():
     """At 20 feet of height in 10 m/s: 0.177 + 0.000823 x 20 = 0.19346, to -0.4 is 1.929, to -1.2 is 7.178."""
     scales = low_altitude_scales(10.0, 20.0 * 0.3048)
     np.testing.assert_allclose(scales.std_m_s, (1.929, 1.929, 1.0), rtol=1e-3)
     np.testing.assert_allclose(scales.length_m, (7.178 * 6.096, 7.178 * 6.096, 6.096), rtol=1e-3)
-    # at 1000 feet all are alike: the figures meet the model of higher altitudes
+    # at 1000 feet all are equal: the values match the model of higher altitudes
     top = low_altitude_scales(10.0, 304.8)
     np.testing.assert_allclose(top.std_m_s, 1.0, rtol=1e-6)
     np.testing.assert_allclose(top.length_m, 304.8, rtol=1e-6)
@@ -188,8 +188,8 @@ def test_the_winds_turbulence_has_the_mean_the_axes_and_the_correlation_of_its_t
         assert correlation == pytest.approx(0.8, abs=4.0 * (1.0 - 0.8**2) / math.sqrt(240.0))
 
 
-def test_eddies_are_longest_along_the_wind_whatever_its_direction():
-    """In 1 s along stays exp(-8/68) = 0.889 related, across (1 - 8/136) exp(-8/68) = 0.837."""
+def test_correlation_is_longest_along_the_wind_for_any_direction():
+    """Over 1 s the correlation along is exp(-8/68) = 0.889, across (1 - 8/136) exp(-8/68) = 0.837."""
     samples = velocities(VELOCITY, vehicles=400, steps=100, dt_s=0.1)
     c, s = math.cos(math.radians(30.0)), math.sin(math.radians(30.0))
     own = samples - samples.mean(axis=1, keepdims=True)  # without the shared part: 400 independent series
@@ -198,7 +198,7 @@ def test_eddies_are_longest_along_the_wind_whatever_its_direction():
         assert np.mean(part[10:] * part[:-10]) / np.mean(part**2) == pytest.approx(expected, abs=0.015)
 
 
-def test_the_seed_decides_everything_and_equal_seeds_give_equal_bytes():
+def test_the_seed_determines_the_turbulence_and_equal_seeds_give_equal_bytes():
     first, again, other = (
         velocities(VELOCITY, vehicles=3, steps=120, dt_s=0.004, seed=seed) for seed in (4, 4, 5)
     )
@@ -206,7 +206,7 @@ def test_the_seed_decides_everything_and_equal_seeds_give_equal_bytes():
     assert first.tobytes() != other.tobytes()
 
 
-def test_a_calm_has_no_turbulence_and_a_floor_keeps_its_filters_in_order():
+def test_calm_air_has_no_turbulence_and_a_least_speed_keeps_the_filters_valid():
     assert not velocities(
         WindConfig(kind="velocity", mean_m_s=0.0, turbulence="von_karman"), vehicles=2, steps=10, dt_s=0.1
     ).any()
