@@ -49,7 +49,7 @@ _PARTS: tuple[tuple[str, type, tuple[str, ...]], ...] = (
     ("monitor and commander", Monitor, ("update",)),
     ("monitor and commander", Commander, ("update",)),
     ("on-board application", OnboardApp, ("on_timer", "on_mavlink", "on_radio")),
-    ("setpoints and land detector", Pilot, ("feel", "fly")),
+    ("setpoints and land detector", Pilot, ("update_land_state", "update")),
     ("control", FlightController, ("update",)),
     ("services", Services, ("on_timer", "on_message")),
     ("streams", MessageStreams, ("on_timer",)),
